@@ -1,0 +1,330 @@
+"""An agent, put together from its configuration (the composition root)."""
+
+from __future__ import annotations
+
+import random
+import secrets
+import threading
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig
+from pancakes.errors import PancakesError, PluginError
+from pancakes.events import Event
+from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.kernel.dispatch import defer
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.migration.cost import Cost
+from pancakes.net.mesh import Mesh
+from pancakes.net.transport import Transport
+from pancakes.packet import Packet, join
+from pancakes.plugins import Plugins
+from pancakes.service import ServiceSpec
+from pancakes.services.device import DeviceSpec
+from pancakes.services.durable import DurableService
+from pancakes.services.migrator import Hosting
+from pancakes.services.network import NetworkService
+from pancakes.services.records import Records
+from pancakes.services.root import Root
+from pancakes.task import Task, TaskSpec
+from pancakes.wire.messages import Hello, Identity
+
+ORDER = ("log", "device", "network")
+"""The default services that start before all others, in this order; the Client Service's tasks need them."""
+CLOSE_S = 1.5
+"""How long, in host time, an agent waits for its tasks to end before it stops all the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Virtual:
+    """What an agent in virtual time shares with the others of its fleet.
+
+    Attributes:
+        dispatcher: runs them all.
+        transport: this agent's own way onto the network in memory.
+        journal: what stands for its disk.
+    """
+
+    dispatcher: VirtualDispatcher
+    transport: Transport
+    journal: Journal
+
+
+class Agent:
+    """One agent: a kernel, its services and their tasks, a mesh and a journal.
+
+    Args:
+        config: its configuration.
+        plugins: where its classes are found.
+        virtual: run in virtual time; None: on threads and sockets.
+
+    Attributes:
+        name: its name.
+        kernel: its kernel.
+        mesh: its links.
+        skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        ready: set once all that should run at the start does.
+        fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
+
+    Raises:
+        PancakesError: a plug-in is missing, its journal is in use, ...; the message says which.
+    """
+
+    def __init__(self, config: Config, plugins: Plugins | None = None, virtual: Virtual | None = None) -> None:
+        self.config = config
+        self.name = config.agent.name
+        self._plugins = plugins or Plugins()
+        seed = config.agent.seed if config.agent.seed is not None else secrets.randbits(63)
+        self.kernel = Kernel(
+            self.name,
+            seed=seed,
+            speed=config.clock.speed,
+            hold=config.clock.hold,
+            virtual=virtual.dispatcher if virtual is not None else None,
+        )
+        self.ready = threading.Event()
+        self.fatal: str = ""
+        self.stopping = threading.Event()
+        self._on_fatal: Callable[[str], None] = lambda reason: None
+        self._root: Root | None = None
+        self._awake = [True]
+        self.skipped: list[str] = []
+        self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
+        journal = virtual.journal if virtual is not None else self._open_journal()
+        try:
+            self._compose(config, journal, virtual)
+        except BaseException:
+            journal.close()
+            self.kernel.stop()
+            raise
+
+    def _compose(self, config: Config, journal: Journal, virtual: Virtual | None) -> None:
+        transport = virtual.transport if virtual is not None else self._open_transport()
+        self.kernel.transport = transport
+        store: RecordStore
+        if virtual is not None:
+            store = VirtualStore(journal, transport.call_later)
+        else:
+            store = ThreadedStore(journal, name=f"{self.name}-journal")
+        self._store = store
+        self.records = Records(journal, store, lambda level, text: self.skipped.append(text))
+        self.skipped.extend(str(aside) for aside in journal.set_aside)
+        self.mesh = Mesh(
+            Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
+            transport,
+            config.agent.listen,
+            config.agent.peers,
+            self.kernel.random_for("mesh"),
+            self.kernel.host,
+            on_packet=self._on_packet,
+            on_peer_up=self._on_peer_up,
+            on_peer_down=self._on_peer_down,
+            on_refused=self._stop_for,
+            on_log=self.kernel.log,
+            defer=defer,
+        )
+        self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
+        for channel in config.channels:
+            self.kernel.stream.open(channel)
+        self._specs = self._services()
+
+    # Life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Opens its port, and begins to start its services; `ready` says when that is done.
+
+        Raises:
+            PancakesError: its port is in use.
+        """
+        try:
+            self.mesh.start()
+        except PancakesError:
+            self._store.close()
+            self.kernel.transport.close()
+            self.kernel.stop()
+            raise
+        root = self.kernel.spawn(
+            Root, join(self.name, "kernel"), specs=self._specs, identity=self._identity, ready=self._become_ready
+        )
+        assert isinstance(root, Root)
+        self._root = root
+
+    def _become_ready(self) -> None:
+        # Only now does the Log Service listen to what was found wrong before.
+        for sentence in self.skipped:
+            self.kernel.log("error", sentence)
+        self.ready.set()
+
+    def stop(self) -> None:
+        """Stops everything in reverse, and waits for it. Not from one of its own threads."""
+        if self.stopping.is_set():
+            return
+        self.stopping.set()
+        ended = threading.Event()
+        root = self._root
+        if root is not None and root.actor_ref.is_alive():
+            root.call(lambda: root.close(ended.set))
+            if self.kernel.virtual is not None:
+                self.kernel.virtual.settle()
+            elif not ended.wait(CLOSE_S):
+                self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
+        self.mesh.stop()
+        self._store.close()
+        if self.kernel.virtual is not None:
+            self.kernel.virtual.settle()
+        self.kernel.transport.close()
+        self.kernel.stop()
+
+    def on_fatal(self, function: Callable[[str], None]) -> None:
+        """Calls `function` with the reason, in any thread, where the agent must stop; also where that is so already."""
+        self._on_fatal = function
+        if self.fatal:
+            function(self.fatal)
+
+    def _stop_for(self, reason: str) -> None:
+        self.fatal = reason
+        self.kernel.log("error", reason)
+        self._on_fatal(reason)
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "role": self.config.agent.role,
+            "fleet": self.config.agent.fleet,
+            "listen": self.mesh.listen,
+            "neighbours": self.mesh.neighbours(),
+            "peers": [hello.name for hello in self.mesh.connected()],
+            "mesh": self.mesh.describe(),
+        }
+
+    # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
+
+    def _on_packet(self, peer: str, packet: Packet) -> None:
+        try:
+            self.kernel.stream.inject(packet)
+        except PancakesError as error:
+            self.kernel.log("warning", f"a packet of {peer} was dropped: {error}")
+
+    def _on_peer_up(self, hello: Hello) -> None:
+        self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role}))
+
+    def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
+        self.kernel.say(Event("peer_down", {"peer": name, "reason": reason}))
+        service = self.kernel.registry.get(join(self.name, "network"))
+        if isinstance(service, NetworkService):
+            service.call(lambda: service.peer_down(name))
+
+    # Composition -----------------------------------------------------------------------------------------------
+
+    def _open_journal(self) -> Journal:
+        agent = self.config.agent
+        if agent.role != "agent":
+            # A world or a terminal owns no task that could move: nothing of it has to outlive the process.
+            return MemoryJournal({}, str(uuid.uuid4()))
+        directory = Path(agent.state_dir) if agent.state_dir else default_state_dir(agent.fleet, agent.name)
+        return FileJournal(directory)
+
+    def _open_transport(self) -> Transport:
+        agent = self.config.agent
+        address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
+        transport: Transport = self._plugins.get("pancakes.transports", address.partition("://")[0])(self.kernel.host, self.name)
+        return transport
+
+    def _services(self) -> list[ServiceSpec]:
+        by_service: dict[str, list[TaskSpec]] = {}
+        for task in self.config.tasks.values():
+            spec = self._task(task)
+            if spec is not None:
+                by_service.setdefault(task.service, []).append(spec)
+        configs = self.config.services
+        order = [*(name for name in ORDER if name in configs), *(name for name in configs if name not in ORDER)]
+        specs = [self._service(configs[name], tuple(by_service.get(name, ()))) for name in order]
+        return [spec for spec in specs if spec is not None]
+
+    def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
+        try:
+            cls = self._plugins.get("pancakes.services", config.type)
+        except PluginError as error:
+            self._skip(f"the service {config.name}", error)
+            return None
+        arguments: dict[str, Any] = {}
+        if config.name == "device":
+            devices = [device for config in self.config.devices.values() if (device := self._device(config)) is not None]
+            arguments = {"devices": tuple(devices)}
+        elif config.name == "network":
+            hosting = Hosting(self.config.agent.role, self._task_types, self._costs)
+            arguments = {"mesh": self.mesh, "hosting": hosting, "awake": self._awake}
+        if issubclass(cls, DurableService):
+            arguments = {**arguments, "records": self.records, "catalogue": self}
+        return ServiceSpec(config.name, cls, config.settings, tasks, config.restart, arguments)
+
+    def _device(self, config: DeviceConfig) -> DeviceSpec | None:
+        try:
+            cls = self._plugins.get("pancakes.drivers", config.driver)
+        except PluginError as error:
+            self._skip(f"the device {config.name}", error)
+            return None
+        return DeviceSpec(
+            config.name, cls, config.driver, config.settings, config.rate_hz, config.hold_after_s, config.restart
+        )
+
+    def _task(self, config: TaskConfig) -> TaskSpec | None:
+        try:
+            cls, version = self.find(config.type)
+        except PluginError as error:
+            self._skip(f"the task {config.name}", error)
+            return None
+        return TaskSpec(
+            name=config.name,
+            cls=cls,
+            type=config.type,
+            version=version,
+            settings=config.settings,
+            rate_hz=config.rate_hz,
+            start=config.start,
+            restart=config.restart,
+            durability=config.durability,
+            rule=config.migrate,
+        )
+
+    def _skip(self, what: str, error: PluginError) -> None:
+        """One bad plug-in is named, and the rest runs."""
+        self.skipped.append(f"{what} does not run: {error}")
+
+    def find(self, type_name: str) -> tuple[type[Task], str]:
+        """Returns a task's class, and the version of its distribution.
+
+        Raises:
+            PluginError: there is none of this name, or it cannot be imported.
+        """
+        cls = self._plugins.get("pancakes.tasks", type_name)
+        return cls, self._plugins.version("pancakes.tasks", type_name).version
+
+    def _task_types(self) -> dict[str, str]:
+        types = {}
+        for name in self._plugins.names("pancakes.tasks"):
+            try:
+                types[name] = self.find(name)[1]
+            except PluginError:
+                continue
+        return types
+
+    def _costs(self) -> Mapping[str, Cost]:
+        costs: dict[str, Cost] = {}
+        for name in self._plugins.names("pancakes.costs"):
+            try:
+                costs[name] = self._plugins.get("pancakes.costs", name)()
+            except PluginError:
+                continue
+        return costs
+
+
+def default_state_dir(fleet: str, name: str) -> Path:
+    """Returns where an agent keeps what must outlive it, if its configuration does not say."""
+    import os
+
+    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(base) / "pancakes" / fleet / name

@@ -1,0 +1,82 @@
+"""Time, as the only thing in Pancakes that is allowed to ask for it.
+
+There are two clocks. The *host clock* is monotonic and never scaled: handshakes, heartbeats, time-outs.
+The *mission clock* may be held at 0 and may be scaled: tasks, drivers, batteries, discovery, the time to
+live of a command. In virtual time both stand on one `VirtualClock`.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Something that knows the time, in seconds from an origin of its own."""
+
+    def now(self) -> float:
+        """Returns the time in seconds. Never goes back."""
+        ...
+
+
+class MonotonicClock:
+    """The host's monotonic clock."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+
+class VirtualClock:
+    """A clock that stands still until it is moved (virtual time, tests)."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+
+    def now(self) -> float:
+        return self._now_s
+
+    def advance_to(self, time_s: float) -> None:
+        """Moves the clock forward to `time_s`.
+
+        Raises:
+            ValueError: `time_s` lies in the past.
+        """
+        if time_s < self._now_s:
+            raise ValueError(f"a clock cannot go back from {self._now_s} s to {time_s} s")
+        self._now_s = time_s
+
+
+class MissionClock:
+    """The mission's time: 0 while held, then `speed` times as fast as the host clock.
+
+    Args:
+        host: the clock it stands on.
+        speed: mission seconds for each host second.
+        held: whether it waits at 0 for `begin`; otherwise it runs from its making on.
+    """
+
+    def __init__(self, host: Clock, speed: float = 1.0, held: bool = False) -> None:
+        if not (speed > 0 and math.isfinite(speed)):
+            raise ValueError(f"a mission clock cannot run at {speed} times the host clock")
+        self._host = host
+        self.speed = speed
+        self._origin_s = math.inf if held else host.now()
+
+    @property
+    def held(self) -> bool:
+        """Whether the mission waits for `begin`."""
+        return self._origin_s == math.inf
+
+    def now(self) -> float:
+        elapsed_s = self._host.now() - self._origin_s
+        return elapsed_s * self.speed if elapsed_s > 0 else 0.0
+
+    def begin(self, in_s: float = 0.0) -> None:
+        """Lets the mission start in `in_s` seconds of host time. A mission that runs is left alone."""
+        if self.held:
+            self._origin_s = self._host.now() + in_s
+
+    def host_time(self, mission_s: float) -> float:
+        """Returns the host time at which the mission reaches `mission_s`; infinity while it is held."""
+        return self._origin_s + mission_s / self.speed

@@ -1,0 +1,82 @@
+"""Addresses of agents, as a configuration writes them: `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+_ADDRESS = re.compile(
+    r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:\[(?P<six>[^\[\]]*)\]|(?P<host>[^\[\]:/@\s]*))(?::(?P<port>[^:/\s]*))?"
+)
+_HOST = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9._-]*[A-Za-z0-9_.])?")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """The parts of an address.
+
+    Attributes:
+        scheme: the name of the transport.
+        host: a name or number; an IPv6 number without its brackets.
+        port: 0 to 65535; 0 asks for a free one.
+    """
+
+    scheme: str
+    host: str
+    port: int
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this computer can reach it."""
+        from ipaddress import ip_address
+
+        try:
+            return ip_address(self.host.partition("%")[0]).is_loopback
+        except ValueError:
+            return self.host.lower() == "localhost"
+
+
+def parse_address(text: str) -> Address:
+    """Takes an address apart.
+
+    Raises:
+        ValueError: it is none; the message says why, as a phrase.
+    """
+    found = _ADDRESS.fullmatch(text)
+    if not found:
+        bare = text.rpartition("://")[2]
+        if bare.count(":") > 1 and "[" not in bare:
+            raise ValueError(f"{text!r} is no address: an IPv6 host stands in brackets, such as tcp://[::1]:7401")
+        raise ValueError(f"{text!r} is no address: write it as tcp://host:port")
+    host = found["six"] if found["six"] is not None else found["host"]
+    if not host:
+        raise ValueError(f"{text!r} has no host: write 127.0.0.1 for this computer alone, 0.0.0.0 for every interface")
+    if found["six"] is not None:
+        _check_six(text, host)
+    elif not _HOST.fullmatch(host):
+        raise ValueError(f"{text!r} has a bad host, {host!r}")
+    elif re.fullmatch(r"[0-9.]+", host):
+        _check_four(text, host)
+    if not found["port"]:
+        raise ValueError(f"{text!r} has no port: write it as {found['scheme']}://host:port")
+    if not re.fullmatch(r"[0-9]{1,5}", found["port"]) or int(found["port"]) > 65535:
+        raise ValueError(f"{text!r} has a bad port, {found['port']!r}: a port is a number from 0 to 65535")
+    return Address(found["scheme"], host, int(found["port"]))
+
+
+def _check_six(text: str, host: str) -> None:
+    from ipaddress import IPv6Address
+
+    try:
+        IPv6Address(host)
+    except ValueError:
+        raise ValueError(f"{text!r} has a bad IPv6 host, {host!r}") from None
+
+
+def _check_four(text: str, host: str) -> None:
+    from ipaddress import IPv4Address
+
+    try:
+        IPv4Address(host)
+    except ValueError:
+        raise ValueError(f"{text!r} has a bad host, {host!r}: an IPv4 host is four numbers from 0 to 255") from None

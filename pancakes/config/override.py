@@ -1,0 +1,53 @@
+"""`--set table.key=value`: one key of a configuration, given at the command line."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+from pancakes.config.places import Places, key_text
+from pancakes.config.scanner import key_at
+from pancakes.errors import Fault
+
+EXAMPLE = "write it as table.key=value, such as clock.speed=5"
+
+
+def apply_set(text: str, values: dict[str, Any], places: Places) -> Fault | None:
+    """Puts one override into the values of a configuration.
+
+    A value that reads as TOML is taken as such (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.
+    Parts of the key that have dots in them are quoted, as in TOML.
+
+    Args:
+        text: what stood after `--set`.
+        values: the plain values of the file; changed in place.
+        places: where keys stand; learns that this one was overridden.
+
+    Returns:
+        What is wrong with it, or None.
+    """
+    try:
+        found = key_at(text.strip())
+    except tomllib.TOMLDecodeError:
+        found = None
+    rest = text.strip()[found[1] :].lstrip() if found else ""
+    if found is None or not rest.startswith("="):
+        return Fault(f"--set {text}", "--set", f"is no override: {EXAMPLE}")
+    key = tuple(found[0])
+    table = values
+    for depth, part in enumerate(key[:-1], start=1):
+        inner = table.setdefault(part, {})
+        if not isinstance(inner, dict):
+            return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
+        table = inner
+    table[key[-1]] = _value(rest[1:].strip())
+    places.override(key, text)
+    return None
+
+
+def _value(text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return text
+    return parsed["value"] if len(parsed) == 1 else text

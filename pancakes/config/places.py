@@ -1,0 +1,75 @@
+"""Where the keys of a configuration stand: on a line of its file, or in a `--set`."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pancakes.config.scanner import KeyPath
+from pancakes.errors import Fault
+from pancakes.settings import dotted
+
+NAMED_TABLES: Final = ("channel", "device", "service", "task")
+"""The tables whose keys are names: `[task.ScanTarget]`."""
+
+
+class Places:
+    """Says where a key stands, as `agent1.toml:12` or `--set agent.name=x`.
+
+    Args:
+        path: the file, as messages name it.
+        lines: the line of each key.
+    """
+
+    def __init__(self, path: str, lines: dict[KeyPath, int]) -> None:
+        self._path = path
+        self._lines = lines
+        self._sets: dict[KeyPath, str] = {}
+
+    def override(self, key: KeyPath, text: str) -> None:
+        """Notes that `--set text` gave this key its value; what the file says below the key is gone."""
+        for known in [path for path in self._lines if path[: len(key)] == key]:
+            del self._lines[known]
+        for known in [path for path in self._sets if path[: len(key)] == key]:
+            del self._sets[known]
+        for length in range(1, len(key) + 1):
+            if length == len(key) or (key[:length] not in self._lines and key[:length] not in self._sets):
+                self._sets[key[:length]] = text
+
+    def where(self, *key: str | int) -> str:
+        """Returns the place of a key; of the innermost table around it where the key itself is not there."""
+        outermost = 2 if len(key) > 1 and key[0] in NAMED_TABLES else 1  # another's [task.NAME] is no place for this
+        for length in range(len(key), outermost - 1, -1):
+            if key[:length] in self._sets:
+                text = self._sets[key[:length]]
+                return f"--set {text if len(text) <= 60 else text[:57] + '...'}"
+            if key[:length] in self._lines:
+                return f"{self._path}:{self._lines[key[:length]]}"
+        return self._path
+
+    def has(self, *key: str | int) -> bool:
+        """Returns whether the file or a `--set` itself has this key."""
+        return key in self._lines or key in self._sets
+
+    def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:
+        """Returns a fault at a key."""
+        return Fault(self.where(*key), key_text(key), problem, suggestion)
+
+    def in_order(self, faults: list[Fault]) -> list[Fault]:
+        """Returns faults in the order of the file, those of `--set` last; where a place has several, as they are."""
+
+        def line(fault: Fault) -> float:
+            number = fault.where.removeprefix(f"{self._path}:")
+            if fault.where == self._path:
+                return 0
+            return int(number) if number.isdecimal() else float("inf")
+
+        return sorted(faults, key=line)
+
+
+def key_text(key: KeyPath) -> str:
+    """Returns a key as messages name it: `[task.ScanTarget] restart.policy`, `[agent] name`, `schema`."""
+    if key == ("schema",) or not key:
+        return dotted(key)
+    depth = 2 if key[0] in NAMED_TABLES and len(key) > 1 else 1
+    table, rest = f"[{dotted(key[:depth])}]", dotted(key[depth:])
+    return f"{table} {rest}" if rest else table

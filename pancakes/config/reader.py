@@ -1,0 +1,297 @@
+"""From a TOML file to a `Config`, or to all that is wrong with it at once."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from math import inf
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from pancakes.config.address import parse_address
+from pancakes.config.model import (
+    DEFAULT_SERVICES,
+    SCHEMA,
+    AgentConfig,
+    ChannelConfig,
+    ClockConfig,
+    Config,
+    DeviceConfig,
+    ServiceConfig,
+    TaskConfig,
+)
+from pancakes.config.override import apply_set
+from pancakes.config.places import NAMED_TABLES, Places, key_text
+from pancakes.config.plugin_check import check_plugins
+from pancakes.config.rule_check import faults_of_rule
+from pancakes.config.scanner import KeyPath, lines_of_keys
+from pancakes.errors import ConfigError, Fault
+from pancakes.packet import CORE_CHANNELS
+from pancakes.plugins import Plugins
+from pancakes.settings import check_settings, dotted, required_keys
+from pancakes.suggestion import suggestion
+from pancakes.supervision import RestartSpec
+
+_T = TypeVar("_T")
+
+_TABLES: Final = ("agent", "clock", *NAMED_TABLES)
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
+_LONGEST_NAME: Final = 100
+_POSITION = re.compile(r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$")
+
+
+def load(path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
+    """Reads a configuration file.
+
+    Args:
+        path: the file.
+        sets: overrides, each as `table.key=value`.
+        plugins: where drivers, services and tasks come from. With it, what they ask of the configuration is
+            checked too (see `check_plugins`); without it, only the format is.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not sound; it carries every fault.
+    """
+    where = fspath(path)
+    return parse(_text(where), where, sets, plugins)
+
+
+def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
+    """Reads a configuration from its text; see `load`.
+
+    Args:
+        text: the TOML text.
+        where: the name of the text in messages.
+        sets: overrides, each as `table.key=value`.
+        plugins: where drivers, services and tasks come from; None leaves them unchecked.
+
+    Raises:
+        ConfigError: the text is not sound; it carries every fault.
+    """
+    try:
+        values = tomllib.loads(text)
+        places = Places(where, lines_of_keys(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([_syntax_fault(error, text, where)]) from None
+    except RecursionError:
+        raise ConfigError([Fault(where, "TOML", "is nested too deeply")]) from None
+    faults = [fault for item in sets if (fault := apply_set(item, values, places))]
+    reader = _Reader(values, places)
+    config = reader.config()
+    faults += reader.faults
+    if plugins is not None:
+        faults += check_plugins(config, plugins)
+    if faults:
+        raise ConfigError(places.in_order(faults))
+    return config
+
+
+def _text(path: str) -> str:
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
+    except IsADirectoryError:
+        raise ConfigError([Fault(path, "file", "is a directory, not a file")]) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise ConfigError([Fault(path, "file", f"cannot be read: {reason.lower()}")]) from None
+    try:
+        return data.decode("utf-8-sig")  # some editors put a byte order mark in front, which TOML does not know
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ConfigError([Fault(f"{path}:{line}", "file", "is not UTF-8")]) from None
+
+
+def _neighbour(path: str) -> str:
+    """The file of a similar name in the same directory."""
+    missing = Path(path)
+    try:
+        near = suggestion(missing.name, [entry.name for entry in missing.parent.iterdir() if entry.is_file()])
+    except OSError:
+        return ""
+    return str(missing.with_name(near)) if near else ""
+
+
+def _syntax_fault(error: tomllib.TOMLDecodeError, text: str, where: str) -> Fault:
+    message = str(error)
+    found = _POSITION.search(message)
+    line = text.rstrip("\n").count("\n") + 1
+    if found:
+        line = int(found["line"]) if found["line"] else line
+        message = message[: found.start()]
+    twice = re.fullmatch(r"Cannot declare \((.*)\) twice", message)
+    if twice:
+        table = tuple(re.findall(r"'([^']*)'", twice[1]))
+        return Fault(f"{where}:{line}", key_text(table), "the table stands here for the second time")
+    if message == "Cannot overwrite a value":
+        message = "a key stands here for the second time"
+    return Fault(f"{where}:{line}", "TOML", message[:1].lower() + message[1:])
+
+
+class _Reader:
+    """Makes a `Config` and collects faults. What is at fault is left at its default, so that the rest is checked."""
+
+    def __init__(self, values: dict[str, Any], places: Places) -> None:
+        self._values = values
+        self._places = places
+        self.faults: list[Fault] = []
+
+    def config(self) -> Config:
+        self._check_top()
+        services = self._tables("service", ServiceConfig, {name: {"type": name} for name in DEFAULT_SERVICES})
+        config = Config(
+            agent=self._single("agent", AgentConfig),
+            clock=self._single("clock", ClockConfig),
+            channels=self._tables("channel", ChannelConfig),
+            devices=self._tables("device", DeviceConfig),
+            services=services,
+            tasks=self._tables("task", TaskConfig),
+            path=self._places.where(),
+            places=self._places,
+        )
+        self._check_agent(config)
+        for table, parts in (("device", config.devices), ("service", config.services), ("task", config.tasks)):
+            for name, part in parts.items():
+                self._check_restart((table, name, "restart"), part.restart)
+        for name in config.channels:
+            if name in CORE_CHANNELS:
+                self._fault(("channel", name), f"the channel {name!r} is a core one and always there")
+        for task in config.tasks.values():
+            self._check_task(task, config)
+        return config
+
+    def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
+        self.faults.append(self._places.fault(key, problem, near))
+
+    def _check_top(self) -> None:
+        known = ("schema", *_TABLES)
+        for key, value in self._values.items():
+            if key not in known:
+                near = suggestion(key, known)
+                if isinstance(value, (dict, list)):
+                    self._fault((key,), "unknown table", near)
+                else:
+                    self.faults.append(Fault(self._places.where(key), dotted((key,)), "unknown key", near))
+        if "schema" not in self._values:
+            self._fault(("schema",), f"is missing: the file states its format as schema = {SCHEMA}")
+        elif type(schema := self._values["schema"]) is not int:
+            self._fault(("schema",), f"expected an integer, not {schema!r}")
+        elif schema != SCHEMA:
+            self._fault(("schema",), f"the format {schema} is not known to this version, which reads {SCHEMA}")
+
+    def _single(self, table: str, cls: type[_T]) -> _T:
+        values = self._values.get(table, {})
+        if not isinstance(values, dict):
+            self._fault((table,), f"expected a table: [{table}]")
+            values = {}
+        return self._make(cls, values, (table,))
+
+    def _tables(
+        self, table: str, cls: type[_T], implied: Mapping[str, Mapping[str, Any]] | None = None
+    ) -> dict[str, _T]:
+        """The tables `[table.NAME]` by name; `implied` has values for those that are there unasked."""
+        implied = implied or {}
+        entries = self._values.get(table, {})
+        if not isinstance(entries, dict):
+            self._fault((table,), f"expected tables with a name each, such as [{table}.NAME]")
+            entries = {}
+        made = {}
+        for name, values in {**{name: {} for name in implied}, **entries}.items():
+            key = (table, name)
+            if not isinstance(values, dict):
+                self._fault(key, f"expected a table with a name, such as [{table}.NAME]")
+                continue
+            self._check_name(key, name)
+            if "name" in values:
+                self._fault((*key, "name"), f"unknown key; the name stands in the head of the table: [{table}.NAME]")
+            given = {**implied.get(name, {}), **{k: v for k, v in values.items() if k != "name"}, "name": name}
+            made[name] = self._make(cls, given, key)
+        return made
+
+    def _make(self, cls: type[_T], values: Mapping[str, Any], key: KeyPath) -> _T:
+        own = {field.name for field in fields(cls)}  # type: ignore[arg-type]
+        bad = set()
+        for problem in check_settings(cls, values):
+            text, near = problem.text, problem.suggestion
+            if text == "unknown key" and len(problem.path) == 1 and not near and "settings" in own:
+                text = f"unknown key; the {key[0]}'s own settings belong into its key `settings`"
+            bad.add(problem.path[0] if problem.path else "")
+            self._fault((*key, *problem.path), text, near)
+        sound = {name: value for name, value in values.items() if name in own and name not in bad}
+        return msgspec.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
+
+    def _check_name(self, key: KeyPath, name: str) -> bool:
+        if _NAME.fullmatch(name) and len(name) <= _LONGEST_NAME:
+            return True
+        near = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:_LONGEST_NAME]
+        self._fault(
+            key,
+            f"{name!r} is no name: a name has letters, digits, '.', '_' and '-', begins with none of '.' and '-',"
+            f" and is at most {_LONGEST_NAME} long",
+            near if _NAME.fullmatch(near) else "",
+        )
+        return False
+
+    def _given(self, key: KeyPath) -> Any:
+        """What the file says under a key; None where it says nothing."""
+        value: Any = self._values
+        for part in key:
+            value = value.get(part) if isinstance(value, dict) else None
+        return value
+
+    def _check_agent(self, config: Config) -> None:
+        agent = config.agent
+        if isinstance(self._given(("agent", "name")), str):
+            self._check_name(("agent", "name"), agent.name)
+        self._check_name(("agent", "fleet"), agent.fleet)
+        if agent.listen:
+            self._check_listen(config)
+        for index, peer in enumerate(agent.peers):
+            key = ("agent", "peers", index)
+            try:
+                if parse_address(peer).port == 0:
+                    self._fault(key, f"{peer!r} has the port 0, at which nobody can be reached")
+            except ValueError as error:
+                self._fault(key, str(error))
+            if peer in agent.peers[:index]:
+                self._fault(key, f"{peer!r} stands in the list for the second time")
+            if peer == agent.listen:
+                self._fault(key, f"{peer!r} is the address at which this agent itself listens")
+
+    def _check_listen(self, config: Config) -> None:
+        key = ("agent", "listen")
+        try:
+            address = parse_address(config.agent.listen)
+        except ValueError as error:
+            self._fault(key, str(error))
+            return
+        network = config.services.get("network")
+        if not address.loopback and not (network and network.settings.get("insecure") is True):
+            self._fault(
+                key,
+                f"{config.agent.listen!r} can be reached from other computers, and links are neither encrypted nor"
+                " checked: listen on 127.0.0.1, or say settings = { insecure = true } in [service.network]",
+            )
+
+    def _check_restart(self, key: KeyPath, spec: RestartSpec) -> None:
+        if spec.at_most < 0:
+            self._fault((*key, "at_most"), f"expected an integer >= 0, not {spec.at_most}")
+        if not 0 < spec.within_s < inf:
+            self._fault((*key, "within_s"), f"expected a number of seconds > 0, not {spec.within_s:g}")
+
+    def _check_task(self, task: TaskConfig, config: Config) -> None:
+        key = ("task", task.name)
+        if task.service not in config.services:
+            near = suggestion(task.service, config.services)
+            self._fault((*key, "service"), f"there is no service {task.service!r}", near)
+        elif task.service == "device" and task.name in config.devices:
+            self._fault(key, f"has the same address as [device.{task.name}]: give one of them another name")
+        if task.migrate:
+            for name, problem, near in faults_of_rule(task.migrate, task.name, config.tasks):
+                self._fault((*key, "migrate", name) if name else (*key, "migrate"), problem, near)

@@ -1,0 +1,204 @@
+"""Control packets: how anything is asked for while an agent runs (paper §3.4).
+
+A task, a service, another agent and a person at a terminal all publish the same packets on `sysctrl`, and
+get a `Reply` whose `cause` is the packet that asked. There is no second way in.
+
+A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pancakes.packet import Cause, packet_type
+
+
+@packet_type("start")
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Starts a task or a service that stands still.
+
+    Attributes:
+        target: what to start.
+        settings: settings of a task that shall differ from the configuration's.
+    """
+
+    target: str
+    settings: Mapping[str, Any] | None = None
+
+
+@packet_type("stop")
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Stops a task or a service, once the message in hand is finished.
+
+    Attributes:
+        target: what to stop.
+        for_s: a service starts again by itself after this time, in mission seconds; None: it does not.
+    """
+
+    target: str
+    for_s: float | None = None
+
+
+@packet_type("restart")
+@dataclass(frozen=True, slots=True)
+class Restart:
+    """Stops a task or a service and starts it anew.
+
+    Attributes:
+        target: what to restart.
+        keep_state: whether a task goes on with its state, or begins with a fresh one.
+    """
+
+    target: str
+    keep_state: bool = True
+
+
+@packet_type("reschedule")
+@dataclass(frozen=True, slots=True)
+class Reschedule:
+    """Changes the rate of a time-driven task, from its next tick on.
+
+    Attributes:
+        target: the task.
+        rate_hz: ticks for each second of mission time; 0 lets it rest.
+        timer: the method that ticks, where the task has several; empty: the first.
+    """
+
+    target: str
+    rate_hz: float
+    timer: str = ""
+
+
+@packet_type("configure")
+@dataclass(frozen=True, slots=True)
+class Configure:
+    """Changes some of the settings of a running task; all of them are good, or nothing changes."""
+
+    target: str
+    settings: Mapping[str, Any]
+
+
+@packet_type("migrate")
+@dataclass(frozen=True, slots=True)
+class Migrate:
+    """Moves a running task to the neighbour that takes it for the lowest cost.
+
+    Attributes:
+        target: the task.
+        to: the only neighbour to ask; empty: all of them.
+        then: a task to start here once this one has gone.
+        cost: the cost function that the neighbours answer with.
+        dry_run: only asks for bids, and moves nothing.
+    """
+
+    target: str
+    to: str = ""
+    then: str = ""
+    cost: str = "tasks"
+    dry_run: bool = False
+
+
+@packet_type("describe")
+@dataclass(frozen=True, slots=True)
+class Describe:
+    """Asks what an agent is and runs; the reply's `result` is a plain mapping."""
+
+    target: str = ""
+
+
+@packet_type("begin")
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Lets a mission that is held at 0 begin.
+
+    Attributes:
+        in_s: in how many seconds of host time; a duration, because no two agents share a clock.
+    """
+
+    in_s: float = 0.0
+
+
+@packet_type("follow")
+@dataclass(frozen=True, slots=True)
+class Follow:
+    """Asks an agent to send the asker what is published on one of its channels.
+
+    Attributes:
+        channel: the channel.
+        types: only packets of these types; empty: all.
+    """
+
+    channel: str
+    types: tuple[str, ...] = ()
+
+
+@packet_type("unfollow")
+@dataclass(frozen=True, slots=True)
+class Unfollow:
+    """Ends what `Follow` began."""
+
+    channel: str
+
+
+@packet_type("reply")
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The answer to a control packet; its packet's `cause` says to which.
+
+    Attributes:
+        ok: whether what was asked for has been done.
+        reason: why not, as a sentence.
+        result: what was asked for, where that is something to know.
+    """
+
+    ok: bool
+    reason: str = ""
+    result: Any = None
+
+
+@packet_type("hold")
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Tells an actuator, on `ctrl`, to go to its safe hold at once; only its holder's service says so."""
+
+    reason: str
+
+
+CONTROLS: tuple[type, ...] = (
+    Start,
+    Stop,
+    Restart,
+    Reschedule,
+    Configure,
+    Migrate,
+    Describe,
+    Begin,
+    Follow,
+    Unfollow,
+)
+"""All that can be asked for."""
+
+
+@packet_type("command")
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A control packet as the kernel hands it to the service that it concerns.
+
+    All control packets to an agent pass one place, which numbers them: so contradictory ones are applied
+    in one order.
+
+    Attributes:
+        number: its place in that order, from 1.
+        request: source and number of the packet that asked.
+        task: the name of the task that it is about; empty where it is about the service.
+        body: the control packet's body.
+    """
+
+    number: int
+    request: Cause
+    task: str
+    body: Any = field(default=None)

@@ -1,0 +1,125 @@
+"""The readings and commands of the devices that the core knows.
+
+A device's type, the type of its packets and the word in a task's `requires` are one and the same name:
+a `pose` device publishes `pose` packets on `system`; `motors` takes `motors` packets from `ctrl`.
+Lengths are metres, angles radians counter-clockwise, times seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pancakes.packet import packet_type
+
+
+@packet_type("pose")
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a body is, in the frame of the world.
+
+    Attributes:
+        x_m: position along the world's x axis.
+        y_m: position along the world's y axis.
+        theta_rad: heading, in (-pi, pi], counter-clockwise from the x axis.
+    """
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+
+
+@packet_type("motors")
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """A command to a drive: forward speed and turning rate, in the frame of the body."""
+
+    v_mps: float
+    omega_radps: float
+
+
+@packet_type("battery")
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """The state of a battery.
+
+    Attributes:
+        voltage_v: voltage at the terminals.
+        level: what is left of its range, from 0 (empty) to 1 (full).
+    """
+
+    voltage_v: float
+    level: float
+
+
+@packet_type("ir")
+@dataclass(frozen=True, slots=True)
+class Infrared:
+    """One sweep of a ring of infrared proximity sensors.
+
+    Attributes:
+        bearings_rad: direction of each sensor, in the frame of the body.
+        ranges_m: distance from the edge of each sensor to what it sees; its full range where it sees nothing.
+        max_range_m: the full range.
+        raw: what the sensor itself says, in its own units, one for each.
+    """
+
+    bearings_rad: tuple[float, ...]
+    ranges_m: tuple[float, ...]
+    max_range_m: float
+    raw: tuple[int, ...] = ()
+
+
+@packet_type("sonar")
+@dataclass(frozen=True, slots=True)
+class Sonar:
+    """One sweep of a ring of sonars; see `Infrared` for the attributes."""
+
+    bearings_rad: tuple[float, ...]
+    ranges_m: tuple[float, ...]
+    max_range_m: float
+
+
+@packet_type("motion")
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What a motion sensor says.
+
+    Attributes:
+        detected: whether something moves in its field of view.
+        bearing_rad: direction of the nearest thing that moves, in the frame of the sensor's body; None where
+            the sensor cannot tell.
+        range_m: distance to it from the sensor's centre; None where the sensor cannot tell.
+    """
+
+    detected: bool
+    bearing_rad: float | None = None
+    range_m: float | None = None
+
+
+@packet_type("load")
+@dataclass(frozen=True, slots=True)
+class Load:
+    """How busy a computer is.
+
+    Attributes:
+        cpu: share of all processor time in use, 0 to 1.
+    """
+
+    cpu: float
+
+
+@packet_type("memory")
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """How much memory a computer has and uses, in bytes."""
+
+    used_bytes: int
+    total_bytes: int
+
+
+@packet_type("temperature")
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """A temperature in degrees Celsius."""
+
+    celsius: float

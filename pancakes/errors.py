@@ -1,0 +1,83 @@
+"""Everything that Pancakes raises on purpose.
+
+Each message is a sentence that names what is at fault (file, key, peer, packet), because the command
+line prints it as it stands: a traceback in a user's terminal is a defect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+class PancakesError(Exception):
+    """The base of all errors that Pancakes raises on purpose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One mistake in a configuration.
+
+    Attributes:
+        where: the file, with a line number where it is known (`agent1.toml:12`), or `--set`.
+        key: the table and key, such as `[task.ScanTarget] restart`.
+        problem: what is wrong, as a phrase.
+        suggestion: what was probably meant, or an empty string.
+    """
+
+    where: str
+    key: str
+    problem: str
+    suggestion: str = ""
+
+    def __str__(self) -> str:
+        hint = f", did you mean {self.suggestion!r}?" if self.suggestion else ""
+        return f"{self.where}: {self.key}: {self.problem}{hint}"
+
+
+class ConfigError(PancakesError):
+    """A configuration cannot be used. Carries all of its faults at once."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class PluginError(PancakesError):
+    """An entry point is missing or fails to load. The message names the distribution."""
+
+
+class WireError(PancakesError):
+    """Bytes or packets break the wire protocol."""
+
+
+class LocalProtocolError(WireError):
+    """We were about to send what the protocol forbids (a body too large, an unknown type of value)."""
+
+
+class RemoteProtocolError(WireError):
+    """The peer sent what the protocol forbids. Its link is closed; nothing else is touched."""
+
+
+class UnknownChannel(PancakesError):
+    """A packet was published to a channel that the information stream does not have."""
+
+
+class MailboxFull(PancakesError):
+    """A `reliable` subscriber has no room: the packet was given to nobody, the publisher may try again."""
+
+
+class ControlRefused(PancakesError):
+    """A control packet was understood and refused. The message is the reason."""
+
+
+class MigrationError(PancakesError):
+    """A task could not be moved. It goes on where it is."""
+
+
+class NoCandidate(MigrationError):
+    """No neighbour can take the task. The message has each neighbour's reason."""
+
+
+class PeerLost(MigrationError):
+    """The peer went away before the hand-off was decided."""

@@ -1,0 +1,83 @@
+"""A whole fleet in one process and in virtual time: missions that repeat themselves, and tests."""
+
+from __future__ import annotations
+
+import random
+import uuid
+from collections.abc import Callable
+
+from pancakes.agent import Agent, Virtual
+from pancakes.config import Config
+from pancakes.journal import MemoryJournal
+from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.net.memory import MemoryNetwork, Quality
+from pancakes.plugins import Plugins
+
+
+class VirtualFleet:
+    """Agents on one thread, one network in memory and one virtual clock; the same classes as anywhere else.
+
+    Args:
+        seed: draws the order of the actors, the network's jitter and the journals' identities.
+        quality: how well agents hear each other where nothing else is said.
+        plugins: where the agents' classes are found.
+
+    Attributes:
+        dispatcher: runs everything.
+        network: the network; faults are made there.
+        agents: the agents that run, by name.
+    """
+
+    def __init__(self, seed: int = 0, quality: Quality | None = None, plugins: Plugins | None = None) -> None:
+        self.seed = seed
+        self.dispatcher = VirtualDispatcher(seed)
+        self.network = MemoryNetwork(
+            self.dispatcher.call_at, self.dispatcher.clock.now, random.Random(f"network/{seed}"), quality
+        )
+        self.agents: dict[str, Agent] = {}
+        self._plugins = plugins or Plugins()
+        self._disks: dict[str, dict[str, bytes]] = {}
+
+    def now(self) -> float:
+        """Returns the virtual time, in seconds; agents take it for the host's."""
+        return self.dispatcher.clock.now()
+
+    def start(self, config: Config) -> Agent:
+        """Starts an agent. One that ran before under this name finds its disk as it left it.
+
+        Raises:
+            PancakesError: its address is in use, a plug-in is missing, ...
+        """
+        name = config.agent.name
+        disk = self._disks.setdefault(name, {})
+        identity = uuid.UUID(int=random.Random(f"journal/{self.seed}/{name}").getrandbits(128), version=4)
+        journal = MemoryJournal(disk, str(identity))
+        agent = Agent(config, self._plugins, Virtual(self.dispatcher, self.network.transport(name), journal))
+        agent.start()
+        self.agents[name] = agent
+        return agent
+
+    def stop(self, name: str) -> None:
+        """Stops one agent in good order."""
+        self.agents.pop(name).stop()
+
+    def run_until(self, time_s: float) -> None:
+        """Runs until the virtual clock says `time_s`."""
+        self.dispatcher.run_until(time_s)
+
+    def run_for(self, duration_s: float) -> None:
+        """Runs for so many seconds of virtual time."""
+        self.run_until(self.now() + duration_s)
+
+    def run_while(self, condition: Callable[[], bool], at_most_s: float) -> bool:
+        """Runs while `condition` holds, for no more than `at_most_s` of virtual time.
+
+        Returns:
+            Whether it ceased to hold.
+        """
+        return self.dispatcher.run_while(condition, self.now() + at_most_s)
+
+    def close(self) -> None:
+        """Stops all agents, those that started last first."""
+        for name in reversed(list(self.agents)):
+            self.stop(name)

@@ -1,0 +1,19 @@
+"""What an agent keeps on disk: its identity, and the durable records of its tasks."""
+
+from pancakes.journal.entry import Entry, JournalError, SetAside
+from pancakes.journal.file import FileJournal
+from pancakes.journal.journal import Journal
+from pancakes.journal.memory import MemoryJournal
+from pancakes.journal.store import RecordStore, ThreadedStore, VirtualStore
+
+__all__ = [
+    "Entry",
+    "FileJournal",
+    "Journal",
+    "JournalError",
+    "MemoryJournal",
+    "RecordStore",
+    "SetAside",
+    "ThreadedStore",
+    "VirtualStore",
+]

@@ -1,0 +1,493 @@
+"""What tasks and services have in common: a pykka actor that talks by packets (paper §3, Figure 2)."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Callable, Mapping
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, Any
+
+import pykka
+from pykka._envelope import Envelope
+
+from pancakes.errors import UnknownChannel
+from pancakes.events import Event, LogLine
+from pancakes.kernel.handlers import Period, Subscription, Tick, period_of, periods_of, subscriptions_of
+from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
+from pancakes.packet import LOG, Cause, Fence, Packet, type_name
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from pancakes.kernel.kernel import Kernel
+    from pancakes.kernel.timer import OneShot
+
+SLICE_CHECK = 16
+"""After how many packets a turn looks whether its time is up."""
+
+
+class Flag:
+    """What pykka uses of a `threading.Event`, at a tenth of its cost: most actors' ends are awaited by nobody."""
+
+    __slots__ = ("_flag",)
+
+    def __init__(self) -> None:
+        self._flag = False
+
+    def is_set(self) -> bool:
+        return self._flag
+
+    def set(self) -> None:
+        self._flag = True
+
+
+class TaskTimer:
+    """One time-driven method of one component: what stands between the timer's thread and the actor."""
+
+    __slots__ = (
+        "_deadline_s",
+        "_handler",
+        "component",
+        "lateness_max_s",
+        "lateness_sum_s",
+        "method",
+        "missed",
+        "missed_total",
+        "pending",
+        "period_s",
+        "ticks",
+    )
+
+    def __init__(self, component: Component, method: str, period: Period) -> None:
+        self.component = component
+        self.method = method
+        self.period_s = period.period_s
+        self._handler = getattr(component, method)
+        self._deadline_s = 0.0
+        self.pending = False
+        self.missed = 0
+        self.missed_total = 0
+        self.ticks = 0
+        self.lateness_sum_s = 0.0
+        self.lateness_max_s = 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks for each second of mission time."""
+        return 1.0 / self.period_s
+
+    def fire(self, deadline_s: float, missed: int) -> None:
+        """A deadline has come (the timer's thread). A tick that still waits is replaced, never joined by another."""
+        if self.pending:
+            self.missed += 1 + missed
+            self._deadline_s = deadline_s
+            return
+        self.missed += missed
+        self._deadline_s = deadline_s
+        self.pending = True
+        self.component.actor_inbox.put(self)
+
+    def run(self) -> None:
+        """Calls the method (the component's turn)."""
+        deadline_s = self._deadline_s
+        missed, self.missed = self.missed, 0
+        self.pending = False
+        if self.component.actor_inbox.paused:
+            return
+        lateness_s = max(0.0, self.component.now() - deadline_s)
+        self.ticks += 1
+        self.missed_total += missed
+        self.lateness_sum_s += lateness_s
+        if lateness_s > self.lateness_max_s:
+            self.lateness_max_s = lateness_s
+        self._handler(Tick(deadline_s, missed, lateness_s))
+
+
+@cache
+def plan_of(cls: type) -> tuple[list[tuple[Subscription, str]], dict[str, Period]]:
+    """Returns what the methods of a class react to; each class is read once."""
+    return subscriptions_of(cls), periods_of(cls)
+
+
+class Call:
+    """A function to be called in a component's turn."""
+
+    __slots__ = ("function",)
+
+    def __init__(self, function: Callable[[], None]) -> None:
+        self.function = function
+
+
+class Component(pykka.Actor):
+    """A task or a service: an actor with an address, driven by packets and by time.
+
+    Its methods run one at a time, in turns that its dispatcher gives; it never blocks. What another
+    thread may call is said so: `call`, `log`, `event`, and all of its pykka ref.
+
+    Args:
+        kernel: the kernel it belongs to.
+        address: its address, `agent/service` or `agent/service/task`; also its pykka URN.
+        mailbox: the mailbox of its slot; None: one of its own.
+
+    Attributes:
+        agent: the agent's name.
+        name: the last part of the address.
+    """
+
+    blocking: bool = False
+    """Whether it may wait, and therefore needs a thread of its own."""
+
+    actor_inbox: Mailbox
+
+    def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
+        # pykka's own __init__ would make a uuid and an Event, the most of an actor's cost, for nobody.
+        self.kernel = kernel
+        self.address = address
+        self.agent = kernel.agent
+        self.name = address.rpartition("/")[2]
+        self.actor_urn = address
+        self.actor_inbox = mailbox if mailbox is not None else Mailbox()
+        self.actor_stopped = Flag()  # type: ignore[assignment]
+        self._actor_ref = pykka.ActorRef(self)
+        self.timers: dict[str, TaskTimer] = {}
+        self._handlers: dict[str, dict[str | None, list[Callable[[Packet], None]]]] = {}
+        self._started = False
+        self._seq = kernel.seq_of(address)
+        self._cause: Cause | None = None
+        self._fence: Fence | None = None
+        self.exited: Callable[[Component, BaseException | None], None] = lambda component, error: None
+
+    # What a component uses -------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """Returns the mission time in seconds. Any thread."""
+        return self.kernel.mission.now()
+
+    @cached_property
+    def random(self) -> random.Random:
+        """Random numbers of this component's own, seeded from the agent's seed and the address."""
+        return self.kernel.random_for(self.address)
+
+    def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
+        """Publishes a packet.
+
+        Args:
+            channel: where.
+            body: an instance of a registered packet type.
+            to: its destination (see `pancakes.packet`); empty: whoever subscribes on this agent.
+            cause: the packet that led to this one; None: the one that is being handled, if any.
+
+        Returns:
+            The packet, whose `seq` a reply would name.
+
+        Raises:
+            UnknownChannel: the stream has no such channel.
+            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
+            LocalProtocolError: the body is of no registered type, or too large to travel.
+        """
+        packet = Packet(
+            channel,
+            type_name(body),
+            self.address,
+            to,
+            self.kernel.mission.now(),
+            self._seq.take(),
+            body,
+            cause or self._cause,
+            self._fence,
+        )
+        self.kernel.stream.publish(packet)
+        return packet
+
+    def log(self, level: str, text: str) -> None:
+        """Publishes a line for people on `log`; `level` is debug, info, warning or error. Any thread."""
+        self._tell_log(LogLine(level, text))
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """Publishes an event for programs on `log`. Any thread."""
+        self._tell_log(Event(kind, fields))
+
+    def _tell_log(self, body: Any) -> None:
+        try:
+            self.publish(LOG, body)
+        except UnknownChannel:
+            # The stream is being taken down; there is nobody left to tell.
+            pass
+
+    def subscribe(
+        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
+    ) -> None:
+        """Calls `handler` with each packet on `channel` from now on; for what is known at run time only.
+
+        Raises:
+            UnknownChannel: the stream has no such channel.
+        """
+        name = body if body is None or isinstance(body, str) else type_name(body)
+        self._listen(Subscription(channel, name, keep or Keep(256)), handler)
+
+    def open_channel(self, name: str) -> None:
+        """Adds a channel to the information stream; one that is there already is left alone."""
+        self.kernel.stream.open(name)
+
+    def close_channel(self, name: str) -> None:
+        """Removes a channel that was added; the five core channels stay.
+
+        Raises:
+            UnknownChannel: there is no such channel, or it is a core channel.
+        """
+        self.kernel.stream.close(name)
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+        """Calls `function` in this actor in `delay_s` seconds of mission time."""
+        return self.kernel.timer.after(delay_s, lambda: self.call(function))
+
+    def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
+        """Calls `function` in this actor in `delay_s` seconds of host time (for time-outs between agents)."""
+        return self.kernel.timer.after_host(delay_s, lambda: self.call(function))
+
+    def call(self, function: Callable[[], None]) -> None:
+        """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
+        if not self.actor_stopped.is_set():
+            self.actor_inbox.put(Call(function))
+
+    def reschedule(self, rate_hz: float, timer: str = "") -> None:
+        """Changes the rate of a time-driven method, from its next tick on.
+
+        Args:
+            rate_hz: ticks for each second of mission time; 0 lets it rest.
+            timer: the method's name; empty: the first of the class.
+
+        Raises:
+            ValueError: the rate is no rate, or the component has no such timer.
+        """
+        period_s = period_of(rate_hz)
+        if not self.timers:
+            raise ValueError(f"{self.address} is not time-driven")
+        name = timer or next(iter(self.timers))
+        if name not in self.timers:
+            raise ValueError(f"{self.address} has no timer {name!r}, only {', '.join(self.timers)}")
+        self.timers[name].period_s = period_s
+        self._tick(self.timers[name])
+
+    def pause(self) -> None:
+        """Stands still: no tick, no packet, until `resume`. What comes meanwhile waits. In the actor."""
+        self.actor_inbox.paused = True
+        for timer in self.timers.values():
+            self.kernel.timer.cancel(timer)
+
+    def resume(self) -> None:
+        """Goes on after `pause`. In the actor."""
+        self.actor_inbox.paused = False
+        for timer in self.timers.values():
+            self._tick(timer)
+
+    # Hooks -----------------------------------------------------------------------------------------------------
+
+    def on_start(self) -> None:
+        """Called first, in the actor. An error here ends it."""
+
+    def on_stop(self) -> None:
+        """Called last, in the actor, where it was stopped and did not fail."""
+
+    # How it runs -----------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _create_actor_inbox() -> Any:
+        return Mailbox()
+
+    @staticmethod
+    def _create_future() -> pykka.Future[Any]:
+        return pykka.ThreadingFuture()
+
+    def _start_actor_loop(self) -> None:
+        self.kernel.attach(self)
+
+    def take_turn(self, slice_s: float | None) -> None:
+        """Handles what waits, control first; the dispatcher calls it, one thread at a time.
+
+        Args:
+            slice_s: after this time the turn ends even if more waits; None: no limit.
+        """
+        try:
+            if not self._started:
+                self._begin()
+            self._handle_control()
+            mailbox = self.actor_inbox
+            if mailbox.waiting and not mailbox.paused and not self.actor_stopped.is_set():
+                self._handle_data(slice_s)
+        except BaseException as error:  # SystemExit in one actor must not end the others.
+            self._fail(error)
+
+    def _begin(self) -> None:
+        self._started = True
+        subscriptions, periods = plan_of(type(self))
+        self.before_start()
+        for subscription, method in subscriptions:
+            self._listen(subscription, getattr(self, method))
+        self.on_start()
+        for method, period in periods.items():
+            timer = TaskTimer(self, method, Period(self.initial_period_s(method, period.period_s)))
+            self.timers[method] = timer
+            self._tick(timer)
+        self.after_start()
+
+    def before_start(self) -> None:
+        """For subclasses: comes before `on_start` and before anything is subscribed to."""
+
+    def after_start(self) -> None:
+        """For subclasses: comes once everything runs."""
+
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        """For subclasses: the period that a time-driven method begins with; `period_s` is what the class says."""
+        return period_s
+
+    def _tick(self, timer: TaskTimer) -> None:
+        if timer.period_s < float("inf"):
+            self.kernel.timer.every(timer, timer.period_s)
+        else:
+            self.kernel.timer.cancel(timer)
+
+    def _listen(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
+        channel = subscription.channel
+        if subscription.addressed:
+            handler = _only_addressed(handler)
+        self._handlers.setdefault(channel, {}).setdefault(subscription.type, []).append(handler)
+        self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
+
+    def _handle_control(self) -> None:
+        control = self.actor_inbox.control
+        # Only what waits now: one that tells itself something must not starve the others.
+        for _ in range(len(control)):
+            if self.actor_stopped.is_set():
+                return
+            item = control.popleft()
+            if item.__class__ is TaskTimer:
+                if item.component is self:
+                    item.run()
+            elif item.__class__ is Call:
+                item.function()
+            else:
+                self._handle_envelope(item)
+
+    def _handle_envelope(self, envelope: Envelope[Any]) -> None:
+        """Handles what came by pykka: `tell`, `ask`, a proxy, `stop`."""
+        try:
+            response = self._handle_receive(envelope.message)
+        except Exception:
+            # As in pykka: who asked gets the error, and the actor lives.
+            if envelope.reply_to is None:
+                raise
+            envelope.reply_to.set_exception(sys.exc_info())
+            return
+        if envelope.reply_to is not None:
+            envelope.reply_to.set(response)
+
+    def _handle_data(self, slice_s: float | None) -> None:
+        mailbox = self.actor_inbox
+        waiting = mailbox.waiting
+        clock = self.kernel.host
+        until_s = clock.now() + slice_s if slice_s is not None else None
+        handled = 0
+        for _ in range(len(waiting)):
+            queue = waiting.popleft()
+            queue.listed = False
+            handlers = self._handlers.get(queue.channel, {})
+            for _ in range(len(queue)):
+                packet = queue.pop()
+                if packet is None:
+                    break
+                self._deliver(queue, packet, handlers)
+                if mailbox.control:
+                    self._handle_control()
+                if self.actor_stopped.is_set() or mailbox.paused:
+                    self._list_again(queue)
+                    return
+                handled += 1
+                if until_s is not None and handled % SLICE_CHECK == 0 and clock.now() > until_s:
+                    self._list_again(queue)
+                    return
+            self._list_again(queue)
+
+    def _list_again(self, queue: ChannelQueue) -> None:
+        if len(queue) and not queue.listed:
+            queue.listed = True
+            self.actor_inbox.waiting.append(queue)
+
+    def _deliver(
+        self, queue: ChannelQueue, packet: Packet, handlers: Mapping[str | None, list[Callable[[Packet], None]]]
+    ) -> None:
+        self._cause = (packet.source, packet.seq)
+        try:
+            for handler in handlers.get(packet.type, ()):
+                handler(packet)
+            for handler in handlers.get(None, ()):
+                handler(packet)
+        except Exception:
+            self.kernel.letters.failed(self.address, queue, packet)
+            raise
+        finally:
+            self._cause = None
+
+    def on_receive(self, message: Any) -> Any:
+        """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
+        raise TypeError(f"{self.address} takes packets, not {message!r}")
+
+    # How it ends -----------------------------------------------------------------------------------------------
+
+    def _stop(self) -> None:
+        error: BaseException | None = None
+        try:
+            self.on_stop()
+        except Exception as failure:
+            error = failure
+        self._end(error)
+
+    def _fail(self, error: BaseException) -> None:
+        if self.actor_stopped.is_set():
+            self.kernel.log("error", f"{self.address} failed while it stopped: {describe(error)}")
+            return
+        try:
+            self.on_failure(type(error), error, error.__traceback__)
+        except Exception as second:
+            self.kernel.log("error", f"on_failure of {self.address} failed as well: {describe(second)}")
+        self._end(error)
+
+    def on_failure(
+        self,
+        exception_type: type[BaseException] | None,
+        exception_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
+
+    def _end(self, error: BaseException | None) -> None:
+        self.actor_stopped.set()
+        for timer in self.timers.values():
+            self.kernel.timer.cancel(timer)
+        self.kernel.registry.remove(self)
+        # Its subscriptions stay: whoever started it knows whether a successor will read what comes.
+        mailbox = self.actor_inbox
+        mailbox.component = None
+        mailbox.clear_control()
+        self.exited(self, error)
+
+
+def _only_addressed(handler: Callable[[Packet], None]) -> Callable[[Packet], None]:
+    def handle(packet: Packet) -> None:
+        if packet.destination:
+            handler(packet)
+
+    return handle
+
+
+def describe(error: BaseException) -> str:
+    """Returns an error as a sentence with the place that raised it, without a traceback."""
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    if place is None:
+        return text
+    code = place.tb_frame.f_code
+    return f"{text} ({code.co_filename.rpartition('/')[2]}:{place.tb_lineno}, in {code.co_name})"

@@ -1,0 +1,162 @@
+"""The kernel of an agent: registry, information stream, timer and dispatchers (paper §2, §3).
+
+One kernel an agent, many agents a process: nothing here is global.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from pancakes.clock import Clock, MissionClock, MonotonicClock
+from pancakes.errors import UnknownChannel
+from pancakes.events import LogLine
+from pancakes.kernel.component import Component
+from pancakes.kernel.counter import Counter
+from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.letters import DeadLetters
+from pancakes.kernel.pinned import PinnedDispatcher
+from pancakes.kernel.pool import PoolDispatcher
+from pancakes.kernel.registry import Registry
+from pancakes.kernel.stream import InformationStream
+from pancakes.kernel.timer import Timer, VirtualTimer
+from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.packet import LOG, Packet, type_name
+
+
+class Kernel:
+    """What an agent stands on.
+
+    Args:
+        agent: the agent's name.
+        seed: draws all random numbers of its components.
+        speed: mission seconds for each second of host time.
+        hold: whether the mission waits at 0 for a `Begin` packet.
+        virtual: run on this dispatcher, in virtual time; None: on threads, in real time.
+
+    Attributes:
+        host: the host clock.
+        mission: the mission clock.
+        stream: the information stream.
+        registry: who runs here.
+        letters: packets whose handlers failed.
+        timer: the timer actor.
+        transport: how this agent reaches other processes (a `pancakes.net.transport.Transport`).
+        mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
+    """
+
+    def __init__(
+        self,
+        agent: str,
+        *,
+        seed: int = 0,
+        speed: float = 1.0,
+        hold: bool = False,
+        virtual: VirtualDispatcher | None = None,
+    ) -> None:
+        self.agent = agent
+        self.seed = seed
+        self.virtual = virtual
+        self.host: Clock = virtual.clock if virtual is not None else MonotonicClock()
+        self.mission = MissionClock(self.host, speed, hold)
+        self.stream = InformationStream(agent)
+        self.registry = Registry()
+        self.letters = DeadLetters(self.log)
+        self.transport: Any = None
+        self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self._seqs: dict[str, Counter] = {}
+        self._seqs_lock = threading.Lock()
+        self.timer: Timer
+        if virtual is not None:
+            self.timer = VirtualTimer(agent, self.mission, virtual)
+            self._shared: Dispatcher = virtual
+            self._pinned: Dispatcher = virtual
+        else:
+            self.timer = Timer(agent, self.mission, self.host)
+            self._shared = PoolDispatcher(agent, self.host, self._hogged)
+            self._pinned = PinnedDispatcher(agent)
+        self.timer.launch()
+
+    def spawn(
+        self,
+        cls: Callable[..., Component],
+        address: str,
+        *,
+        exited: Callable[[Component, BaseException | None], None] | None = None,
+        **arguments: Any,
+    ) -> Component:
+        """Makes a component and lets it run.
+
+        Args:
+            cls: its class.
+            address: its address; nobody else may run there.
+            exited: called in the component's thread when it has ended, with the error if it failed; None: its
+                subscriptions end with it.
+            arguments: what else its class wants.
+
+        Raises:
+            ValueError: somebody runs at this address already.
+        """
+        component = cls(self, address, **arguments)
+        component.exited = exited or self._release
+        self.registry.add(component)
+        component._start_actor_loop()
+        return component
+
+    def attach(self, component: Component) -> None:
+        """Puts a component on the dispatcher that suits it."""
+        (self._pinned if component.blocking else self._shared).attach(component)
+
+    def seq_of(self, address: str) -> Counter:
+        """Returns the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""
+        with self._seqs_lock:
+            counter = self._seqs.get(address)
+            if counter is None:
+                counter = self._seqs[address] = Counter(1)
+            return counter
+
+    def continue_seq(self, address: str, next_seq: int) -> None:
+        """Lets the packets of a source that came from elsewhere go on where they were."""
+        with self._seqs_lock:
+            self._seqs[address] = Counter(next_seq)
+
+    def random_for(self, name: str) -> random.Random:
+        """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""
+        return random.Random(f"{self.seed}/{name}")
+
+    def begin(self, in_s: float) -> None:
+        """Lets a mission that is held at 0 begin in `in_s` seconds of host time."""
+        self.mission.begin(in_s)
+        self.timer.wake()
+
+    def log(self, level: str, text: str) -> None:
+        """Publishes a line on `log` in the kernel's own name. Any thread."""
+        self.say(LogLine(level, text))
+
+    def say(self, body: Any) -> None:
+        """Publishes on `log` in the kernel's own name. Any thread."""
+        address = f"{self.agent}/kernel"
+        packet = Packet(LOG, type_name(body), address, "", self.mission.now(), self.seq_of(address).take(), body)
+        try:
+            self.stream.publish(packet)
+        except UnknownChannel:
+            pass
+
+    def stop(self) -> None:
+        """Ends the timer and all threads. The components have been stopped before; not from one of them."""
+        self.timer.halt()
+        if self.virtual is None:
+            self._shared.stop()
+            self._pinned.stop()
+
+    def _release(self, component: Component, error: BaseException | None) -> None:
+        self.stream.unsubscribe(component.address)
+
+    def _hogged(self, address: str, held_s: float) -> None:
+        self.log(
+            "warning",
+            f"{address} has held a thread of the pool for {held_s * 1000:.0f} ms: a task that waits or computes for long"
+            " should say `blocking = True`",
+        )

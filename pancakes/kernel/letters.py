@@ -1,0 +1,48 @@
+"""Packets that were in hand when a component failed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from pancakes.kernel.mailbox import ChannelQueue
+from pancakes.packet import Packet
+
+ATTEMPTS = 3
+"""How often a reliable packet is handled before it is given up as a dead letter."""
+
+
+class DeadLetters:
+    """Decides what becomes of a packet whose handler failed.
+
+    A packet under a `reliable` subscription comes again, up to `ATTEMPTS` times in all; then, and under any other
+    subscription at once, it is a dead letter: counted and logged, so that one bad packet cannot stop a task for ever.
+
+    Args:
+        log: takes a level and a line.
+    """
+
+    def __init__(self, log: Callable[[str, str], None]) -> None:
+        self._log = log
+        self._lock = threading.Lock()
+        self._failures: dict[tuple[str, str, int], int] = {}
+        self.count = 0
+
+    def failed(self, address: str, queue: ChannelQueue, packet: Packet) -> None:
+        """Takes a packet whose handler raised, in the turn of the component at `address`."""
+        key = (address, packet.source, packet.seq)
+        with self._lock:
+            failures = self._failures.pop(key, 0) + 1
+            again = queue.has_reliable and failures < ATTEMPTS
+            if again:
+                self._failures[key] = failures
+            else:
+                self.count += 1
+        if again:
+            queue.push_back(packet)
+        else:
+            self._log(
+                "warning",
+                f"dead letter: {address} failed {failures} time{'s' * (failures > 1)} on {packet.type!r}"
+                f" #{packet.seq} from {packet.source}",
+            )

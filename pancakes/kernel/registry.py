@@ -1,0 +1,122 @@
+"""The registry of an agent's actors (paper §3.3), and of the devices that its tasks may depend on."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pancakes.kernel.component import Component
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceEntry:
+    """A device that runs.
+
+    Attributes:
+        name: its name, as in `[device.NAME]`.
+        type: its type, as in a task's `requires`.
+        actuator: whether it takes commands, and therefore has one holder at a time.
+        networked: whether its readings come from another agent.
+    """
+
+    name: str
+    type: str
+    actuator: bool = False
+    networked: bool = False
+
+
+class Registry:
+    """Who runs on this agent. All methods may be called from any thread.
+
+    pykka's own registry is global to the process and scans a list; this one belongs to one agent and keeps its
+    actors alive.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._components: dict[str, Component] = {}
+        self._devices: dict[str, DeviceEntry] = {}
+        self._holders: dict[str, str] = {}
+
+    def add(self, component: Component) -> None:
+        """Enters an actor.
+
+        Raises:
+            ValueError: another one runs under this address.
+        """
+        with self._lock:
+            if component.address in self._components:
+                raise ValueError(f"{component.address} runs already")
+            self._components[component.address] = component
+
+    def remove(self, component: Component) -> None:
+        """Strikes an actor out, if it is in."""
+        with self._lock:
+            if self._components.get(component.address) is component:
+                del self._components[component.address]
+
+    def get(self, address: str) -> Component | None:
+        """Returns the actor that runs at `address`."""
+        return self._components.get(address)
+
+    def components(self) -> list[Component]:
+        """Returns all actors, in the order in which they started."""
+        with self._lock:
+            return list(self._components.values())
+
+    def add_device(self, device: DeviceEntry) -> None:
+        """Enters a device that has come to run."""
+        with self._lock:
+            self._devices[device.name] = device
+
+    def remove_device(self, name: str) -> None:
+        """Strikes a device out."""
+        with self._lock:
+            self._devices.pop(name, None)
+
+    def devices(self) -> list[DeviceEntry]:
+        """Returns the devices that run."""
+        with self._lock:
+            return list(self._devices.values())
+
+    def device_types(self) -> list[str]:
+        """Returns the types of the devices that run, each once, sorted."""
+        return sorted({device.type for device in self.devices()})
+
+    def lacking(self, types: tuple[str, ...]) -> list[str]:
+        """Returns those of `types` of which no device runs."""
+        present = self.device_types()
+        return [type_name for type_name in types if type_name not in present]
+
+    def hold(self, address: str, types: tuple[str, ...]) -> str:
+        """Grants a task the actuators among the device types that it requires: all of them or none.
+
+        Returns:
+            An empty string, or the reason why not.
+        """
+        with self._lock:
+            wanted = [device.name for device in self._devices.values() if device.actuator and device.type in types]
+            for name in wanted:
+                holder = self._holders.get(name, address)
+                if holder != address:
+                    return f"{name} is held by {holder}"
+            for name in wanted:
+                self._holders[name] = address
+            return ""
+
+    def held_by(self, address: str) -> list[str]:
+        """Returns the names of the devices that a task holds."""
+        with self._lock:
+            return [name for name, holder in self._holders.items() if holder == address]
+
+    def release(self, address: str) -> None:
+        """Takes back what a task holds."""
+        for name in self.held_by(address):
+            with self._lock:
+                del self._holders[name]
+
+    def holder(self, device: str) -> str:
+        """Returns the address of the task that holds a device; empty where none does."""
+        return self._holders.get(device, "")

@@ -1,0 +1,102 @@
+"""The timer's book: what is due when. Pure: times go in, what is due comes out (paper §3.2, the scheduler)."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any, NamedTuple
+
+
+class Due(NamedTuple):
+    """One tick of one timer.
+
+    Attributes:
+        target: whom it is for.
+        deadline_s: when it was due.
+        missed: how many ticks before it never happened because the timer itself was late.
+    """
+
+    target: Any
+    deadline_s: float
+    missed: int
+
+
+@dataclass(slots=True)
+class _Group:
+    """All targets that tick together: one entry in the heap however many there are."""
+
+    period_s: float
+    number: int
+    targets: dict[int, Any] = field(default_factory=dict)
+
+    @property
+    def deadline_s(self) -> float:
+        return self.number * self.period_s
+
+
+class Schedule:
+    """Periodic ticks and single calls on one clock.
+
+    Deadlines are absolute, k times the period since the clock's zero, so that nothing drifts and
+    equal rates tick together.
+    """
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[float, int, _Group | Callable[[], None]]] = []
+        self._order = count()
+        self._groups: dict[float, _Group] = {}
+        self._group_of: dict[int, _Group] = {}
+        self._calls: dict[int, tuple[float, int]] = {}
+
+    def every(self, target: Any, period_s: float, now_s: float) -> None:
+        """Ticks `target` each `period_s` from now on; a target that ticks already changes its rate.
+
+        The first tick is the next multiple of the period, and never one at which the target has ticked.
+        """
+        if not (period_s > 0 and math.isfinite(period_s)):
+            raise ValueError(f"a period must be positive and finite, not {period_s}")
+        self.cancel(target)
+        group = self._groups.get(period_s)
+        if group is None:
+            # A little tolerance: 0.3 / 0.1 is 2.9999999999999996, and must not tick at 0.3 again.
+            group = _Group(period_s, math.floor(now_s / period_s + 1e-9) + 1)
+            self._groups[period_s] = group
+            heapq.heappush(self._heap, (group.deadline_s, next(self._order), group))
+        group.targets[id(target)] = target
+        self._group_of[id(target)] = group
+
+    def cancel(self, target: Any) -> None:
+        """Ends the ticks of `target`, if it has any."""
+        group = self._group_of.pop(id(target), None)
+        if group is not None:
+            del group.targets[id(target)]
+
+    def at(self, time_s: float, call: Callable[[], None]) -> None:
+        """Hands out `call` once, when `time_s` is reached."""
+        heapq.heappush(self._heap, (time_s, next(self._order), call))
+
+    def next(self) -> float:
+        """Returns when something is due next; infinity where nothing ever is."""
+        return self._heap[0][0] if self._heap else math.inf
+
+    def due(self, now_s: float) -> list[Due | Callable[[], None]]:
+        """Takes out what is due at `now_s`, oldest first."""
+        out: list[Due | Callable[[], None]] = []
+        while self._heap and self._heap[0][0] <= now_s:
+            deadline_s, _, entry = heapq.heappop(self._heap)
+            if not isinstance(entry, _Group):
+                out.append(entry)
+                continue
+            if not entry.targets:
+                del self._groups[entry.period_s]
+                continue
+            missed = max(0, math.floor(now_s / entry.period_s + 1e-9) - entry.number)
+            entry.number += missed
+            last_s = entry.deadline_s
+            out.extend(Due(target, last_s, missed) for target in entry.targets.values())
+            entry.number += 1
+            heapq.heappush(self._heap, (entry.deadline_s, next(self._order), entry))
+        return out

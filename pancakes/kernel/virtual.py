@@ -1,0 +1,101 @@
+"""Every component of every agent on one thread, in virtual time, in an order fixed by a seed."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections.abc import Callable
+from itertools import count
+
+from pancakes.clock import VirtualClock
+from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.mailbox import Mailbox
+
+
+class VirtualCall:
+    """A call that waits for its virtual time."""
+
+    __slots__ = ("function",)
+
+    def __init__(self, function: Callable[[], None]) -> None:
+        self.function: Callable[[], None] | None = function
+
+    def cancel(self) -> None:
+        """Makes sure that the call does not happen."""
+        self.function = None
+
+
+class VirtualDispatcher(Dispatcher):
+    """Runs whole fleets in virtual time, twice the same for the same seed.
+
+    Among the components that have something to do, the seed draws who goes next, so that many seeds
+    try many orders. Time moves only when nobody has anything to do.
+
+    Args:
+        seed: draws the order.
+
+    Attributes:
+        clock: the virtual clock; agents use it as their host clock.
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self.clock = VirtualClock()
+        self._random = random.Random(f"dispatch/{seed}")
+        self._work: list[Mailbox] = []
+        self._calls: list[tuple[float, int, VirtualCall]] = []
+        self._numbers = count()
+
+    def ready(self, mailbox: Mailbox) -> None:
+        self._work.append(mailbox)
+
+    def call_at(self, time_s: float, function: Callable[[], None]) -> VirtualCall:
+        """Runs `function` when the clock reaches `time_s`; at the present time if that has passed."""
+        call = VirtualCall(function)
+        heapq.heappush(self._calls, (max(time_s, self.clock.now()), next(self._numbers), call))
+        return call
+
+    def settle(self) -> None:
+        """Lets everybody work until nobody has anything to do at the present time."""
+        work = self._work
+        while work:
+            if len(work) > 1:
+                index = int(self._random.random() * len(work))
+                work[index], work[-1] = work[-1], work[index]
+            self.give_turn(work.pop())
+
+    def step(self) -> bool:
+        """Lets everybody work, then moves to the next time at which something happens.
+
+        Returns:
+            False where nothing will ever happen again by itself.
+        """
+        self.settle()
+        while self._calls:
+            time_s, _, call = heapq.heappop(self._calls)
+            if call.function is None:
+                continue
+            self.clock.advance_to(time_s)
+            call.function()
+            return True
+        return False
+
+    def run_until(self, time_s: float) -> None:
+        """Runs everything that happens up to and at `time_s`, and leaves the clock there."""
+        self.run_while(lambda: True, time_s)
+
+    def run_while(self, condition: Callable[[], bool], until_s: float) -> bool:
+        """Runs while `condition` holds, no further than `until_s`.
+
+        Returns:
+            Whether the condition ceased to hold; False where the time ran out first.
+        """
+        self.settle()
+        while condition():
+            while self._calls and self._calls[0][2].function is None:
+                heapq.heappop(self._calls)
+            if not self._calls or self._calls[0][0] > until_s:
+                self.clock.advance_to(max(until_s, self.clock.now()))
+                return False
+            self.step()
+            self.settle()
+        return True

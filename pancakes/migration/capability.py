@@ -1,0 +1,102 @@
+"""Whether an agent can take a task at all: what it has, against what the task asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from pancakes.migration.messages import Solicit
+from pancakes.migration.record import TaskId
+from pancakes.migration.snapshot import LIMIT_BYTES
+
+HOST_ROLE: Final = "agent"
+"""The one role whose agents are asked to take a task: no simulated world, no terminal."""
+
+BATTERY_MARGIN: Final = 0.10
+"""A candidate's battery must lie at least this much above the level where the task would move on: no ping-pong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """What an agent has to offer to a task, at the moment of asking.
+
+    Attributes:
+        role: its role on the mesh.
+        devices: the types of its devices.
+        types: the task types that it knows, with the version of the distribution they come from.
+        names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
+        costs: the cost functions that it knows.
+        battery_level: what is left of its battery, 0 to 1; None where it has none.
+    """
+
+    role: str = HOST_ROLE
+    devices: tuple[str, ...] = ()
+    types: Mapping[str, str] = field(default_factory=dict)
+    names: Mapping[str, TaskId] = field(default_factory=dict)
+    costs: tuple[str, ...] = ("tasks",)
+    battery_level: float | None = None
+
+    def refusal_of(self, request: Solicit) -> str:
+        """Returns why this agent cannot take the task, all reasons in one phrase; empty where it can."""
+        return "; ".join(reason for reason in self._reasons(request) if reason)
+
+    def _reasons(self, request: Solicit) -> tuple[str, ...]:
+        return (
+            "" if self.role == HOST_ROLE else f"is no host of tasks but in the role {self.role!r}",
+            self._devices(request),
+            self._type(request),
+            self._name(request),
+            "" if request.cost in self.costs else f"knows no cost function {request.cost!r}",
+            self._battery(request),
+            self._size(request),
+        )
+
+    def _devices(self, request: Solicit) -> str:
+        lacking = [device for device in request.requires if device not in self.devices]
+        if not lacking:
+            return ""
+        kind = "device type" if len(lacking) == 1 else "device types"
+        return f"lacks the {kind} {', '.join(lacking)}"
+
+    def _type(self, request: Solicit) -> str:
+        here = self.types.get(request.type)
+        if here is None:
+            return f"knows no task type {request.type!r}"
+        if not compatible(request.version, here):
+            return f"has {request.type} in version {here}, not {request.version}"
+        return ""
+
+    def _name(self, request: Solicit) -> str:
+        holder = self.names.get(request.task_id.name)
+        if holder is None or holder == request.task_id:
+            return ""
+        return f"has a task named {request.task_id.name} already ({holder})"
+
+    def _battery(self, request: Solicit) -> str:
+        level, below = self.battery_level, request.moves_on_below
+        if level is None or below is None or level >= below + BATTERY_MARGIN:
+            return ""
+        return f"has {level:.0%} of its battery, too near to the {below:.0%} at which the task would move on"
+
+    def _size(self, request: Solicit) -> str:
+        if request.size_bytes <= LIMIT_BYTES:
+            return ""
+        return f"takes no snapshot of {request.size_bytes} bytes, {LIMIT_BYTES} may travel"
+
+
+def compatible(offered: str, here: str) -> bool:
+    """Returns whether a task of the version `offered` may be built from the version `here`.
+
+    It may where both have the same number up to the first that is not 0, as semantic versioning promises.
+    """
+    return _line_of(offered) == _line_of(here)
+
+
+def _line_of(version: str) -> tuple[str, ...]:
+    line: list[str] = []
+    for part in version.split("."):
+        line.append(part)
+        if part != "0":
+            break
+    return tuple(line)

@@ -1,0 +1,180 @@
+"""The hand-off's core: one pure function for everything that can happen to one task on one agent.
+
+`handle` reads no clock, draws no random numbers and touches nothing: an event goes in, effects come out.
+The same function runs in every agent and in the exhaustive search of `tests/migration`, which lets every
+message be lost, doubled, reordered and delayed, and crashes every agent between any two effects.
+
+What it promises: at any moment at most one copy of a task runs; once the network heals and agents come
+back, exactly one does; no acknowledged packet is lost or takes effect twice.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pancakes.migration import candidate, owner, source
+from pancakes.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
+from pancakes.migration.event import (
+    Adopt,
+    Arrived,
+    Award,
+    Born,
+    Checkpoint,
+    Ended,
+    Event,
+    FreezeFailed,
+    Frozen,
+    GiveUp,
+    InDoubt,
+    PersistFailed,
+    Received,
+    Resend,
+    ReservationExpired,
+    Start,
+)
+from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserve, Reserved, Transfer, Unknown
+from pancakes.migration.record import Phase, Record, Wanted
+from pancakes.migration.times import Times
+from pancakes.migration.volatile import Volatile
+
+TIMES: Final = Times()
+"""The durations that PROTOCOL names."""
+
+
+def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Times = TIMES) -> list[Effect]:
+    """Decides what one event means for one task.
+
+    Args:
+        me: this agent's name.
+        record: the task's durable record here; `Record(task_id)` where there is none.
+        volatile: what is known until the next crash.
+        event: what has happened.
+        times: how long things may take.
+
+    Returns:
+        What to do, strictly in this order; empty where nothing follows.
+    """
+    match event:
+        case Received():
+            return _received(me, record, volatile, event, times)
+        case Resend():
+            return _resend(record, event, times)
+        case Checkpoint():
+            return owner.checkpoint(record, volatile, event)
+        case Arrived():
+            return owner.arrived(record, volatile, event)
+        case Award():
+            return source.awarded(me, record, volatile, event, times)
+        case ReservationExpired():
+            return source.reservation_expired(me, record, volatile, event)
+        case Frozen():
+            return source.frozen(me, record, volatile, event, times)
+        case FreezeFailed():
+            return source.freeze_failed(me, record, volatile, event)
+        case GiveUp():
+            return source.give_up(record, event)
+        case InDoubt():
+            return _in_doubt(record, event)
+        case Born():
+            return owner.born(me, record, event)
+        case Start():
+            return owner.start(record, volatile, event)
+        case Ended():
+            return owner.ended(record, volatile, event)
+        case Adopt():
+            return owner.adopt(me, record, event)
+        case PersistFailed():
+            return _persist_failed(record, volatile, event, times)
+
+
+def recover(record: Record, times: Times = TIMES) -> list[Effect]:
+    """Decides what to do about a task after a restart of the agent, its record read back from disk."""
+    match record.phase:
+        case Phase.OWNER:
+            return owner.recover(record)
+        case Phase.FROZEN:
+            # Presumed abort: nobody can have got a COMMIT.
+            back = source.taken_back(record)
+            return [Persist(back), *owner.recover(back)]
+        case Phase.COMMITTED:
+            return source.recover(record, times)
+        case Phase.PREPARED:
+            return candidate.recover(record, times)
+        case _:
+            return []
+
+
+def _received(me: str, record: Record, volatile: Volatile, event: Received, times: Times) -> list[Effect]:
+    peer, message = event.peer, event.message
+    match message:
+        case Reserve():
+            return candidate.reserve(record, event, message)
+        case Transfer():
+            return candidate.transfer(record, event, message, times)
+        case Commit():
+            return candidate.commit(record, event, message)
+        case Abort():
+            return candidate.abort(record, event, message)
+        case Reserved():
+            return source.reserved(me, record, volatile, peer, message)
+        case Nak():
+            return source.nak(me, record, volatile, peer, message)
+        case Prepared():
+            return source.prepared(me, record, peer, message, times)
+        case Activated():
+            return source.activated(record, peer, message)
+        case Unknown():
+            return source.unknown(record, peer, message)
+        case _:
+            # MOVED is news for whoever sends packets to the task; it changes nobody's right to run it.
+            return []
+
+
+def _resend(record: Record, event: Resend, times: Times) -> list[Effect]:
+    if (record.phase, record.offer) != (event.phase, event.offer):
+        return []
+    half = candidate.resend if record.phase is Phase.PREPARED else source.resend
+    return half(record, event, times)
+
+
+def _in_doubt(record: Record, event: InDoubt) -> list[Effect]:
+    if (record.phase, record.offer) != (event.phase, event.offer):
+        return []
+    if record.phase is Phase.PREPARED:
+        story = f"is here, at rest, and {record.peer} does not say whether it was given away"
+    else:
+        story = f"was given to {record.peer}, which does not say that it has it"
+    return [Warn(f"{record.task_id} {story} (offer {record.offer}): the hand-off goes on by itself once it answers")]
+
+
+def _persist_failed(record: Record, volatile: Volatile, event: PersistFailed, times: Times) -> list[Effect]:
+    """Goes on after a write that failed.
+
+    The disk may hold the old record or the new one; `record` is the old one. Nothing that was to follow has
+    happened, in particular nobody was told. Both are as safe as a crash just before, or just after.
+    """
+    warning = Warn(f"the journal could not write the record of {record.task_id}: {event.reason}")
+    if record.phase is Phase.OWNER and volatile.freezing:
+        return [
+            warning,
+            Remember(Volatile(running=True)),
+            Resume(record.epoch, record.incarnation, record.snapshot),
+            AttemptFailed(volatile.asked, f"the journal could not write: {event.reason}"),
+        ]
+    again = _again(record, volatile, event)
+    return [warning, After(times.retry_write_s, again)] if again is not None else [warning]
+
+
+def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | None:
+    """Returns what to try again by itself; in the other phases the other side's next message does it."""
+    if record.phase is Phase.FROZEN:
+        return GiveUp(record.offer, f"the journal could not write: {event.reason}")
+    if event.record.phase is not Phase.OWNER or volatile.running:
+        return None
+    if record.phase is Phase.ABSENT:
+        return Born(event.record.snapshot)
+    if record.phase is Phase.OWNER and event.record.wanted is Wanted.RUNNING:
+        return Start()
+    if record.phase is Phase.OWNER:
+        return Ended(event.record.wanted, event.record.snapshot)
+    return None

@@ -1,0 +1,230 @@
+"""What can happen to a task that moves: the events that go into the hand-off's core.
+
+Timers are events that the core itself has put off (see `effect.After`). They name the offer they belong
+to, so that one that comes late, twice or never does no harm, and none has to be cancelled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from pancakes.migration.messages import HandOffMessage, Solicit
+from pancakes.migration.record import Epoch, Phase, Record, Wanted
+
+
+class PacketId(NamedTuple):
+    """Names a packet that its sender keeps until it is acknowledged: its stream, and its number there."""
+
+    stream: str
+    seq: int
+
+
+# What the agent's own services say.
+
+
+@dataclass(frozen=True, slots=True)
+class Born:
+    """The task is started for the first time in its life, on its birthplace.
+
+    Attributes:
+        snapshot: how it is to begin, encoded.
+    """
+
+    snapshot: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """The task is to run: somebody wants it, or its service starts it again after a failure.
+
+    Attributes:
+        again: a restart by its service; the actor that ran before is gone.
+    """
+
+    again: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The task's actor has ended for good: stopped because somebody wanted that, or given up on.
+
+    Attributes:
+        wanted: what is wanted of it from now on, STOPPED or FAILED.
+        snapshot: what it was at the end, encoded; empty where it could not say (the checkpoint stands then).
+    """
+
+    wanted: Wanted
+    snapshot: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The running task has been written down.
+
+    Attributes:
+        epoch: the epoch that it runs under.
+        incarnation: which start of it under that epoch this is.
+        snapshot: what it is, encoded.
+        consumed: the packets that this snapshot contains the effects of, and that wait to be acknowledged.
+    """
+
+    epoch: Epoch
+    incarnation: int
+    snapshot: bytes
+    consumed: tuple[PacketId, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """A packet addressed to the task has come to this agent.
+
+    Attributes:
+        sender: the agent that it comes from.
+    """
+
+    sender: str
+
+
+@dataclass(frozen=True, slots=True)
+class Adopt:
+    """A person says that the other side is gone for good, and that the task shall run here after all.
+
+    The one event that can make two of a task, namely where that person is wrong.
+    """
+
+
+@dataclass(frozen=True, slots=True)
+class PersistFailed:
+    """The journal could not write the record. Nothing that was to follow has happened.
+
+    Attributes:
+        reason: what the operating system said.
+        record: what should have been written.
+    """
+
+    reason: str
+    record: Record
+
+
+# The source's side of a hand-off.
+
+
+@dataclass(frozen=True, slots=True)
+class Award:
+    """The bids are compared, and `peer` is next.
+
+    Attributes:
+        peer: whom to ask for a reservation.
+        request: what it bid on.
+    """
+
+    peer: str
+    request: Solicit
+
+
+@dataclass(frozen=True, slots=True)
+class Frozen:
+    """The task has stopped at a tick boundary, and its actuators are in their safe hold.
+
+    Attributes:
+        offer: the hand-off that it was stopped for.
+        snapshot: what it is, encoded.
+    """
+
+    offer: Epoch
+    snapshot: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class FreezeFailed:
+    """The task could not be stopped or written down; it goes on (or its service restarts it).
+
+    Attributes:
+        offer: the hand-off that it should have been stopped for.
+        reason: why not.
+    """
+
+    offer: Epoch
+    reason: str
+
+
+# Messages and timers.
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message came from another agent.
+
+    Attributes:
+        peer: the agent that sent it.
+        message: what it says; a snapshot is whole.
+        refusal: why this agent cannot do what a RESERVE or a TRANSFER asks of it, found out before the core
+            is asked: the host lacks something, or the object could not be built. Empty where it can.
+    """
+
+    peer: str
+    message: HandOffMessage
+    refusal: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReservationExpired:
+    """`peer` was asked for a reservation, long ago."""
+
+    peer: str
+    offer: Epoch
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """A frozen task has waited long enough for its destination, or the link to it is gone.
+
+    Attributes:
+        reason: for the ledger.
+    """
+
+    offer: Epoch
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Resend:
+    """Time to say it again.
+
+    Attributes:
+        offer: the hand-off that it belongs to.
+        phase: the phase that it belongs to.
+        attempt: how often it was said, less one.
+    """
+
+    offer: Epoch
+    phase: Phase
+    attempt: int
+
+
+@dataclass(frozen=True, slots=True)
+class InDoubt:
+    """A hand-off has stood undecided for so long that a person should know."""
+
+    offer: Epoch
+    phase: Phase
+
+
+Event = (
+    Born
+    | Start
+    | Ended
+    | Checkpoint
+    | Arrived
+    | Adopt
+    | PersistFailed
+    | Award
+    | Frozen
+    | FreezeFailed
+    | Received
+    | ReservationExpired
+    | GiveUp
+    | Resend
+    | InDoubt
+)

@@ -1,0 +1,62 @@
+"""The account of one move: who was asked, what each said, who won, and why the others did not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pancakes.packet import packet_type
+
+Answer = Literal["bid", "refused", "silent"]
+"""What a neighbour did; a bid that could not be compared, or came late, counts as `refused`."""
+
+Fate = Literal["won", "lost", "failed", "refused", "silent"]
+"""What became of it: `lost` to a cheaper bid; `failed` after it was chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What one neighbour said, and what became of that.
+
+    Attributes:
+        peer: the neighbour.
+        answer: what it did.
+        fate: what became of it.
+        cost: what it asked for; None where it made no bid.
+        terms: what that cost was made of.
+        reason: why it did not get the task; empty where it did.
+    """
+
+    peer: str
+    answer: Answer
+    fate: Fate
+    cost: float | None = None
+    terms: Mapping[str, float] = field(default_factory=dict)
+    reason: str = ""
+
+
+@packet_type("migration.ledger")
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """The whole account.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        source: the agent that it was to move from.
+        asked_by: who wanted the move: an address, or `rule`.
+        cost: the cost function that was used.
+        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`.
+        winner: the neighbour that has it, or (dry run) would get it; empty where none.
+        lines: one for each neighbour that was asked, by name.
+        duration_s: host time from the first asking to the outcome.
+    """
+
+    task_id: str
+    source: str
+    asked_by: str
+    cost: str
+    outcome: Literal["moved", "stayed", "undecided", "dry run"]
+    winner: str
+    lines: tuple[Line, ...]
+    duration_s: float

@@ -1,0 +1,134 @@
+"""A task as data: what travels when it moves, and what is written at a checkpoint.
+
+Never code: the receiver finds the class by its entry point's name, builds it dormant and gives it these
+values, each of them checked. What lay unread from channels, and ticks, are left behind on purpose: they
+are the old host's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.errors import MigrationError
+from pancakes.migration.record import TaskId
+
+LIMIT_BYTES: Final = 16 * 1024 * 1024
+"""The largest snapshot that travels."""
+
+
+class TimerPhase(msgspec.Struct, frozen=True):
+    """How one periodic handler of a task stood.
+
+    Attributes:
+        name: the handler's name.
+        period_s: its period, as last rescheduled; infinity where it was paused.
+        due_in_s: mission time from the snapshot to its next tick.
+    """
+
+    name: str
+    period_s: float
+    due_in_s: float
+
+
+class HeldPacket(msgspec.Struct, frozen=True):
+    """A packet addressed to the task that it has not acknowledged yet.
+
+    Attributes:
+        stream: the sender's stream that it belongs to.
+        seq: its number in that stream, from 1.
+        packet: the packet itself, as the wire writes it.
+    """
+
+    stream: str
+    seq: int
+    packet: bytes
+
+
+class Heard(msgspec.Struct, frozen=True):
+    """The duplicate filter for one stream.
+
+    Attributes:
+        upto: every packet up to this number had its effect.
+        beyond: numbers after it that had theirs, ascending.
+    """
+
+    upto: int = 0
+    beyond: tuple[int, ...] = ()
+
+
+class Snapshot(msgspec.Struct, frozen=True):
+    """One task at one moment.
+
+    Settings and state are plain values (what msgpack can write); arrays travel as `msgspec.msgpack.Ext`.
+
+    Attributes:
+        task_id: the task's identity for life; its name on every host is `task_id.name`.
+        type: name of its class's entry point, such as `encirclement.ScanTarget`.
+        version: version of the distribution that the class comes from.
+        service: the service that supervises it.
+        requires: the device types that it depends on.
+        settings: its settings.
+        state: its state.
+        timers: the phases of its periodic handlers.
+        held: packets addressed to it and not acknowledged.
+        heard: the duplicate filter, by stream.
+        sent: number of the last packet it sent, by stream.
+        restart: its restart policy, as in `[task.NAME] restart`.
+        durability: `lazy` or `each`.
+        migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
+    """
+
+    task_id: TaskId
+    type: str
+    version: str
+    service: str
+    requires: tuple[str, ...] = ()
+    settings: dict[str, Any] = {}
+    state: dict[str, Any] = {}
+    timers: tuple[TimerPhase, ...] = ()
+    held: tuple[HeldPacket, ...] = ()
+    heard: dict[str, Heard] = {}
+    sent: dict[str, int] = {}
+    restart: dict[str, Any] = {}
+    durability: str = "lazy"
+    migrate: dict[str, Any] | None = None
+
+    def encode(self) -> bytes:
+        """Returns the snapshot as msgpack bytes.
+
+        Raises:
+            MigrationError: a value cannot be written, or the whole is over `LIMIT_BYTES`.
+        """
+        try:
+            data = _ENCODER.encode(self)
+        except (TypeError, ValueError, OverflowError, msgspec.MsgspecError) as error:
+            raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {error}") from None
+        if len(data) > LIMIT_BYTES:
+            raise MigrationError(f"the snapshot of {self.task_id} has {len(data)} bytes, {LIMIT_BYTES} may travel")
+        return data
+
+    @classmethod
+    def decode(cls, data: bytes) -> Snapshot:
+        """Reads what `encode` wrote, checking each value's type.
+
+        Raises:
+            MigrationError: the bytes are no snapshot, or more than may travel.
+        """
+        if len(data) > LIMIT_BYTES:
+            raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
+        try:
+            return _DECODER.decode(data)
+        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
+
+
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(Snapshot)
+
+
+def digest(data: bytes) -> bytes:
+    """Returns the content hash (SHA-256) by which an encoded snapshot is checked on arrival."""
+    return hashlib.sha256(data).digest()

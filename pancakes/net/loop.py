@@ -1,0 +1,146 @@
+"""One thread that waits for sockets and for points in time, and runs what was put off."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+import selectors
+import socket
+import threading
+from collections.abc import Callable
+from typing import Final
+
+from pancakes.clock import Clock
+
+READ: Final = selectors.EVENT_READ
+WRITE: Final = selectors.EVENT_WRITE
+
+_LOG = logging.getLogger("pancakes.net")
+
+
+class Timer:
+    """A call that was put off."""
+
+    __slots__ = ("function",)
+
+    def __init__(self, function: Callable[[], None] | None) -> None:
+        self.function = function
+
+    def cancel(self) -> None:
+        """Makes sure that the call does not happen, if it has not begun. From any thread."""
+        self.function = None
+
+
+class Loop:
+    """A selector and its thread.
+
+    Args:
+        clock: the host clock.
+        name: name of the thread.
+    """
+
+    def __init__(self, clock: Clock, name: str) -> None:
+        self._clock = clock
+        self._selector = selectors.DefaultSelector()
+        self._lock = threading.Lock()
+        self._timers: list[tuple[float, int, Timer]] = []
+        self._count = 0
+        self._stopping = False
+        self._ended = False
+        self._woken = False
+        self._wake_reader, self._wake_writer = socket.socketpair()
+        self._wake_reader.setblocking(False)
+        self._wake_writer.setblocking(False)
+        self._selector.register(self._wake_reader, READ, self._take_wake)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def call_later(self, delay_s: float, function: Callable[[], None]) -> Timer:
+        """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.
+
+        After `stop` nothing is run any more.
+        """
+        with self._lock:
+            if self._stopping:
+                return Timer(None)
+            timer = Timer(function)
+            due_s = self._clock.now() + delay_s
+            self._count += 1
+            heapq.heappush(self._timers, (due_s, self._count, timer))
+            if self._timers[0][2] is timer:
+                self._wake()
+        return timer
+
+    def watch(self, sock: socket.socket, events: int, function: Callable[[int], None]) -> None:
+        """Calls `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread."""
+        if sock.fileno() in self._selector.get_map():
+            self._selector.modify(sock, events, function)
+        else:
+            self._selector.register(sock, events, function)
+
+    def forget(self, sock: socket.socket) -> None:
+        """Watches `sock` no longer. To be called before it is closed, in the loop's thread."""
+        if sock.fileno() in self._selector.get_map():
+            self._selector.unregister(sock)
+
+    def is_here(self) -> bool:
+        """Returns whether the caller runs in the loop's thread."""
+        return threading.current_thread() is self._thread
+
+    def stop(self, last: Callable[[], None]) -> None:
+        """Runs what is due, then `last`, and ends the thread; waits for that, unless called in the thread itself."""
+        with self._lock:
+            if not self._stopping:
+                self._stopping = True
+                self._count += 1
+                heapq.heappush(self._timers, (self._clock.now(), self._count, Timer(lambda: self._end(last))))
+                self._wake()
+        if not self.is_here():
+            self._thread.join()
+
+    def _end(self, last: Callable[[], None]) -> None:
+        self._ended = True
+        last()
+
+    def _wake(self) -> None:
+        if not self._woken and not self.is_here():
+            self._woken = True
+            self._wake_writer.send(b"w")
+
+    def _take_wake(self, _events: int) -> None:
+        with self._lock:
+            self._woken = False
+            self._wake_reader.recv(64)
+
+    def _run(self) -> None:
+        try:
+            while not self._ended:
+                # Sockets come before timers, so that after a pause of this process (a debugger, SIGSTOP) what
+                # peers sent in the meantime is read before their silence is judged.
+                for key, events in self._selector.select(self._wait_s()):
+                    self._guard(key.data, events)
+                self._run_timers()
+        finally:
+            self._selector.close()
+            self._wake_reader.close()
+            self._wake_writer.close()
+
+    def _wait_s(self) -> float | None:
+        with self._lock:
+            return max(0.0, self._timers[0][0] - self._clock.now()) if self._timers else None
+
+    def _run_timers(self) -> None:
+        now_s = self._clock.now()
+        while not self._ended:
+            with self._lock:
+                if not self._timers or self._timers[0][0] > now_s:
+                    return
+                timer = heapq.heappop(self._timers)[2]
+            if timer.function is not None:
+                self._guard(timer.function)
+
+    def _guard(self, function: Callable[..., None], *arguments: int) -> None:
+        try:
+            function(*arguments)
+        except Exception:  # noqa: BLE001 - a fault in one handler must not silence all the others
+            _LOG.exception("a handler of the network failed")

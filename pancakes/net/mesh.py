@@ -1,0 +1,557 @@
+"""The mesh: this agent's links to all others, without a broker (paper §3.5).
+
+The rim around `Peers` (which connections) and `Link` (what goes over them): it opens and closes connections,
+carries out what those two decide, and hands packets over. Nothing here blocks.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from pancakes.clock import Clock
+from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.net.outbox import Counters, Message, PeerBusy
+from pancakes.net.peers import Admit, Decision, Dial, Peers
+from pancakes.net.session import Session
+from pancakes.net.transport import Connection, Handler, Scheduled, Transport
+from pancakes.packet import NEIGHBOURS, Packet, agent_of
+from pancakes.wire.codec import Encoder
+from pancakes.wire.link import (
+    Action,
+    Learnt,
+    Link,
+    LinkTimes,
+    Met,
+    Over,
+    Received,
+    ReceivedBlob,
+    Send,
+    Up,
+)
+from pancakes.wire.messages import Goodbye, Hello, Identity
+
+MAX_HANDSHAKES: Final = 64
+"""Most connections from others that have not yet come to be links."""
+DROPS_REPORTED_EVERY_S: Final = 5.0
+"""A slow peer is named in the log at most that often, in seconds of host time."""
+
+
+class _Unwanted:
+    """The handler of a connection for which there is no room."""
+
+    def opened(self, connection: Connection) -> None:
+        connection.close("there is no room for another connection")
+
+    def received(self, data: bytes) -> None:
+        pass
+
+    def closed(self, reason: str) -> None:
+        pass
+
+
+class _Sender(threading.local):
+    """What each thread that sends has for itself."""
+
+    def __init__(self) -> None:
+        self.encoder = Encoder()
+        self.unflushed: list[Session] = []
+
+
+class Mesh:
+    """The links of one agent.
+
+    All callbacks run in the transport's thread and must not block. `send`, `send_blob`, `announce`, `sleep`,
+    `wake`, `stop` and everything that only asks may be called from any thread.
+
+    Args:
+        identity: who this agent is.
+        transport: how bytes travel.
+        listen: address to listen at; empty for none (a client).
+        peers: addresses that are always dialled.
+        source: random numbers, for the spread of retries.
+        host_clock: the clock of hand-shakes and heartbeats.
+        on_packet: takes (peer's name, packet).
+        on_peer_up: takes the peer's hello when a link stands.
+        on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
+            where it did not say for how long.
+        on_blob: takes (peer's name, kind, bytes) of a snapshot.
+        on_refused: takes the reason when another agent of our name is in the mesh and we are the newcomer.
+        on_log: takes (level, text).
+        defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
+            fails, or at once outside of one; so several packets of a turn leave with one system call.
+        times: the times of links and membership.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        transport: Transport,
+        listen: str,
+        peers: Sequence[str],
+        source: random.Random,
+        host_clock: Clock,
+        on_packet: Callable[[str, Packet], None],
+        on_peer_up: Callable[[Hello], None] = lambda peer: None,
+        on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
+        on_blob: Callable[[str, str, bytes], None] = lambda peer, kind, data: None,
+        on_refused: Callable[[str], None] = lambda reason: None,
+        on_log: Callable[[str, str], None] = lambda level, text: None,
+        defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+        times: LinkTimes | None = None,
+    ) -> None:
+        self.identity = identity
+        self.listen = ""
+        self._transport = transport
+        self._listen_at = listen
+        self._static = tuple(peers)
+        self._random = source
+        self._now = host_clock.now
+        self._on_packet = on_packet
+        self._on_peer_up = on_peer_up
+        self._on_peer_down = on_peer_down
+        self._on_blob = on_blob
+        self._on_refused = on_refused
+        self._on_log = on_log
+        self._defer = defer
+        self._times = times or LinkTimes()
+        self._own = identity.hello()
+        self._peers: Peers | None = None
+        self._sessions: dict[int, Session] = {}
+        self._up: dict[str, Session] = {}  # replaced, never changed: read by all threads
+        self._neighbours: tuple[Session, ...] = ()
+        self._counters: dict[str, Counters] = {}
+        self._state = "new"
+        self._asleep_until_s = 0.0
+        self._established = False
+        self._timer: Scheduled | None = None
+        self._timer_s = math.inf
+        self._sender = _Sender()
+        self._tally_lock = threading.Lock()
+        self._mission_packets = 0
+        self._last_words: dict[str, str] = {}
+
+    # For everybody
+
+    def start(self) -> None:
+        """Listens, and begins to dial.
+
+        Raises:
+            PancakesError: it cannot listen at its address; the sentence says why.
+        """
+        if self._state != "new":
+            raise PancakesError(f"the mesh of {self.identity.name} was started before")
+        if self._listen_at:
+            self.listen = self._transport.listen(self._listen_at, self._accept)
+        self._own = self.identity.hello(self.listen)
+        self._transport.call_later(0.0, self._begin)
+
+    def send(self, packet: Packet, retry: bool = False) -> int:
+        """Sends a packet to the agent in its destination, or to all neighbours where that is `*`.
+
+        Args:
+            packet: what to send.
+            retry: whether it was sent before, so that it does not count as a mission packet again.
+
+        Returns:
+            To how many peers it was given. To neighbours that are too slow for it (destination `*`) it is not
+            given; that is counted and logged.
+
+        Raises:
+            LocalProtocolError: it cannot travel, or is too large.
+            PeerLost: the agent is not connected; the sentence says whether it sleeps.
+            PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
+        """
+        sender = self._sender
+        destination = packet.destination
+        if destination == NEIGHBOURS:
+            sessions = self._neighbours
+        else:
+            sessions = (self._session(agent_of(destination), f"the packet {packet.type!r} of {packet.source}"),)
+        data = sender.encoder.packet(packet)
+        key = (packet.source, packet.type, destination)
+        given = 0
+        for session in sessions:
+            try:
+                session.offer(packet.channel, key, Message(data, not retry))
+            except PeerBusy:
+                session.counters.drop(packet.channel)
+                if destination != NEIGHBOURS:
+                    raise
+                continue
+            given += 1
+            if not sender.unflushed:
+                sender.unflushed.append(session)
+                self._defer(self._flush)
+            elif session not in sender.unflushed:
+                sender.unflushed.append(session)
+        return given
+
+    def send_blob(self, peer: str, kind: str, data: bytes, retry: bool = False) -> None:
+        """Sends a snapshot of a task: up to 16 MiB, in pieces that let other packets pass.
+
+        Each piece counts as a mission packet, unless it is a `retry`.
+
+        Raises:
+            LocalProtocolError: it is too long.
+            PeerLost: the peer is not connected.
+            PeerBusy: four snapshots wait for the peer already.
+        """
+        self._session(peer, f"{kind} of {len(data)} bytes").offer_blob(kind, data, not retry)
+
+    def announce(self) -> None:
+        """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
+        self._transport.call_later(0.0, self._beacon)
+
+    def sleep(self, for_s: float | None = None) -> None:
+        """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
+
+        Who dials in the meantime is told the same. It lasts until `wake`.
+        """
+        self._transport.call_later(0.0, lambda: self._sleep(for_s))
+
+    def wake(self) -> None:
+        """Dials again after `sleep`."""
+        self._transport.call_later(0.0, self._wake)
+
+    def stop(self) -> None:
+        """Says goodbye for good, and closes all links. Close the transport afterwards."""
+        self._transport.call_later(0.0, self._stop)
+
+    def neighbours(self) -> list[str]:
+        """Returns the names of the connected peers in the role `agent`, sorted."""
+        return [session.peer for session in self._neighbours]
+
+    def connected(self) -> list[Hello]:
+        """Returns what all connected peers said about themselves, by name."""
+        up = self._up
+        return [hello for name in sorted(up) if (hello := up[name].hello) is not None]
+
+    def rtt_s(self, peer: str) -> float | None:
+        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        session = self._up.get(peer)
+        return session.link.rtt_s if session is not None and session.link is not None else None
+
+    def mission_packets_sent(self) -> int:
+        """Returns how many mission packets went out: packets and announcements, one for each peer they went to.
+
+        Heartbeats, the mesh's own messages and retries do not count.
+        """
+        return self._mission_packets
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the state of the mesh as plain values, for the command line."""
+        up = self._up
+        now_s = self._now()
+        asleep = self._peers.asleep(now_s) if self._peers is not None else {}
+        return {
+            "name": self.identity.name,
+            "role": self.identity.role,
+            "fleet": self.identity.fleet,
+            "listen": self.listen,
+            "state": self._state,
+            "peers": [self._describe_peer(up[name]) for name in sorted(up)],
+            "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
+            "addresses": self._peers.describe() if self._peers is not None else [],
+            "mission_packets_sent": self._mission_packets,
+        }
+
+    def _describe_peer(self, session: Session) -> dict[str, Any]:
+        hello = session.hello
+        counters = session.counters
+        return {
+            "name": session.peer,
+            "role": hello.role if hello is not None else "",
+            "address": hello.listen if hello is not None else "",
+            "remote": session.remote,
+            "boot": hello.boot if hello is not None else 0,
+            "rtt_s": session.link.rtt_s if session.link is not None else None,
+            "packets_out": counters.packets_out,
+            "packets_in": counters.packets_in,
+            "bytes_out": counters.bytes_out,
+            "bytes_in": counters.bytes_in,
+            "dropped": dict(sorted(counters.dropped.items())),
+            "waiting": session.waiting(),
+        }
+
+    def _session(self, name: str, what: str) -> Session:
+        session = self._up.get(name)
+        if session is not None:
+            return session
+        own = self.identity.name
+        if name == own or not name:
+            raise LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
+        if self._state == "asleep":
+            raise PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
+        asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
+        if name in asleep:
+            raise PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
+        there = ", ".join(sorted(self._up)) or "nobody"
+        raise PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
+
+    def _flush(self) -> None:
+        """Sends what this thread has offered."""
+        unflushed = self._sender.unflushed
+        while unflushed:
+            unflushed.pop().flush()
+
+    def _tally(self, packets: int) -> None:
+        with self._tally_lock:
+            self._mission_packets += packets
+
+    # In the transport's thread from here on
+
+    def _begin(self) -> None:
+        if self._state != "new":
+            return
+        self._state = "running"
+        self._peers = Peers(self._own, self._static, self._random, self._times, self._now())
+        self._run_peers()
+
+    def _sleep(self, for_s: float | None) -> None:
+        if self._state == "running":
+            self._state = "asleep"
+            self._asleep_until_s = math.inf if for_s is None else self._now() + for_s
+            self._leave("sleep")
+
+    def _wake(self) -> None:
+        if self._state == "asleep" and self._peers is not None:
+            self._state = "running"
+            self._peers.redial(self._now())
+            self._run_peers()
+
+    def _stop(self) -> None:
+        if self._state != "stopped":
+            self._state = "stopped"
+            self._leave("stop")
+
+    def _leave(self, why: str) -> None:
+        for session in list(self._sessions.values()):
+            if session.link is not None:
+                self._act(session, session.link.leave(self._goodbye(), self._now()))
+            else:
+                self._over(session, Over("this agent left the mesh"))
+        self._arm()
+
+    def _goodbye(self) -> Goodbye:
+        if self._state == "stopped":
+            return Goodbye("stop")
+        left_s = self._asleep_until_s - self._now()
+        return Goodbye("sleep", None if left_s == math.inf else max(0.0, left_s))
+
+    def _beacon(self) -> None:
+        if self._peers is None:
+            return
+        addresses = self._peers.gossip()
+        for _, session in sorted(self._up.items()):
+            self._gossip(session, addresses)
+            self._tally(1)
+
+    def _accept(self) -> Handler:
+        waiting = sum(not session.is_up and not session.address for session in self._sessions.values())
+        if self._peers is None or self._state == "stopped" or waiting >= MAX_HANDSHAKES:
+            return _Unwanted()
+        session = Session(self, self._peers.new_link(), "", self._now, self._tally)
+        self._sessions[session.number] = session
+        return session
+
+    def session_opened(self, session: Session) -> None:
+        """See `Owner`."""
+        if session.number not in self._sessions:  # given up while it was being dialled
+            session.end("it is no longer wanted")
+            return
+        now_s = self._now()
+        session.link = Link(self._own, self._times, now_s)
+        self._act(session, session.link.open(now_s))
+        self._watch(session)
+
+    def session_received(self, session: Session, data: bytes) -> None:
+        """See `Owner`."""
+        if session.link is None or session.number not in self._sessions:
+            return
+        now_s = self._now()
+        actions = session.link.receive(data, now_s)
+        if session.is_up and self._peers is not None:
+            rivals = self._peers.heard(session.number, now_s)
+            if rivals:
+                self._carry_out(rivals)
+        if actions:
+            self._act(session, actions)
+
+    def session_closed(self, session: Session, reason: str) -> None:
+        """See `Owner`."""
+        if session.number in self._sessions:
+            self._over(session, Over(reason))
+
+    def _watch(self, session: Session) -> None:
+        """Sees to it that `_tick` runs when the link has something to do."""
+        if session.link is not None and session.number in self._sessions:
+            delay_s = max(0.0, session.link.due_s() - self._now())
+            session.timer = self._transport.call_later(delay_s, lambda: self._tick(session))
+
+    def _tick(self, session: Session) -> None:
+        link = session.link
+        if link is None or session.number not in self._sessions:
+            return
+        now_s = self._now()
+        if session.is_up:
+            if session.stuck_s(now_s) >= self._times.stuck_s:
+                reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
+                self._over(session, Over(reason))
+                return
+            self._report_drops(session, now_s)
+        self._act(session, link.tick(now_s))
+        self._watch(session)
+
+    def _act(self, session: Session, actions: list[Action]) -> None:
+        """Carries out what a link asks for."""
+        for action in actions:
+            if session.number not in self._sessions or self._peers is None:
+                return  # an action before ended it
+            match action:
+                case Send(message):
+                    session.send_link(message)
+                case Received(packets):
+                    session.counters.packets_in += len(packets)
+                    for packet in packets:
+                        self._call(self._on_packet, session.peer, packet)
+                case ReceivedBlob(kind, data):
+                    self._call(self._on_blob, session.peer, kind, data)
+                case Met(hello):
+                    self._met(session, hello)
+                case Up():
+                    self._stood_up(session)
+                case Learnt(addresses):
+                    self._carry_out(self._peers.learnt(addresses, self._now()))
+                case Over():
+                    self._over(session, action)
+
+    def _met(self, session: Session, hello: Hello) -> None:
+        assert session.link is not None and self._peers is not None
+        now_s = self._now()
+        decisions = self._peers.met(session.number, hello, session.remote, now_s)
+        if self._state == "running":
+            self._carry_out(decisions)
+        else:
+            self._act(session, session.link.leave(self._goodbye(), now_s))
+
+    def _stood_up(self, session: Session) -> None:
+        assert session.link is not None and session.link.peer is not None and self._peers is not None
+        self._carry_out(self._peers.up(session.number, self._now()))
+        if session.number not in self._sessions:
+            return
+        name = session.link.peer.name
+        hello = next(peer for peer in self._peers.connected() if peer.name == name)
+        session.stood_up(hello, self._counters.setdefault(name, Counters()))
+        self._established = True
+        self._set_up({**self._up, name: session})
+        self._on_log("info", f"{name} ({hello.role}, {session.remote}) is connected")
+        self._call(self._on_peer_up, hello)
+        self._gossip(session, self._peers.gossip())
+        if hello.listen and hello.role != "client":
+            for other in self._up.values():
+                self._gossip(other, (hello.listen,))
+
+    def _over(self, session: Session, over: Over) -> None:
+        assert self._peers is not None
+        del self._sessions[session.number]
+        session.end(over.reason)
+        why = over.refused or over.refusing
+        decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken)
+        if session.is_up:
+            session.is_up = False
+            self._set_up({name: other for name, other in self._up.items() if other is not session})
+            asleep_s = None
+            if over.goodbye is not None and over.goodbye.why == "sleep":
+                asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
+            if session.hello is not None and session.hello.role == "client":
+                self._counters.pop(session.peer, None)  # clients come under ever new names
+            level = "warning" if over.broken or why is not None else "info"
+            self._on_log(level, f"the link to {session.peer} has ended: {over.reason}")
+            self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
+        else:
+            self._explain(session, over)
+        if over.refused == "name" and not self._established:
+            self._call(self._on_refused, over.reason)
+        if self._state == "running":
+            self._carry_out(decisions)
+
+    def _explain(self, session: Session, over: Over) -> None:
+        """Logs why a connection did not come to be a link: aloud, but only when it is news."""
+        if self._state != "running":
+            return
+        why = over.refused or over.refusing or ""
+        place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
+        text = f"no link over {place}: {over.reason}"
+        loud = over.broken or why in ("version", "fleet", "name", "full", "protocol")
+        if len(self._last_words) > 256:
+            self._last_words.clear()
+        if self._last_words.get(place) != text:
+            self._last_words[place] = text
+            self._on_log("warning" if loud else "debug", text)
+
+    def _carry_out(self, decisions: Sequence[Decision]) -> None:
+        """Carries out what membership asks for."""
+        for decision in decisions:
+            if isinstance(decision, Dial):
+                session = Session(self, decision.link, decision.address, self._now, self._tally)
+                self._sessions[session.number] = session
+                self._transport.dial(decision.address, session)
+                continue
+            found = self._sessions.get(decision.link)
+            if found is None or found.link is None:
+                continue
+            if isinstance(decision, Admit):
+                self._act(found, found.link.admit(self._now()))
+            else:
+                self._act(found, found.link.refuse(decision.code, decision.reason, self._now()))
+        self._arm()
+
+    def _arm(self) -> None:
+        """Sees to it that `_run_peers` runs when membership has something to do."""
+        due_s = self._peers.due_s() if self._peers is not None and self._state == "running" else math.inf
+        if due_s == self._timer_s:
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._timer_s = due_s
+        if due_s < math.inf:
+            self._timer = self._transport.call_later(max(0.0, due_s - self._now()), self._run_peers)
+
+    def _run_peers(self) -> None:
+        self._timer, self._timer_s = None, math.inf
+        if self._peers is not None and self._state == "running":
+            self._carry_out(self._peers.tick(self._now()))
+
+    def _set_up(self, up: dict[str, Session]) -> None:
+        self._up = up
+        self._neighbours = tuple(
+            up[name] for name in sorted(up) if (hello := up[name].hello) is not None and hello.role == "agent"
+        )
+
+    def _gossip(self, session: Session, addresses: tuple[str, ...]) -> None:
+        if session.link is None or session.hello is None:
+            return
+        others = tuple(address for address in addresses if address != session.hello.listen)
+        if others:
+            self._act(session, session.link.gossip(others, self._now()))
+
+    def _report_drops(self, session: Session, now_s: float) -> None:
+        dropped = sum(session.counters.dropped.values())
+        if dropped > session.reported_drops and now_s - session.reported_s >= DROPS_REPORTED_EVERY_S:
+            lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
+            self._on_log("warning", f"{session.peer} is slow; packets given up so far: {lost}")
+            session.reported_drops, session.reported_s = dropped, now_s
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Calls what was given to us; its failure must not cost a link."""
+        try:
+            function(*arguments)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it belongs in the log
+            text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
+            name = getattr(function, "__qualname__", repr(function))
+            self._on_log("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")

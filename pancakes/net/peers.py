@@ -1,0 +1,375 @@
+"""Membership: which agents there are, which connection to each stays, and when to dial again.
+
+Pure: every method takes an event and the host time and returns what to do. All addresses that are known
+are dialled side by side, until their agents are connected; agents tell each other the addresses they are
+connected to, so that a fleet becomes a full mesh.
+
+Of two agents, the one with the lower name chooses the connection that stays (see `pancakes.wire.link`): its
+own dial goes before the other's, and a connection that stands before a new one, unless it has died.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pancakes.wire.link import LinkTimes
+from pancakes.wire.messages import Goodbye, Hello, Refusal
+
+MAX_AGENTS: Final = 64
+"""Largest mesh: agents and environments connected to one agent, itself counted."""
+MAX_CLIENTS: Final = 64
+"""Most clients connected to one agent."""
+MAX_LEARNT: Final = 256
+"""Most addresses kept that were learnt from others."""
+FORGET_AFTER: Final = 20
+"""A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dial:
+    """Open a connection to `address`, and call it `link`."""
+
+    address: str
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class Admit:
+    """`link` is the one that stays: say so to the peer."""
+
+    link: int
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
+
+    link: int
+    code: Refusal
+    reason: str
+
+
+Decision = Dial | Admit | Turn
+
+
+@dataclass(slots=True)
+class _Address:
+    """An address that can be dialled."""
+
+    static: bool
+    due_s: float
+    name: str = ""  # of the agent that was last met there
+    link: int | None = None  # of the dial under way, until it has met somebody or failed
+    failures: int = 0
+    ours: bool = False  # it is this agent's own
+
+
+@dataclass(slots=True)
+class _Candidate:
+    """A connection whose peer has said who it is; it is up or waits."""
+
+    link: int
+    hello: Hello
+    address: str  # that we dialled, or empty
+    up_s: float | None = None
+    until_s: float = math.inf  # when waiting for our own dial ends
+
+
+class Peers:
+    """What is known of other agents, and the decisions about connections to them.
+
+    Args:
+        own: our own hello.
+        static: addresses that are always dialled.
+        source: random numbers for the spread of retries.
+        times: the times of membership.
+        now_s: host time.
+    """
+
+    def __init__(
+        self, own: Hello, static: Sequence[str], source: random.Random, times: LinkTimes, now_s: float
+    ) -> None:
+        self._own = own
+        self._random = source
+        self._times = times
+        self._book = {address: _Address(True, now_s) for address in static if address != own.listen}
+        self._candidates: dict[int, _Candidate] = {}
+        self._up: dict[str, _Candidate] = {}
+        self._asleep: dict[str, float] = {}
+        self._last_link = 0
+
+    def new_link(self) -> int:
+        """Returns a number for a connection that came in."""
+        self._last_link += 1
+        return self._last_link
+
+    def connected(self) -> list[Hello]:
+        """Returns what the connected peers said about themselves, by name."""
+        return [self._up[name].hello for name in sorted(self._up)]
+
+    def asleep(self, now_s: float) -> dict[str, float]:
+        """Returns the peers that said they sleep, and for how many more seconds (infinity: they did not say).
+
+        May be called from any thread, as may `describe`.
+        """
+        return {name: until_s - now_s for name, until_s in sorted(self._asleep.items()) if until_s > now_s}
+
+    def gossip(self) -> tuple[str, ...]:
+        """Returns the addresses to tell others: of connected peers, but never of clients."""
+        return tuple(
+            candidate.hello.listen
+            for _, candidate in sorted(self._up.items())
+            if candidate.hello.listen and candidate.hello.role != "client"
+        )
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Returns each known address with what is known of it."""
+        return [
+            {"address": address, "static": it.static, "name": it.name, "failures": it.failures}
+            for address, it in list(self._book.items())
+            if not it.ours
+        ]
+
+    def due_s(self) -> float:
+        """Returns the host time at which `tick` has something to do."""
+        dials = (it.due_s for it in self._book.values() if self._wanted(it))
+        holds = (candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None)
+        return min((*dials, *holds), default=math.inf)
+
+    def tick(self, now_s: float) -> list[Decision]:
+        """Dials what is due, and admits what has waited long enough for a dial of our own."""
+        decisions: list[Decision] = []
+        for address, it in self._book.items():
+            if self._wanted(it) and now_s >= it.due_s:
+                it.link = self.new_link()
+                decisions.append(Dial(address, it.link))
+        for candidate in list(self._candidates.values()):
+            if candidate.up_s is None and now_s >= candidate.until_s:
+                candidate.until_s = math.inf
+                decisions.extend(self._admit_if_free(candidate, now_s))
+        return decisions
+
+    def met(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
+        """A peer has said who it is.
+
+        Args:
+            link: the connection.
+            hello: what it said.
+            remote: address of the other end of the connection, to stand in for a wildcard in `hello.listen`.
+            now_s: host time.
+        """
+        address = next((address for address, it in self._book.items() if it.link == link), "")
+        if address:
+            self._book[address].link = None
+        own, name = self._own, hello.name
+        if name == own.name:
+            return self._namesake(link, hello, address, now_s)
+        if address:
+            self._book[address].name = name
+        hello = _with_listen(hello, reachable(hello.listen, remote))
+        if hello.role != "client" and hello.listen:
+            self._learn(hello.listen, now_s, name)
+        self._asleep.pop(name, None)
+        candidate = self._candidates[link] = _Candidate(link, hello, address)
+        decisions: list[Decision] = []
+        known = self._up.get(name)
+        if known is not None and known.hello.journal != hello.journal:
+            decisions.append(Turn(link, "name", _taken(name, own.name)))
+        elif known is not None and known.hello.boot > hello.boot:
+            decisions.append(Turn(link, "old", f"a later boot of {name} is connected to {own.name}"))
+        elif known is None and (full := self._full(hello)):
+            decisions.append(Turn(link, "full", full))
+        else:
+            if known is not None and known.hello.boot < hello.boot:
+                decisions.append(Turn(known.link, "old", f"{name} was started again"))
+            if own.name < name:
+                if not address and self._dialling(hello.listen):
+                    candidate.until_s = now_s + self._times.hold_s
+                else:
+                    decisions.extend(self._admit_if_free(candidate, now_s))
+        self._freed(address, now_s)
+        return decisions
+
+    def heard(self, link: int, now_s: float) -> list[Decision]:
+        """Bytes came in on a link that is up, so newer connections to the same peer are not needed."""
+        mine = self._candidates.get(link)
+        if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
+            return []
+        return [
+            Turn(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
+            for other in self._candidates.values()
+            if other.hello.name == mine.hello.name and other.up_s is None and self._own.name < other.hello.name
+        ]
+
+    def up(self, link: int, now_s: float) -> list[Decision]:
+        """A link stands on both sides, or will when the peer has our welcome. Older ones to that peer end."""
+        candidate = self._candidates[link]
+        name = candidate.hello.name
+        known = self._up.get(name)
+        if known is not None and known.hello.journal != candidate.hello.journal:
+            return [Turn(link, "name", _taken(name, self._own.name))]
+        candidate.up_s = now_s
+        candidate.until_s = math.inf
+        self._up[name] = candidate
+        decisions: list[Decision] = []
+        if known is not None:
+            decisions.append(Turn(known.link, "duplicate", f"{name} chose another link"))
+        if self._own.name < name:  # it is alive now, so what waited beside it is not needed
+            decisions.extend(self.heard(link, now_s))
+        return decisions
+
+    def over(
+        self,
+        link: int,
+        now_s: float,
+        refused: Refusal | None = None,
+        goodbye: Goodbye | None = None,
+        broken: bool = False,
+    ) -> list[Decision]:
+        """A connection has ended, or never came to stand.
+
+        Args:
+            link: the connection.
+            now_s: host time.
+            refused: why it was refused, by either side.
+            goodbye: what the peer said, if it left on purpose.
+            broken: whether it broke the protocol.
+        """
+        hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
+        candidate = self._candidates.pop(link, None)
+        if candidate is None:
+            address = next((address for address, it in self._book.items() if it.link == link), "")
+            if not address:
+                return []
+            self._book[address].link = None
+            self._failed(address, now_s, hopeless)
+            self._freed(address, now_s)
+            return []
+        name = candidate.hello.name
+        was_up = self._up.get(name) is candidate
+        if was_up:
+            del self._up[name]
+        if goodbye is not None and goodbye.why == "sleep":
+            self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
+        for address, it in list(self._book.items()):
+            if it.name != name or it.link is not None or (candidate.address != address and not was_up):
+                continue
+            if goodbye is not None and goodbye.why == "sleep" and goodbye.for_s is not None:
+                it.failures = 0
+                it.due_s = self._asleep[name]
+            elif goodbye is not None or hopeless:
+                it.due_s = now_s + self._times.retry_longest_s
+            elif candidate.up_s is not None and now_s - candidate.up_s >= self._times.gone_s:
+                it.failures = 0
+                self._retry(it, now_s)
+            else:
+                self._failed(address, now_s, False)
+        if not was_up:
+            return []
+        heirs = [other for other in self._candidates.values() if other.hello.name == name and other.up_s is None]
+        if heirs and self._own.name < name:
+            return self._admit_if_free(heirs[-1], now_s)
+        return []
+
+    def learnt(self, addresses: Sequence[str], now_s: float) -> list[Decision]:
+        """A peer named addresses of other agents."""
+        for address in addresses:
+            self._learn(address, now_s)
+        return self.tick(now_s)
+
+    def redial(self, now_s: float) -> None:
+        """Makes all addresses due now (this agent woke up)."""
+        for it in self._book.values():
+            it.failures, it.due_s = 0, now_s
+
+    def _wanted(self, it: _Address) -> bool:
+        return it.link is None and not it.ours and it.name not in self._up and it.due_s < math.inf
+
+    def _dialling(self, listen: str) -> bool:
+        it = self._book.get(listen)
+        return it is not None and it.link is not None
+
+    def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
+        own = self._own
+        self._freed(address, now_s)
+        if hello.journal == own.journal:
+            if address:
+                self._book[address].ours = True
+            return [Turn(link, "self", f"{own.name} dialled itself")]
+        if address:  # the one who dials is the newcomer, and waits to be told
+            self._book[address].due_s = now_s + self._times.retry_longest_s
+            return []
+        return [Turn(link, "name", _taken(own.name, own.name))]
+
+    def _full(self, hello: Hello) -> str:
+        """Returns why there is no room for one more peer, or an empty string."""
+        clients = sum(candidate.hello.role == "client" for candidate in self._up.values())
+        if hello.role == "client":
+            return f"{self._own.name} has {clients} clients already" if clients >= MAX_CLIENTS else ""
+        agents = len(self._up) - clients + 1
+        return f"{self._own.name} is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
+
+    def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
+        """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
+        known = self._up.get(candidate.hello.name)
+        if known is None or known.hello.boot < candidate.hello.boot:
+            return [Admit(candidate.link)]
+        if candidate.address:  # we dialled while we had a link: needless
+            reason = f"{self._own.name} has another link to {candidate.hello.name}, which stays"
+            return [Turn(candidate.link, "duplicate", reason)]
+        return []
+
+    def _freed(self, address: str, now_s: float) -> None:
+        """Our dial to `address` is decided: what waited for it is seen to at the next tick, which is due now."""
+        for candidate in self._candidates.values():
+            if address and candidate.until_s < math.inf and candidate.hello.listen == address:
+                candidate.until_s = now_s
+
+    def _learn(self, address: str, now_s: float, name: str = "") -> None:
+        it = self._book.get(address)
+        if it is None:
+            learnt = sum(not it.static for it in self._book.values())
+            if not address or address == self._own.listen or learnt >= MAX_LEARNT:
+                return
+            it = self._book[address] = _Address(False, now_s)
+        it.name = name or it.name
+
+    def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
+        it = self._book[address]
+        it.failures += 1
+        if not it.static and it.failures >= FORGET_AFTER and it.name not in self._up:
+            del self._book[address]
+        elif hopeless:
+            it.due_s = now_s + self._times.retry_longest_s
+        else:
+            self._retry(it, now_s)
+
+    def _retry(self, it: _Address, now_s: float) -> None:
+        """Puts the next dial off by a random time with a doubling bound: full jitter."""
+        doublings = min(max(it.failures - 1, 0), 30)
+        bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
+        it.due_s = now_s + self._random.uniform(0.0, bound_s)
+
+
+def reachable(listen: str, remote: str) -> str:
+    """Returns the address at which a peer can be dialled: where it listens on all interfaces, the one we see."""
+    scheme, _, place = listen.partition("://")
+    host, _, port = place.rpartition(":")
+    if host not in ("0.0.0.0", "[::]"):
+        return listen
+    seen = remote.partition("://")[2].rpartition(":")[0]
+    return f"{scheme}://{seen}:{port}" if seen else ""
+
+
+def _with_listen(hello: Hello, listen: str) -> Hello:
+    if listen == hello.listen:
+        return hello
+    return Hello(hello.version, hello.fleet, hello.name, hello.role, hello.journal, hello.boot, listen)
+
+
+def _taken(name: str, by: str) -> str:
+    return f"the name {name} is already borne by another agent, as {by} knows: give one of the two another name"

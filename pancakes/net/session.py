@@ -1,0 +1,227 @@
+"""One connection of the mesh: where a link's messages meet a transport.
+
+`Session` carries what the mesh decides to the connection and back. Packets may be offered from any thread;
+all else happens in the transport's thread.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox
+from pancakes.net.transport import Connection, Scheduled
+from pancakes.wire.codec import Encoder
+from pancakes.wire.framing import frame, split
+from pancakes.wire.link import Link
+from pancakes.wire.messages import Hello
+
+BATCH_BYTES: Final = 16 * 1024
+"""How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
+one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
+"""
+
+
+class Owner(Protocol):
+    """What a session tells the mesh."""
+
+    def session_opened(self, session: Session) -> None:
+        """Its connection stands."""
+
+    def session_received(self, session: Session, data: bytes) -> None:
+        """Bytes came in."""
+
+    def session_closed(self, session: Session, reason: str) -> None:
+        """Its connection is gone."""
+
+
+class Session:
+    """One connection and its link.
+
+    Args:
+        owner: the mesh.
+        number: the link's number in `Peers`.
+        address: what was dialled; empty where the connection came in.
+        now: the host clock.
+        tally: called with the number of mission packets that were just sent.
+    """
+
+    def __init__(
+        self, owner: Owner, number: int, address: str, now: Callable[[], float], tally: Callable[[int], None]
+    ) -> None:
+        self.number = number
+        self.address = address
+        self.link: Link | None = None
+        self.peer = ""
+        self.hello: Hello | None = None
+        self.is_up = False
+        self.timer: Scheduled | None = None
+        self.counters = Counters()
+        self.reported_drops = 0
+        self.reported_s = float("-inf")
+        self._owner = owner
+        self._now = now
+        self._tally = tally
+        self._connection: Connection | None = None
+        self._lock = threading.Lock()
+        self._outbox = Outbox("", self.counters)
+        self._first: list[Message] = []
+        self._rest: list[Message] = []
+        self._turn_bytes = 0
+        self._congested = False
+        self._closed = False
+        self._blobs = 0
+        self._written = 0
+        self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
+        self._blob_encoder = Encoder()
+
+    @property
+    def remote(self) -> str:
+        """Address of the other end, for messages to people."""
+        return self._connection.remote if self._connection is not None else self.address
+
+    def stood_up(self, hello: Hello, counters: Counters) -> None:
+        """The link to the agent that said `hello` is up: from now on packets may be offered."""
+        self.hello, self.peer = hello, hello.name
+        with self._lock:
+            counters.bytes_in += self.counters.bytes_in
+            counters.bytes_out += self.counters.bytes_out
+            self.counters = counters
+            self._outbox = Outbox(self.peer, counters)
+            self.is_up = True
+
+    # The transport's callbacks
+
+    def opened(self, connection: Connection) -> None:
+        """See `Handler`."""
+        self._connection = connection
+        self._owner.session_opened(self)
+
+    def received(self, data: bytes) -> None:
+        """See `Handler`."""
+        self.counters.bytes_in += len(data)
+        self._owner.session_received(self, data)
+
+    def drained(self) -> None:
+        """The connection took all it was given: give it more."""
+        with self._lock:
+            self._pump()
+
+    def closed(self, reason: str) -> None:
+        """See `Handler`."""
+        with self._lock:
+            self._closed = True
+        self._owner.session_closed(self, reason)
+
+    # Sending
+
+    def send_link(self, message: bytes) -> None:
+        """Sends a message of the link itself, before all that waits."""
+        with self._lock:
+            if self._congested:
+                self._outbox.put_link(message)
+                return
+            self._write([message])
+
+    def offer(self, channel: str, key: Key, message: Message) -> None:
+        """Takes a packet, to be sent at `flush` or when there is room. From any thread.
+
+        Raises:
+            PeerBusy: the peer is slow, and the channel's window full.
+        """
+        with self._lock:
+            if self._closed:
+                self.counters.drop(channel)
+            elif self._congested:
+                self._outbox.put(channel, key, message)
+            else:
+                (self._first if channel in FIRST else self._rest).append(message)
+                self._turn_bytes += len(message.data)
+                if self._turn_bytes > BATCH_BYTES:  # do not let a turn pile up what could be on its way
+                    self._flush()
+
+    def offer_blob(self, kind: str, data: bytes, counts: bool) -> None:
+        """Takes a blob and begins to send it. From any thread.
+
+        Raises:
+            LocalProtocolError: it is too long.
+            PeerBusy: the peer is slow, and too many wait already.
+        """
+        with self._lock:
+            self._blobs += 1
+            pieces = split(self._blobs, kind, data)
+            encode = self._blob_encoder.link_message
+            self._outbox.put_blob(Message(encode(piece), counts) for piece in pieces)
+            if not self._congested:
+                self._flush()
+                self._pump()
+
+    def flush(self) -> None:
+        """Sends what was offered in this turn. From any thread."""
+        with self._lock:
+            self._flush()
+
+    def end(self, reason: str) -> None:
+        """Closes the connection once what it was given is sent."""
+        with self._lock:
+            if not self._closed:
+                self._flush()
+            self._closed = True
+            for channel, packets in self._outbox.waiting().items():
+                self.counters.drop(channel, packets)
+        if self.timer is not None:
+            self.timer.cancel()
+            self.timer = None
+        if self._connection is not None:
+            self._connection.close(reason)
+
+    def stuck_s(self, now_s: float) -> float:
+        """Returns for how long the peer has taken none of the bytes that wait for it."""
+        with self._lock:
+            unsent = self._unsent()
+            taken = self._written - unsent
+        if unsent == 0 or taken != self._taken[0]:
+            self._taken = (taken, now_s)
+        return now_s - self._taken[1]
+
+    def waiting(self) -> dict[str, int]:
+        """Returns how many packets wait for this peer, on each channel where any do. From any thread."""
+        with self._lock:
+            return self._outbox.waiting()
+
+    def _flush(self) -> None:
+        if not self._turn_bytes:
+            return
+        messages = self._first + self._rest if self._first else self._rest
+        self._first, self._rest, self._turn_bytes = [], [], 0
+        self._write([message.data for message in messages], len(messages), sum(it.counts for it in messages))
+
+    def _pump(self) -> None:
+        self._congested = True  # keeps the order: what is offered now goes behind what waits
+        while True:
+            messages, packets, counted = self._outbox.take(BATCH_BYTES)
+            if not messages:
+                self._congested = False
+                return
+            self._write(messages, packets, counted)
+            if self._unsent():
+                return
+
+    def _write(self, messages: list[bytes], packets: int = 0, counted: int = 0) -> None:
+        if self._connection is None:
+            return
+        data = frame(messages)
+        self._connection.send(data)
+        self._written += len(data)
+        self.counters.packets_out += packets
+        self.counters.bytes_out += len(data)
+        if counted:
+            self._tally(counted)
+        if self.link is not None:
+            self.link.sent(self._now())
+        if self._unsent():
+            self._congested = True
+
+    def _unsent(self) -> int:
+        return self._connection.unsent() if self._connection is not None else 0

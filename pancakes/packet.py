@@ -1,0 +1,164 @@
+"""Packets: the only thing that tasks, services and agents say to each other (paper §3.1).
+
+A packet names its channel, its type, where it comes from and where it goes; its body is a frozen
+dataclass registered under the type's name, or a plain mapping where this process does not know the type.
+
+Addresses read `agent/service/task`. A destination may be
+
+* empty: whoever subscribes on this agent;
+* `agent`, `agent/service` or `agent/service/task`: whoever subscribes there, under that address;
+* `*`: every neighbour (not this agent).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+
+SYSTEM: Final = "system"
+"""Channel for sensor readings and other news about the system."""
+SYSCTRL: Final = "sysctrl"
+"""Channel for control: start, stop, restart, reschedule, migrate; and the replies."""
+CTRL: Final = "ctrl"
+"""Channel for commands to actuators."""
+NETWORK: Final = "network"
+"""Channel for what concerns, or is bound for, other agents."""
+LOG: Final = "log"
+"""Channel for events, errors and debug output."""
+
+CORE_CHANNELS: Final = (SYSTEM, SYSCTRL, CTRL, NETWORK, LOG)
+
+NEIGHBOURS: Final = "*"
+"""The destination that means every neighbour."""
+
+Cause = tuple[str, int]
+"""The (source, seq) of the packet that was being handled when another was published."""
+
+
+class Fence(msgspec.Struct, frozen=True, array_like=True):
+    """Says under which right a task speaks, so that a copy that lost its right cannot move a wheel.
+
+    Attributes:
+        task_id: the task's durable identity, `birthplace/name`.
+        epoch: how often it was handed over, and who minted that number; compared in this order.
+    """
+
+    task_id: str
+    epoch: tuple[int, str]
+
+
+class Packet(msgspec.Struct, frozen=True, gc=False):
+    """One message on the information stream.
+
+    Attributes:
+        channel: the channel it is published on, here or at its destination.
+        type: the name of the type of its body.
+        source: address of the publisher.
+        destination: see the module's text.
+        stamp: mission time at the publisher, in seconds.
+        seq: number of this packet among its source's packets, from 1.
+        body: a registered dataclass, or a plain mapping where the type is unknown here.
+        cause: the packet that led to this one, if any.
+        fence: set where a task under supervision published it.
+    """
+
+    channel: str
+    type: str
+    source: str
+    destination: str
+    stamp: float
+    seq: int
+    body: Any
+    cause: Cause | None = None
+    fence: Fence | None = None
+
+
+_T = TypeVar("_T")
+_CLASSES: dict[str, type] = {}
+_NAMES: dict[type, str] = {}
+
+
+def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
+    """Registers a frozen dataclass as the body of packets of the type `name`.
+
+    Raises:
+        LocalProtocolError: another class bears this name already, or the class is no dataclass.
+    """
+
+    def register(cls: type[_T]) -> type[_T]:
+        if not is_dataclass(cls):
+            raise LocalProtocolError(f"the packet type {name!r} needs a dataclass, {cls.__qualname__} is none")
+        known = _CLASSES.get(name)
+        if known is not None and f"{known.__module__}.{known.__qualname__}" != f"{cls.__module__}.{cls.__qualname__}":
+            raise LocalProtocolError(
+                f"the packet type {name!r} is already {known.__module__}.{known.__qualname__},"
+                f" so {cls.__module__}.{cls.__qualname__} needs another name"
+            )
+        _CLASSES[name] = cls
+        _NAMES[cls] = name
+        return cls
+
+    return register
+
+
+def type_name(body: Any) -> str:
+    """Returns the type name of a body, or of a body's class.
+
+    Raises:
+        LocalProtocolError: its class was never registered with `packet_type`.
+    """
+    cls = body if isinstance(body, type) else type(body)
+    name = _NAMES.get(cls)
+    if name is None:
+        raise LocalProtocolError(
+            f"{cls.__module__}.{cls.__qualname__} is no packet type: decorate it with @packet_type"
+        )
+    return name
+
+
+def body_class(name: str) -> type | None:
+    """Returns the class registered under `name`, or None."""
+    return _CLASSES.get(name)
+
+
+def known_types() -> dict[str, type]:
+    """Returns all registered packet types by name, sorted."""
+    return dict(sorted(_CLASSES.items()))
+
+
+def body_from_plain(name: str, plain: Any) -> Any:
+    """Makes the body of a packet of the type `name` from plain values, checking each of them.
+
+    Returns:
+        An instance of the registered class; `plain` itself where the type is unknown here.
+
+    Raises:
+        RemoteProtocolError: the values do not fit the class.
+    """
+    cls = _CLASSES.get(name)
+    if cls is None:
+        return plain
+    try:
+        return msgspec.convert(plain, cls)
+    except msgspec.ValidationError as error:
+        raise RemoteProtocolError(f"a packet of the type {name!r} has a bad body: {error}") from None
+
+
+def join(agent: str, service: str = "", task: str = "") -> str:
+    """Returns the address of an agent, one of its services, or a task."""
+    return "/".join(part for part in (agent, service, task) if part)
+
+
+def agent_of(address: str) -> str:
+    """Returns the agent's part of an address."""
+    return address.partition("/")[0]
+
+
+def covers(destination: str, address: str) -> bool:
+    """Returns whether a destination on this agent means the component at `address`."""
+    return address == destination or address.startswith(destination + "/")

@@ -1,0 +1,226 @@
+"""Finds everything that can be exchanged, by entry point: the core's own parts and other distributions' alike.
+
+A distribution says in its metadata what it offers:
+
+    [options.entry_points]
+    pancakes.tasks =
+        encirclement.ScanTarget = pancakes_encirclement.scan_target:ScanTarget
+
+Nothing is imported until it is asked for, and one bad plug-in is named and harms no other.
+
+A name that ends in `.*` stands for a family: the driver `network.*` is a function that is given what stands in
+place of the star (`pose` in `network.pose`) and returns the class for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+from pancakes.errors import PluginError
+from pancakes.suggestion import suggestion
+
+GROUPS: Final = {
+    "pancakes.tasks": "task type",
+    "pancakes.services": "service type",
+    "pancakes.drivers": "driver",
+    "pancakes.costs": "cost",
+    "pancakes.transports": "transport",
+    "pancakes.packets": "packet module",
+    "pancakes.demos": "demo",
+}
+"""The entry point groups, and what a person calls one of their entries."""
+
+
+class UnknownPlugin(PluginError):
+    """No distribution offers a plug-in of this name.
+
+    Attributes:
+        problem: the sentence without its suggestion.
+        suggestion: what was probably meant, or an empty string.
+    """
+
+    def __init__(self, problem: str, near: str) -> None:
+        self.problem = problem
+        self.suggestion = near
+        super().__init__(f"{problem}, did you mean {near!r}?" if near else problem)
+
+
+class Version(NamedTuple):
+    """Where a plug-in comes from. Both are empty for one that was registered in code."""
+
+    distribution: str
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Offer:
+    """One entry point of one distribution; `load` imports it."""
+
+    version: Version
+    value: str
+    load: Callable[[], Any]
+
+
+_Offers = dict[str, list[_Offer]]
+"""The offers of one group by name; more than one under a name is an error."""
+
+
+class Plugins:
+    """All plug-ins of this Python environment. May be asked from any thread.
+
+    Args:
+        extra: plug-ins that are registered in code, by (group, name); they hide installed ones of the same name.
+    """
+
+    def __init__(self, extra: Mapping[tuple[str, str], Any] | None = None) -> None:
+        self._extra = dict(extra or {})
+        for group, _ in self._extra:
+            _check_group(group)
+        self._installed: dict[str, _Offers] | None = None
+        self._unreadable: list[PluginError] = []
+        self._loaded: dict[tuple[str, str], Any] = {}
+        self._broken: dict[tuple[str, str], str] = {}
+
+    def names(self, group: str) -> list[str]:
+        """Returns the names of all plug-ins of a group, sorted; of families with their star."""
+        return sorted(self._offers(group))
+
+    def get(self, group: str, name: str) -> Any:
+        """Returns a plug-in, imported at the first call.
+
+        Raises:
+            UnknownPlugin: nobody offers it.
+            PluginError: it cannot be imported, or two distributions offer it. The message names the distribution
+                and the reason.
+        """
+        key = (group, name)
+        if key in self._broken:
+            raise PluginError(self._broken[key])
+        if key not in self._loaded:
+            entry, offers = self._find(group, name)
+            try:
+                found = self._load(group, name, entry, offers)
+            except PluginError as error:
+                self._broken[key] = str(error)
+                raise
+            self._loaded.setdefault(key, found)
+        return self._loaded[key]
+
+    def version(self, group: str, name: str) -> Version:
+        """Returns the distribution that offers a plug-in, and its version. Imports nothing.
+
+        Raises:
+            UnknownPlugin: nobody offers it.
+            PluginError: two distributions offer it.
+        """
+        entry, offers = self._find(group, name)
+        return _only(group, entry, offers).version
+
+    def load_packets(self) -> list[PluginError]:
+        """Imports all that registers body types of packets.
+
+        Returns:
+            The plug-ins that failed; the others are registered.
+        """
+        failed = []
+        for name in self.names("pancakes.packets"):
+            try:
+                self.get("pancakes.packets", name)
+            except PluginError as error:
+                failed.append(error)
+        return failed
+
+    def problems(self) -> list[PluginError]:
+        """Returns what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
+        return [*self._unreadable, *(PluginError(text) for text in self._broken.values())]
+
+    def _offers(self, group: str) -> _Offers:
+        _check_group(group)
+        if self._installed is None:  # reading the metadata of all distributions costs milliseconds, so once, and late
+            self._installed, self._unreadable = _scan()
+        offers = dict(self._installed.get(group, {}))
+        for (extra_group, name), plugin in self._extra.items():
+            if extra_group == group:
+                offers[name] = [_Offer(Version("", ""), "", lambda plugin=plugin: plugin)]  # type: ignore[misc]
+        return offers
+
+    def _find(self, group: str, name: str) -> tuple[str, list[_Offer]]:
+        """Returns the entry point's own name (a family's has a star) and its offers."""
+        offers = self._offers(group)
+        if name in offers and not name.endswith(".*"):
+            return name, offers[name]
+        head, dot, rest = name.rpartition(".")
+        if dot and rest and rest != "*" and f"{head}.*" in offers:
+            return f"{head}.*", offers[f"{head}.*"]
+        raise _unknown(group, name, list(offers))
+
+    def _load(self, group: str, name: str, entry: str, offers: list[_Offer]) -> Any:
+        offer = _only(group, entry, offers)
+        try:
+            found = offer.load()
+            return found(name.rpartition(".")[2]) if entry.endswith(".*") else found
+        except (Exception, SystemExit) as error:  # an import may raise anything, even SystemExit
+            source = f"of {offer.version.distribution} {offer.version.version} ({offer.value}) " if offer.value else ""
+            raise PluginError(f"the {GROUPS[group]} {name!r} {source}cannot be loaded: {_line(error)}") from None
+
+
+def _check_group(group: str) -> None:
+    if group not in GROUPS:
+        raise ValueError(f"{group!r} is no group of plug-ins; there are {', '.join(GROUPS)}")
+
+
+def _only(group: str, entry: str, offers: list[_Offer]) -> _Offer:
+    if len(offers) > 1:
+        sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in offers)
+        raise PluginError(f"the {GROUPS[group]} {entry!r} is offered twice, by {sources}: uninstall one of them")
+    return offers[0]
+
+
+def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
+    problem = f"unknown {GROUPS[group]} {name!r}"
+    near = suggestion(name, known)
+    family = name.partition(".")[0]
+    if not near and "." in name and not any(other.startswith(f"{family}.") for other in known):
+        problem += f" (no installed distribution offers any of {family}.*)"
+    return UnknownPlugin(problem, near)
+
+
+def _line(error: BaseException) -> str:
+    """An exception in one line."""
+    message = " ".join(str(error).split())
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
+    """Reads what all installed distributions offer to us."""
+    from importlib.metadata import distributions  # late: it is slow to import
+
+    groups: dict[str, _Offers] = {group: {} for group in GROUPS}
+    unreadable = []
+    seen = []
+    for distribution in distributions():
+        try:
+            if "pancakes." not in (distribution.read_text("entry_points.txt") or ""):
+                continue  # the commonest case, and much quicker than to parse its metadata
+            version = Version(distribution.metadata["Name"], distribution.version)
+            if version.distribution in seen:
+                continue  # found again further down sys.path, as an editable install is from its own directory
+            seen.append(version.distribution)
+            offers = list(_offers_of(distribution, version))
+        except Exception as error:  # foreign files: whatever is wrong with them is theirs
+            place = getattr(distribution, "_path", "a distribution")
+            unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
+            continue
+        for group, name, offer in offers:
+            same = groups[group].setdefault(name, [])
+            if all(other.version != offer.version or other.value != offer.value for other in same):
+                same.append(offer)
+    return groups, unreadable
+
+
+def _offers_of(distribution: Any, version: Version) -> Iterator[tuple[str, str, _Offer]]:
+    for point in distribution.entry_points:
+        if point.group in GROUPS:
+            yield point.group, point.name, _Offer(version, point.value, point.load)

@@ -1,0 +1,534 @@
+"""Services: they keep a registry of their tasks, start and stop them, and stand by them (paper §3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pancakes.control import Command, Configure, Describe, Hold, Reply, Reschedule, Restart, Start, Stop
+from pancakes.errors import ControlRefused, PancakesError
+from pancakes.kernel.component import Component, describe
+from pancakes.kernel.handlers import on
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.packet import CTRL, SYSCTRL, Cause, Fence, Packet, join
+from pancakes.settings import SettingsError, make_settings
+from pancakes.supervision import Next, RestartSpec, Supervision
+from pancakes.task import Carried, Nothing, Task, TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.kernel.kernel import Kernel
+
+
+class TaskState(Enum):
+    """What a task does now, as its service sees it."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    RESTARTING = "restarting"
+    FAILED = "failed"
+    """It failed too often, and its service gave up on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Who asked for something, and which packet of theirs it was.
+
+    Attributes:
+        by: the asker's address.
+        cause: the packet.
+        number: its place in the order of all commands to this agent.
+    """
+
+    by: str
+    cause: Cause
+    number: int = 0
+
+
+@dataclass
+class Slot:
+    """The place of one task in its service: it outlives the actors that fill it."""
+
+    spec: TaskSpec
+    address: str
+    supervision: Supervision
+    mailbox: Mailbox = field(default_factory=Mailbox)
+    state: TaskState = TaskState.STOPPED
+    task: Task | None = None
+    carried: Carried | None = None
+    fence: Fence | None = None
+    incarnation: int = 0
+    reason: str = ""
+    on_running: list[Callable[[str], None]] = field(default_factory=list)
+    on_ended: list[Callable[[], None]] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """The task's name."""
+        return self.spec.name
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceSpec:
+    """All that the kernel's root needs to start a service, as data.
+
+    Attributes:
+        name: its name.
+        cls: its class.
+        settings: its settings, as plain values.
+        tasks: its tasks, in the order in which they start.
+        restart: what happens when it ends by itself.
+        arguments: what else its class wants.
+    """
+
+    name: str
+    cls: type[Service]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    tasks: tuple[TaskSpec, ...] = ()
+    restart: RestartSpec = RestartSpec()
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Service(Component):
+    """The base of all services.
+
+    A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point group
+    `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
+
+    Attributes:
+        settings: an instance of the class's `Settings`.
+        slots: its tasks, by name.
+    """
+
+    Settings: ClassVar[type] = Nothing
+
+    settings: Any
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        settings: Mapping[str, Any] | None = None,
+        tasks: Sequence[TaskSpec] = (),
+        ready: Callable[[Service], None] | None = None,
+    ) -> None:
+        super().__init__(kernel, address, mailbox)
+        self.settings = make_settings(self.Settings, settings or {})
+        self._configured = tuple(tasks)
+        self._on_ready = ready
+        self._unsettled: set[str] = set()
+        self._told_ready = False
+        self.closing = False
+        self.slots: dict[str, Slot] = {}
+
+    # For subclasses --------------------------------------------------------------------------------------------
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        """Returns the tasks that the service brings itself; called once, before they start."""
+        return ()
+
+    def admit(self, slot: Slot) -> str:
+        """Says why a task must not be started now; empty: it may."""
+        lacking = self.kernel.registry.lacking(slot.spec.cls.requires)
+        if lacking:
+            return f"{self.agent} lacks the device types {', '.join(lacking)}, which {slot.name} requires"
+        return ""
+
+    def refuse_stop(self) -> str:
+        """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
+        return ""
+
+    def open_slot(self, spec: TaskSpec) -> Slot:
+        """Makes the place for a task, without starting it.
+
+        Raises:
+            ControlRefused: the service has a task of this name.
+        """
+        if spec.name in self.slots:
+            raise ControlRefused(f"{self.address} already has a task {spec.name}")
+        slot = Slot(spec, join(self.agent, self.name, spec.name), Supervision(spec.restart))
+        self.slots[spec.name] = slot
+        return slot
+
+    def launch(self, slot: Slot, then: Callable[[str], None] | None = None) -> None:
+        """Starts the task of a slot, with what it carries.
+
+        Args:
+            slot: a slot whose task does not run.
+            then: called in this actor once it runs, with an empty string, or when it did not start, with the reason.
+        """
+        reason = self.admit(slot) or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        if reason:
+            if then is not None:
+                then(reason)
+            else:
+                self.log("error", f"{slot.address} was not started: {reason}")
+            self.settle(slot)
+            return
+        carried = slot.carried or Carried(slot.spec.settings, {})
+        slot.state = TaskState.STARTING
+        slot.incarnation += 1
+        slot.reason = ""
+        if then is not None:
+            slot.on_running.append(then)
+        try:
+            component = self.kernel.spawn(
+                slot.spec.cls,
+                slot.address,
+                mailbox=slot.mailbox,
+                carried=carried,
+                rate_hz=slot.spec.rate_hz,
+                fence=slot.fence,
+                started=lambda task: self.call(lambda: self._task_started(slot, task)),
+                exited=lambda task, error: self._hear_end(slot, task, error),
+                **slot.spec.arguments,
+            )
+        except Exception as error:  # what a task's author wrote in __init__ may raise anything
+            self._task_failed(slot, str(error) if isinstance(error, PancakesError) else describe(error))
+            return
+        assert isinstance(component, Task)
+        slot.task = component
+
+    def halt(self, slot: Slot, then: Callable[[], None] | None = None, reason: str = "asked for") -> None:
+        """Stops the task of a slot once it has finished the message in hand; a stop that was meant restarts nothing.
+
+        Args:
+            slot: the slot.
+            then: called in this actor once the task has ended.
+            reason: why, for the log.
+        """
+        if slot.state in (TaskState.STOPPED, TaskState.FAILED, TaskState.RESTARTING):
+            slot.state = TaskState.STOPPED if slot.state is TaskState.RESTARTING else slot.state
+            self._let_go(slot)
+            if then is not None:
+                then()
+            return
+        if then is not None:
+            slot.on_ended.append(then)
+        slot.state = TaskState.STOPPING
+        slot.reason = reason
+        if slot.task is not None and slot.task.actor_ref.is_alive():
+            slot.task.stop()
+
+    def close(self, then: Callable[[], None]) -> None:
+        """Stops all tasks, last first, then the service itself; `then` is called in its actor just before that."""
+        self.closing = True
+        slots = [slot for slot in reversed(self.slots.values()) if slot.state is not TaskState.STOPPED]
+
+        def next_one() -> None:
+            if slots:
+                self.halt(slots.pop(0), next_one, "its service stops")
+            else:
+                then()
+                self.stop()
+
+        next_one()
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        """Returns what is to be known about a task, as plain values."""
+        task = slot.task
+        timers = task.timers if task is not None else {}
+        first = next(iter(timers.values()), None)
+        return {
+            "agent": self.agent,
+            "service": self.name,
+            "task": slot.name,
+            "type": slot.spec.type or slot.spec.cls.__name__,
+            "state": slot.state.value,
+            "rate_hz": first.rate_hz if first is not None else None,
+            "incarnation": slot.incarnation,
+            "reason": slot.reason,
+            "missed": sum(timer.missed_total for timer in timers.values()),
+            "lateness_max_s": max((timer.lateness_max_s for timer in timers.values()), default=0.0),
+            "dropped": slot.mailbox.dropped(),
+        }
+
+    # Its life --------------------------------------------------------------------------------------------------
+
+    def after_start(self) -> None:
+        for spec in (*self.own_tasks(), *self._configured):
+            slot = self.open_slot(spec)
+            if self.wants(slot):
+                self._unsettled.add(slot.name)
+        self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
+        for slot in list(self.slots.values()):
+            if slot.name in self._unsettled:
+                self.start_configured(slot)
+        if not self._unsettled and not self._told_ready:
+            self._tell_ready()
+
+    def wants(self, slot: Slot) -> bool:
+        """Returns whether a task is to be started with the service."""
+        return slot.spec.start
+
+    def start_configured(self, slot: Slot) -> None:
+        """Starts a task that is to be started with the service."""
+        self.launch(slot)
+
+    def settle(self, slot: Slot) -> None:
+        """A task that was to start with the service has come to run, or has not."""
+        if slot.name in self._unsettled:
+            self._unsettled.discard(slot.name)
+            if not self._unsettled:
+                self._tell_ready()
+
+    def _tell_ready(self) -> None:
+        self._told_ready = True
+        if self._on_ready is not None:
+            self._on_ready(self)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        # As OTP does: the tasks of a service that failed end with it, and begin anew with its successor.
+        for slot in self.slots.values():
+            if slot.task is not None and slot.task.actor_ref.is_alive():
+                slot.task.stop()
+
+    def _task_started(self, slot: Slot, task: Task) -> None:
+        if slot.task is not task or slot.state is not TaskState.STARTING:
+            return
+        slot.state = TaskState.RUNNING
+        self.event(
+            "task_started",
+            task=slot.name,
+            service=self.name,
+            type=slot.spec.type,
+            incarnation=slot.incarnation,
+            epoch=slot.fence.epoch[0] if slot.fence is not None else None,
+        )
+        self.settle(slot)
+        self.task_running(slot)
+        waiting, slot.on_running = slot.on_running, []
+        for then in waiting:
+            then("")
+
+    def task_running(self, slot: Slot) -> None:
+        """For subclasses: a task has come to run."""
+
+    def task_ended(self, slot: Slot) -> None:
+        """For subclasses: a task has ended, and what it carried last is in the slot."""
+
+    def _hear_end(self, slot: Slot, task: Component, error: BaseException | None) -> None:
+        """A task's actor has ended (in that actor's thread)."""
+        if self.actor_stopped.is_set():
+            self.kernel.stream.unsubscribe(slot.address)
+            self.kernel.registry.release(slot.address)
+            return
+        self.call(lambda: self._task_ended(slot, task, error))
+
+    def _task_ended(self, slot: Slot, task: Component, error: BaseException | None) -> None:
+        if slot.task is not task:
+            return
+        assert isinstance(task, Task)
+        slot.task = None
+        if task.last is not None:
+            slot.carried = task.last
+        if error is not None and slot.state is not TaskState.STOPPING:
+            text = str(error) if isinstance(error, PancakesError) else describe(error)
+            self._task_failed(slot, text)
+            return
+        if error is not None:
+            self.log("warning", f"{slot.address} failed while it stopped: {describe(error)}")
+        if slot.state is TaskState.STOPPING:
+            self._rest(slot, slot.reason)
+        else:
+            self._decide(slot, failed=False, text="it stopped itself")
+
+    def _task_failed(self, slot: Slot, text: str) -> None:
+        self._decide(slot, failed=True, text=text)
+
+    def _decide(self, slot: Slot, failed: bool, text: str) -> None:
+        """A task ended unasked: restart it, let it rest, or give up on it."""
+        slot.reason = text
+        following = slot.supervision.ended(failed, self.kernel.host.now())
+        waiting, slot.on_running = slot.on_running, []
+        if failed:
+            self.event("task_failed", task=slot.name, error=text, then=following.value)
+            for then in waiting:
+                then(f"{slot.address} failed to start: {text}")
+        if following is Next.RESTART and not self.closing:
+            slot.state = TaskState.RESTARTING
+            self.log("warning", f"{slot.address} is started again: {text}")
+            # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.
+            self.call(lambda: self._relaunch(slot))
+            return
+        if following is Next.GIVE_UP:
+            slot.state = TaskState.FAILED
+            spec = slot.supervision.spec
+            self.log(
+                "error",
+                f"{slot.address} is given up: {text} ({spec.policy}, {spec.at_most} restarts in {spec.within_s:g} s)",
+            )
+            self.event("task_given_up", task=slot.name, error=text)
+            self._let_go(slot)
+            self.settle(slot)
+            self.task_ended(slot)
+            return
+        self._rest(slot, text)
+
+    def _relaunch(self, slot: Slot) -> None:
+        if slot.state is TaskState.RESTARTING:
+            slot.state = TaskState.STOPPED
+            self.relaunch(slot)
+
+    def relaunch(self, slot: Slot) -> None:
+        """Starts a task again that has failed."""
+        self.launch(slot)
+
+    def _rest(self, slot: Slot, reason: str) -> None:
+        slot.state = TaskState.STOPPED
+        self._let_go(slot)
+        self.event("task_stopped", task=slot.name, service=self.name, reason=reason)
+        self.settle(slot)
+        self.task_ended(slot)
+        waiting, slot.on_ended = slot.on_ended, []
+        for then in waiting:
+            then()
+
+    def _let_go(self, slot: Slot) -> None:
+        """Takes back what a task held, once it has ended."""
+        self.kernel.stream.unsubscribe(slot.address)
+        self.hold_actuators(slot, f"{slot.name} let go of it")
+        self.kernel.registry.release(slot.address)
+
+    def hold_actuators(self, slot: Slot, reason: str) -> None:
+        """Brings the actuators that a task holds to their safe hold."""
+        for device in self.kernel.registry.held_by(slot.address):
+            self.publish(CTRL, Hold(reason), to=join(self.agent, "device", device))
+
+    # Control ---------------------------------------------------------------------------------------------------
+
+    @on(SYSCTRL, Command, addressed=True)
+    def on_command(self, packet: Packet) -> None:
+        """Carries out one command and answers it."""
+        command: Command = packet.body
+        request = Request(command.request[0], command.request, command.number)
+        try:
+            slot = self._slot(command.task) if command.task else None
+            self.carry_out_command(command.body, slot, request)
+        except (ControlRefused, SettingsError, ValueError) as error:
+            self.reply(request, str(error))
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
+        """Answers whoever asked; an empty reason means that it has been done."""
+        self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+
+    def _slot(self, name: str) -> Slot:
+        slot = self.slots.get(name)
+        if slot is None:
+            raise ControlRefused(f"{self.address} has no task {name!r}, only {', '.join(self.slots) or 'none at all'}")
+        return slot
+
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        """Does what a command asks, and sees that it is answered; subclasses add their own.
+
+        Args:
+            body: the control packet's body.
+            slot: the task that it is about; None: the service itself.
+            request: whom to answer.
+
+        Raises:
+            ControlRefused: it cannot be done; becomes the answer.
+        """
+        if slot is None:
+            if not isinstance(body, Describe):
+                raise ControlRefused(
+                    f"{self.address} is a service and cannot be asked for {type(body).__name__.lower()}"
+                )
+            self.reply(request, result=[self.describe_task(other) for other in self.slots.values()])
+        elif isinstance(body, Start):
+            self.start_asked(slot, body, request)
+        elif isinstance(body, Stop):
+            self.stop_asked(slot, request)
+        elif isinstance(body, Restart):
+            self.restart_asked(slot, body, request)
+        elif isinstance(body, Reschedule):
+            self.reschedule_asked(slot, body, request)
+        elif isinstance(body, Configure):
+            self.configure_asked(slot, body, request)
+        elif isinstance(body, Describe):
+            self.reply(request, result=self.describe_task(slot))
+        else:
+            raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
+
+    def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
+        """Starts a task; the answer comes once it runs."""
+        if slot.state not in (TaskState.STOPPED, TaskState.FAILED):
+            raise ControlRefused(f"{slot.address} is {slot.state.value} already")
+        if body.settings is not None:
+            carried = slot.carried or Carried(slot.spec.settings, {})
+            settings = {**carried.settings, **body.settings}
+            make_settings(slot.spec.cls.Settings, settings)
+            slot.carried = replace(carried, settings=settings)
+        slot.supervision.forget()
+        self.tell_asked("start", slot, request)
+        self.launch(slot, lambda reason: self.reply(request, reason))
+
+    def stop_asked(self, slot: Slot, request: Request) -> None:
+        """Stops a task; the answer comes once it has ended."""
+        if slot.state is TaskState.STOPPED:
+            raise ControlRefused(f"{slot.address} is stopped already")
+        self.tell_asked("stop", slot, request)
+        self.halt(slot, lambda: self.reply(request), f"asked for by {request.by}")
+
+    def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
+        """Stops a task, if it runs, and starts it; the answer comes once it runs."""
+
+        def again() -> None:
+            if not body.keep_state:
+                slot.carried = None
+            slot.supervision.forget()
+            self.launch(slot, lambda reason: self.reply(request, reason))
+
+        self.tell_asked("restart", slot, request)
+        self.halt(slot, again, f"restart asked for by {request.by}")
+
+    def reschedule_asked(self, slot: Slot, body: Reschedule, request: Request) -> None:
+        """Changes a task's rate; the answer comes once it has taken effect."""
+
+        def change(task: Task) -> dict[str, Any]:
+            task.reschedule(body.rate_hz, body.timer)
+            return {"rate_hz": body.rate_hz}
+
+        self.in_task(slot, request, "rate_changed", change)
+
+    def configure_asked(self, slot: Slot, body: Configure, request: Request) -> None:
+        """Changes a running task's settings; the answer comes once they have taken effect."""
+
+        def change(task: Task) -> dict[str, Any]:
+            task.change_settings(body.settings)
+            return {"settings": dict(body.settings)}
+
+        self.in_task(slot, request, "settings_changed", change)
+
+    def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
+        """Makes a change in a running task's own actor, then tells `log` and whoever asked.
+
+        Raises:
+            ControlRefused: the task does not run.
+        """
+        task = slot.task
+        if task is None or slot.state is not TaskState.RUNNING:
+            raise ControlRefused(f"{slot.address} is {slot.state.value}, not running")
+
+        def make() -> None:
+            try:
+                told = change(task)
+            except (PancakesError, ValueError) as error:
+                reason = str(error)
+                self.call(lambda: self.reply(request, reason))
+                return
+            self.call(lambda: self._changed(slot, request, kind, told))
+
+        task.call(make)
+
+    def _changed(self, slot: Slot, request: Request, kind: str, told: dict[str, Any]) -> None:
+        self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **told)
+        self.reply(request, result=told)
+
+    def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
+        self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)

@@ -1,0 +1,24 @@
+"""The Client Service: the tasks of the user, and the channels that they talk on (paper §3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pancakes.services.durable import DurableService
+
+
+class ClientService(DurableService):
+    """Loads the user's tasks and spawns channels for what they say among each other."""
+
+    @dataclass
+    class Settings:
+        """What it brings besides the tasks of the configuration.
+
+        Attributes:
+            channels: channels that are opened with the service.
+        """
+
+        channels: list[str] = field(default_factory=list)
+
+    def on_start(self) -> None:
+        for channel in self.settings.channels:
+            self.open_channel(channel)

@@ -1,0 +1,264 @@
+"""The Device Service: one task for each sensor and actuator of the agent (paper §3.3)."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pancakes.control import Hold
+from pancakes.devices.driver import Actuator, Driver, Sensor
+from pancakes.kernel.handlers import Tick, every, on
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.registry import DeviceEntry
+from pancakes.net.transport import Transport
+from pancakes.packet import CTRL, SYSTEM, Packet
+from pancakes.service import Service, Slot
+from pancakes.settings import make_settings
+from pancakes.supervision import RestartSpec
+from pancakes.task import Carried, Task, TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.kernel.kernel import Kernel
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSpec:
+    """A device as data, from `[device.NAME]`.
+
+    Attributes:
+        name: its name.
+        cls: the class of its driver.
+        type: name of the driver's entry point.
+        settings: the driver's settings, as plain values.
+        rate_hz: how often it is sampled; None: whenever the driver has something.
+        hold_after_s: an actuator goes to its safe hold after this mission time without a fresh command.
+        restart: what happens when the driver fails.
+    """
+
+    name: str
+    cls: type[Driver]
+    type: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    rate_hz: float | None = None
+    hold_after_s: float = 0.5
+    restart: RestartSpec = RestartSpec()
+
+
+class SharedThings:
+    """What the drivers of one agent share, such as the connection to a bus. Any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._things: dict[str, Any] = {}
+
+    def get(self, key: str, make: Callable[[], Any]) -> Any:
+        """Returns the thing under `key`, making it first where it is not there."""
+        with self._lock:
+            if key not in self._things:
+                self._things[key] = make()
+            return self._things[key]
+
+    def close(self) -> None:
+        """Closes all of them."""
+        with self._lock:
+            things = list(self._things.values())
+            self._things.clear()
+        for thing in things:
+            thing.close()
+
+
+class TaskContext:
+    """What a driver gets of its agent: see `pancakes.devices.driver.DeviceContext`."""
+
+    def __init__(self, task: DeviceTask, shared: SharedThings) -> None:
+        self._task = task
+        self._shared = shared
+        self.agent = task.agent
+        self.device = task.name
+        self.random: random.Random = task.random
+        self.transport: Transport = task.kernel.transport
+
+    def now(self) -> float:
+        return self._task.now()
+
+    def deliver(self, body: Any) -> None:
+        self._task.deliver(body)
+
+    def send(self, channel: str, body: Any, to: str) -> None:
+        self._task.publish(channel, body, to)
+
+    def call(self, function: Callable[[], None]) -> None:
+        self._task.call(function)
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> None:
+        self._task.after(delay_s, function)
+
+    def log(self, level: str, text: str) -> None:
+        self._task.log(level, f"{self.device}: {text}")
+
+    def mission_packets_sent(self) -> int:
+        return self._task.kernel.mission_packets_sent()
+
+    def shared(self, key: str, make: Callable[[], Any]) -> Any:
+        return self._shared.get(key, make)
+
+
+class DeviceTask(Task):
+    """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
+
+    An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than the
+    highest it has seen. Without a fresh command it goes to its safe hold.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        device: DeviceSpec,
+        shared: SharedThings,
+        marks: dict[str, tuple[int, str]],
+        carried: Carried | None = None,
+        **others: Any,
+    ) -> None:
+        # A device has no settings of its own: they are the driver's, and change with it.
+        super().__init__(
+            kernel, address, mailbox, carried=Carried({}, {}, carried.periods_s if carried else {}), **others
+        )
+        self.device = device
+        self.blocking = device.cls.blocking
+        self._shared = shared
+        self._marks = marks
+        self.driver: Driver | None = None
+        self._command_s = 0.0
+        self._guarded = False
+        self._refused: tuple[str, str] = ("", "")
+
+    def on_start(self) -> None:
+        driver_class = self.device.cls
+        self._context = TaskContext(self, self._shared)
+        self.driver = driver_class(self._context, make_settings(driver_class.Settings, self.device.settings))
+        self.driver.open()
+        if isinstance(self.driver, Actuator):
+            self.subscribe(CTRL, driver_class.type, self.command)
+        actuator = isinstance(self.driver, Actuator)
+        self.kernel.registry.add_device(DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked))
+
+    def on_stop(self) -> None:
+        self.kernel.registry.remove_device(self.name)
+        if self.driver is None:
+            return
+        if isinstance(self.driver, Actuator):
+            self.driver.hold()
+        self.driver.close()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.on_stop()
+
+    @every(hz=0)
+    def sample(self, tick: Tick) -> None:
+        """Takes a reading and publishes it."""
+        if isinstance(self.driver, Sensor):
+            reading = self.driver.sample()
+            if reading is not None:
+                self.deliver(reading)
+        elif isinstance(self.driver, Actuator):
+            self.driver.tick()
+
+    def deliver(self, reading: Any) -> None:
+        """Publishes a reading on `system`. Any thread."""
+        if not self.actor_stopped.is_set():
+            self.publish(SYSTEM, reading)
+
+    @on(SYSTEM, None, addressed=True)
+    def receive(self, packet: Packet) -> None:
+        """Takes what was sent to this very device."""
+        if self.driver is not None:
+            self.driver.receive(packet)
+
+    def command(self, packet: Packet) -> None:
+        """Carries out a command of the actuator's holder; refuses anybody else's."""
+        driver = self.driver
+        assert isinstance(driver, Actuator)
+        refusal = self._refusal(packet)
+        if refusal:
+            # Said once for each source and reason: at 10 commands a second it would drown everything else.
+            if (packet.source, refusal) != self._refused:
+                self._refused = (packet.source, refusal)
+                self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
+                self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
+            return
+        self._refused = ("", "")
+        self._command_s = self.now()
+        driver.apply(packet.body, self.device.hold_after_s, packet.source)
+        if not self._guarded:
+            self._guarded = True
+            self.after(self.device.hold_after_s, self._guard)
+
+    def _refusal(self, packet: Packet) -> str:
+        holder = self.kernel.registry.holder(self.name)
+        if packet.source != holder:
+            return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
+        fence = packet.fence
+        if fence is not None:
+            mark = self._marks.get(fence.task_id)
+            if mark is not None and tuple(fence.epoch) < mark:
+                return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
+            self._marks[fence.task_id] = (fence.epoch[0], fence.epoch[1])
+        return ""
+
+    def _guard(self) -> None:
+        """Looks whether a fresh command has come in the time that the last one was good for."""
+        left_s = self._command_s + self.device.hold_after_s - self.now()
+        if left_s > 1e-9:
+            self.after(left_s, self._guard)
+            return
+        self._guarded = False
+        self._hold("no fresh command")
+
+    @on(CTRL, Hold, addressed=True)
+    def hold(self, packet: Packet) -> None:
+        """Goes to the safe hold at once."""
+        self._hold(packet.body.reason)
+
+    def _hold(self, reason: str) -> None:
+        if isinstance(self.driver, Actuator):
+            self.driver.hold()
+            self.event("safe_hold", device=self.name, reason=reason)
+
+
+class DeviceService(Service):
+    """Creates the device tasks and schedules them (paper §3.3)."""
+
+    durable: ClassVar[bool] = False
+
+    def __init__(self, *args: Any, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._devices = tuple(devices)
+        self._shared = SharedThings()
+        self._marks: dict[str, dict[str, tuple[int, str]]] = {device.name: {} for device in self._devices}
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        return [
+            TaskSpec(
+                name=device.name,
+                cls=DeviceTask,
+                type=device.type,
+                rate_hz=device.rate_hz,
+                restart=device.restart,
+                arguments={"device": device, "shared": self._shared, "marks": self._marks[device.name]},
+            )
+            for device in self._devices
+        ]
+
+    def on_stop(self) -> None:
+        self._shared.close()
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        device: DeviceSpec = slot.spec.arguments["device"]
+        holder = self.kernel.registry.holder(slot.name)
+        return {**super().describe_task(slot), "device": device.cls.type, **({"holder": holder} if holder else {})}

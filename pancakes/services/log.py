@@ -1,0 +1,125 @@
+"""The Log Service: what is said on `log`, to the console and into a file (paper §3.3)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal, TextIO
+
+import msgspec
+
+from pancakes.events import LEVELS, Event, LogLine
+from pancakes.kernel.handlers import on
+from pancakes.kernel.mailbox import queue
+from pancakes.packet import LOG, Packet, agent_of
+from pancakes.service import Service
+from pancakes.task import Task, TaskSpec
+
+KEEP = queue(4096)
+"""A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
+
+
+def record_of(packet: Packet) -> dict[str, Any]:
+    """Returns a packet of `log` as one record of a JSON lines file."""
+    record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
+    body = packet.body
+    if isinstance(body, Event):
+        return {**record, "kind": body.kind, **body.fields}
+    if isinstance(body, LogLine):
+        return {**record, "kind": "line", "level": body.level, "text": body.text}
+    return {**record, "kind": packet.type, "body": msgspec.to_builtins(body)}
+
+
+def line_of(record: dict[str, Any]) -> str:
+    """Returns a record as one line of JSON, its keys in their order."""
+    return json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": "))
+
+
+class Console(Task):
+    """Shows lines and events to whoever looks at the terminal."""
+
+    blocking = True  # a terminal or a pipe may make it wait
+
+    @dataclass
+    class Settings:
+        """What is shown: lines of this level and above; events count as `info`."""
+
+        level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @on(LOG, None, keep=KEEP)
+    def show(self, packet: Packet) -> None:
+        """Writes one line."""
+        body = packet.body
+        if isinstance(body, LogLine):
+            level, text = body.level, body.text
+        elif isinstance(body, Event):
+            level = "info"
+            text = " ".join(
+                [body.kind, *(f"{key}={value}" for key, value in body.fields.items() if value not in (None, ""))]
+            )
+        else:
+            level, text = "info", f"{packet.type} {body}"
+        if level in LEVELS and LEVELS.index(level) < LEVELS.index(self.settings.level):
+            return
+        try:
+            print(f"{packet.stamp:9.3f} {level:<7} {packet.source}: {text}", file=sys.stderr, flush=True)
+        except (OSError, ValueError):
+            # Whoever read us has gone; an agent does not stop for that.
+            self.stop()
+
+
+class LogFile(Task):
+    """Writes everything on `log` into a file, one JSON object a line."""
+
+    blocking = True  # a disk may make it wait
+
+    @dataclass
+    class Settings:
+        """Where to."""
+
+        path: str = "agent.jsonl"
+
+    def on_start(self) -> None:
+        path = Path(self.settings.path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file: TextIO = path.open("a", encoding="utf-8")
+
+    @on(LOG, None, keep=KEEP)
+    def write(self, packet: Packet) -> None:
+        """Writes one line."""
+        self._file.write(line_of(record_of(packet)) + "\n")
+        self._file.flush()
+
+    def on_stop(self) -> None:
+        self._file.close()
+
+
+class LogService(Service):
+    """Listens to `log` (paper §3.3)."""
+
+    durable: ClassVar[bool] = False
+
+    @dataclass
+    class Settings:
+        """What becomes of what is said on `log`.
+
+        Attributes:
+            console: whether it is shown on standard error.
+            level: the lowest level that is shown there.
+            file: path of a JSON lines file that everything is appended to; empty: none.
+        """
+
+        console: bool = True
+        level: Literal["debug", "info", "warning", "error"] = "info"
+        file: str = ""
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        tasks = []
+        if self.settings.console:
+            tasks.append(TaskSpec("Console", Console, settings={"level": self.settings.level}))
+        if self.settings.file:
+            tasks.append(TaskSpec("File", LogFile, settings={"path": self.settings.file}))
+        return tasks

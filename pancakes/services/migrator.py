@@ -1,0 +1,331 @@
+"""The Task Migrator: finds the neighbour that takes a task, and carries what the two agents say (paper §3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.kernel.handlers import on
+from pancakes.kernel.mailbox import reliable
+from pancakes.migration.capability import HOST_ROLE, Capability
+from pancakes.migration.cost import Cost, HostLoad
+from pancakes.migration.messages import (
+    Abort,
+    Activated,
+    Bid,
+    Commit,
+    HandOffMessage,
+    Message,
+    Moved,
+    Nak,
+    Piece,
+    Prepared,
+    Refuse,
+    Reserve,
+    Reserved,
+    Solicit,
+    Transfer,
+    Unknown,
+    addressed,
+    is_for,
+)
+from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
+from pancakes.migration.pieces import Assembly, cut
+from pancakes.migration.record import TaskId
+from pancakes.migration.slots import Slot, Slots
+from pancakes.migration.snapshot import Snapshot
+from pancakes.migration.times import Times
+from pancakes.net.mesh import Mesh
+from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.task import Task
+
+if TYPE_CHECKING:
+    from pancakes.services.durable import DurableService
+
+ADDRESS = "network/TaskMigrator"
+KEEP = reliable(1024)
+
+
+class Hosting:
+    """What this agent could be to a task from elsewhere: which types and cost functions it has.
+
+    Args:
+        role: the agent's role.
+        types: returns the task types that are installed, with the versions of their distributions.
+        costs: returns the cost functions, by name.
+    """
+
+    def __init__(
+        self,
+        role: str,
+        types: Callable[[], Mapping[str, str]],
+        costs: Callable[[], Mapping[str, Cost]],
+    ) -> None:
+        self.role = role
+        self.types = types
+        self.costs = costs
+
+
+class TaskMigrator(Task):
+    """Asks all neighbours for bids, answers theirs, and carries the messages of hand-offs.
+
+    Which task may run where is not decided here but by the hand-off of the service that owns it.
+    """
+
+    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+        self._hosting = hosting
+        self._times = Times()
+        self._negotiations: dict[TaskId, tuple[Negotiation, DurableService]] = {}
+        self._assembly = Assembly()
+        self._slots = Slots()
+        self._battery_level: float | None = None
+
+    # For the service that owns the task ------------------------------------------------------------------------
+
+    def negotiate(self, service: DurableService, request: Solicit, asked_by: str, to: str, dry_run: bool) -> None:
+        """Asks the neighbours who would take a task. In this actor."""
+        now_s = self.kernel.host.now()
+        negotiation = Negotiation(
+            request,
+            self.agent,
+            asked_by,
+            self._mesh.neighbours(),
+            now_s,
+            to,
+            dry_run,
+            self._times.bid_window_s,
+        )
+        self._negotiations[request.task_id] = (negotiation, service)
+        outcome = negotiation.begin(now_s)
+        for peer in negotiation.asked:
+            self._say(peer, request)
+        if outcome is None:
+            self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
+        self._conclude(request.task_id, outcome)
+
+    def attempt_failed(self, task_id: TaskId, peer: str, reason: str) -> None:
+        """The hand-off to a bidder came to nothing: the next one's turn. In this actor."""
+        found = self._negotiations.get(task_id)
+        if found is not None:
+            self.event("handoff_failed", task=task_id.name, to=peer, reason=reason)
+            self._conclude(task_id, found[0].failed(peer, reason, self.kernel.host.now()))
+
+    def moved(self, task_id: TaskId, peer: str) -> None:
+        """The task has a new owner. In this actor."""
+        found = self._negotiations.get(task_id)
+        if found is not None:
+            found[0].moved(peer, self.kernel.host.now())
+            self._finish(task_id, "")
+
+    def abandon(self, task_id: TaskId, reason: str) -> None:
+        """The task cannot be handed over at all just now. In this actor."""
+        if task_id in self._negotiations:
+            self._finish(task_id, reason)
+
+    def send(self, peer: str, message: HandOffMessage) -> None:
+        """Sends a message of a hand-off; it may be lost, and whoever needs it says it again. In this actor."""
+        if isinstance(message, Transfer):
+            for piece in cut(message):
+                self._say(peer, piece)
+        else:
+            self._say(peer, message)
+
+    def refuse_stop(self) -> str:
+        """Says why the network must not sleep now; empty: it may. Any thread."""
+        if self._negotiations:
+            names = ", ".join(str(task_id) for task_id in list(self._negotiations))
+            return f"the network of {self.agent} must not sleep while {names} is being moved"
+        for service in self._durable_services():
+            reason = service.refuse_stop()
+            if reason:
+                return reason
+        return ""
+
+    # Negotiating -----------------------------------------------------------------------------------------------
+
+    def _window_closes(self, negotiation: Negotiation) -> None:
+        task_id = negotiation.request.task_id
+        found = self._negotiations.get(task_id)
+        if found is not None and found[0] is negotiation:
+            # A timer may fire a hair early; the window is closed all the same.
+            self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), negotiation.deadline_s)))
+
+    def _conclude(self, task_id: TaskId, outcome: Outcome | None) -> None:
+        found = self._negotiations.get(task_id)
+        if outcome is None or found is None:
+            return
+        negotiation, service = found
+        if isinstance(outcome, Awarded):
+            service.call(lambda: service.award(task_id, outcome.peer, negotiation.request))
+        elif isinstance(outcome, Exhausted):
+            self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
+
+    def _finish(self, task_id: TaskId, reason: str) -> None:
+        negotiation, service = self._negotiations.pop(task_id)
+        ledger = negotiation.ledger(self.kernel.host.now())
+        plain = msgspec.to_builtins(ledger)
+        self.event("migration", task=task_id.name, **plain)
+        service.call(lambda: service.finish(task_id, reason, plain))
+
+    @on(NETWORK, Bid, keep=KEEP)
+    def on_bid(self, packet: Packet) -> None:
+        """A neighbour would take the task."""
+        self._answered(
+            packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
+        )
+
+    @on(NETWORK, Refuse, keep=KEEP)
+    def on_refuse(self, packet: Packet) -> None:
+        """A neighbour cannot take the task."""
+        self._answered(
+            packet, lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.reason, now_s)
+        )
+
+    def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
+        if not self._believes(packet):
+            return
+        found = self._negotiations.get(packet.body.task_id)
+        if found is not None and found[0].request.ask == packet.body.ask:
+            self._conclude(packet.body.task_id, take(found[0], packet.body, self.kernel.host.now()))
+
+    # Being asked -----------------------------------------------------------------------------------------------
+
+    @on(SYSTEM, "battery", keep="latest")
+    def on_battery(self, packet: Packet) -> None:
+        """Remembers what is left of this agent's battery."""
+        if agent_of(packet.source) == self.agent:
+            self._battery_level = packet.body.level
+
+    @on(NETWORK, Solicit, keep=KEEP)
+    def on_solicit(self, packet: Packet) -> None:
+        """Answers whether this agent would take a task, and at what cost."""
+        if not self._believes(packet):
+            return
+        request: Solicit = packet.body
+        peer = agent_of(packet.source)
+        refusal = self._refusal(request)
+        if not refusal:
+            try:
+                terms = dict(self._hosting.costs()[request.cost].terms(self._load()))
+            except Exception as error:  # a cost function is a plug-in, and may raise anything
+                refusal = f"its cost function {request.cost!r} failed: {type(error).__name__}: {error}"
+        if refusal:
+            self._say(peer, Refuse(request.task_id, request.ask, refusal))
+            self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
+        else:
+            cost = sum(terms.values())
+            self._say(peer, Bid(request.task_id, request.ask, cost, terms))
+            self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=terms)
+
+    def _refusal(self, request: Solicit) -> str:
+        registry = self.kernel.registry
+        names: dict[str, TaskId] = {}
+        for service in self._durable_services():
+            for slot in list(service.slots.values()):
+                names[slot.name] = service.id_of(slot)
+        for task_id in self._slots.kept(self.kernel.host.now()):
+            names.setdefault(task_id.name, task_id)
+        capability = Capability(
+            role=self._hosting.role,
+            devices=tuple(registry.device_types()),
+            types=self._hosting.types(),
+            names=names,
+            costs=tuple(self._hosting.costs()),
+            battery_level=self._battery_level,
+        )
+        refusal = capability.refusal_of(request)
+        if refusal:
+            return refusal
+        for device in registry.devices():
+            holder = registry.holder(device.name)
+            if device.actuator and device.type in request.requires and holder:
+                return f"{device.name} is held by {holder}"
+        return "" if self._durable_services() else "has no service that could look after it"
+
+    def _load(self) -> HostLoad:
+        running = sum(
+            1 for service in self._durable_services() for slot in list(service.slots.values()) if slot.task is not None
+        )
+        return HostLoad(active_tasks=running + len(self._slots.kept(self.kernel.host.now())))
+
+    # Handing over ----------------------------------------------------------------------------------------------
+
+    @on(NETWORK, Reserve, keep=KEEP)
+    @on(NETWORK, Reserved, keep=KEEP)
+    @on(NETWORK, Nak, keep=KEEP)
+    @on(NETWORK, Prepared, keep=KEEP)
+    @on(NETWORK, Commit, keep=KEEP)
+    @on(NETWORK, Activated, keep=KEEP)
+    @on(NETWORK, Abort, keep=KEEP)
+    @on(NETWORK, Unknown, keep=KEEP)
+    @on(NETWORK, Moved, keep=KEEP)
+    def on_message(self, packet: Packet) -> None:
+        """Gives a hand-off message to the service that owns the task."""
+        if not self._believes(packet):
+            return
+        message = packet.body
+        peer = agent_of(packet.source)
+        refusal = ""
+        if isinstance(message, Reserve):
+            self._slots.free(message.task_id)
+            refusal = self._refusal(message.request)
+            if not refusal:
+                until_s = self.kernel.host.now() + self._times.slot_s
+                self._slots.keep(message.task_id, Slot(peer, message.offer, until_s))
+        self._give(peer, message, refusal, "")
+
+    @on(NETWORK, Piece, keep=KEEP)
+    def on_piece(self, packet: Packet) -> None:
+        """Takes a piece of a snapshot in; gives the whole to the service that it names."""
+        if not self._believes(packet):
+            return
+        piece: Piece = packet.body
+        peer = agent_of(packet.source)
+        try:
+            transfer = self._assembly.add(peer, piece)
+            if transfer is None:
+                return
+            service = Snapshot.decode(transfer.snapshot).service
+        except (RemoteProtocolError, PancakesError) as error:
+            self._say(peer, Nak(piece.task_id, piece.offer, str(error)))
+            return
+        self._slots.free(piece.task_id)
+        self._give(peer, transfer, "", service)
+
+    def _give(self, peer: str, message: HandOffMessage, refusal: str, name: str) -> None:
+        services = self._durable_services()
+        owner = next((service for service in services if service.knows(message.task_id)), None)
+        owner = owner or next((service for service in services if service.name == (name or "client")), None)
+        if owner is None:
+            if isinstance(message, (Reserve, Transfer)):
+                self._say(peer, Nak(message.task_id, message.offer, f"has no service {name!r} that tasks can move to"))
+            return
+        found = owner
+        found.call(lambda: found.receive(peer, message, refusal))
+
+    def _durable_services(self) -> list[DurableService]:
+        return [
+            component  # type: ignore[misc]
+            for component in self.kernel.registry.components()
+            if getattr(component, "durable", False)
+        ]
+
+    # Talking ---------------------------------------------------------------------------------------------------
+
+    def _say(self, peer: str, message: Message) -> None:
+        journal = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
+        if not journal:
+            return
+        try:
+            self.publish(NETWORK, addressed(message, journal), to=join(peer, ADDRESS))
+        except PancakesError as error:
+            self.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
+
+    def _believes(self, packet: Packet) -> bool:
+        """Returns whether a message was meant for this agent with this disk, and not for a former one."""
+        return is_for(packet.body, self._mesh.identity.journal)

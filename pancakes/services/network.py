@@ -1,0 +1,168 @@
+"""The Network Service: what goes to other agents and comes from them (paper §3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from msgspec.structs import replace
+
+from pancakes.control import Follow, Unfollow
+from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
+from pancakes.kernel.handlers import Tick, every
+from pancakes.net.mesh import Mesh
+from pancakes.packet import Packet, agent_of, join
+from pancakes.service import Request, Service, Slot
+from pancakes.services.migrator import Hosting, TaskMigrator
+from pancakes.task import Task, TaskSpec
+
+
+class NetworkClient(Task):
+    """Takes what is bound for other agents and gives it to the mesh (paper §3.3).
+
+    It takes it in the publisher's own thread, so that sending costs no hop; it is the task that decides whether there is
+    a way out at all.
+    """
+
+    def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+
+    def on_start(self) -> None:
+        self.kernel.stream.gateway = self.send
+
+    def on_stop(self) -> None:
+        self.kernel.stream.gateway = None
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.kernel.stream.gateway = None
+
+    def send(self, packet: Packet) -> None:
+        """Sends a packet. In the publisher's thread.
+
+        A packet for an agent that is away is dropped and counted, as news for nobody is on any channel.
+
+        Raises:
+            LocalProtocolError: it cannot travel.
+            PeerBusy: the peer is too slow, and the channel may not lose packets.
+        """
+        try:
+            self._mesh.send(packet)
+        except PeerLost:
+            self.kernel.stream.undelivered += 1
+
+
+class Discovery(Task):
+    """Tells the neighbours which agents there are, at a rate that can be lowered to save power (paper §3.4)."""
+
+    def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+
+    @every(hz=1)
+    def announce(self, tick: Tick) -> None:
+        """Sends a beacon to every peer."""
+        self._mesh.announce()
+
+
+class NetworkService(Service):
+    """Enables communication with other agents (paper §3.3)."""
+
+    durable: ClassVar[bool] = False
+
+    @dataclass
+    class Settings:
+        """How it talks.
+
+        Attributes:
+            discovery_hz: beacons for each second of mission time.
+            insecure: whether it may listen on an address that others than this machine can reach; links are not encrypted.
+        """
+
+        discovery_hz: float = 1.0
+        insecure: bool = False
+
+    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, awake: list[bool], **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+        self._hosting = hosting
+        self._awake = awake
+        self._followers: dict[tuple[str, str], Callable[[Packet], None]] = {}
+        self.sleep_s: float | None = None
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        mesh = {"mesh": self._mesh}
+        return [
+            TaskSpec("NetworkClient", NetworkClient, arguments=mesh),
+            TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
+            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, "hosting": self._hosting}),
+        ]
+
+    def on_start(self) -> None:
+        if self._awake[0]:
+            return
+        self._awake[0] = True
+        self._mesh.wake()
+
+    def on_stop(self) -> None:
+        for channel, follower in list(self._followers):
+            self._unfollow(channel, follower)
+        self._awake[0] = False
+        self._mesh.sleep(self.sleep_s)
+
+    def refuse_stop(self) -> str:
+        networked = {device.type for device in self.kernel.registry.devices() if device.networked}
+        for component in self.kernel.registry.components():
+            if isinstance(component, Task) and networked.intersection(component.requires):
+                needed = ", ".join(sorted(networked.intersection(component.requires)))
+                return f"{self.address} must not sleep while {component.address} needs {needed}, which comes from elsewhere"
+        migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
+        if isinstance(migrator, TaskMigrator):
+            return migrator.refuse_stop()
+        return ""
+
+    def peer_down(self, name: str) -> None:
+        """Forgets what a peer followed that has gone. In this actor."""
+        for channel, follower in list(self._followers):
+            if agent_of(follower) == name:
+                self._unfollow(channel, follower)
+
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if isinstance(body, Follow):
+            self._follow(body, request)
+        elif isinstance(body, Unfollow):
+            self._unfollow(body.channel, request.by)
+            self.reply(request)
+        else:
+            super().carry_out_command(body, slot, request)
+
+    def _follow(self, body: Follow, request: Request) -> None:
+        follower = request.by
+        if agent_of(follower) == self.agent:
+            raise ControlRefused(f"{follower} is on this agent: it can subscribe to {body.channel!r} itself")
+        destination = agent_of(follower)
+        types = body.types
+
+        def forward(packet: Packet) -> None:
+            # What came from elsewhere has been seen there; what follows itself would never end.
+            if (types and packet.type not in types) or agent_of(packet.source) != self.agent:
+                return
+            try:
+                self._mesh.send(replace(packet, destination=destination), retry=True)
+            except PancakesError:
+                # A follower that is slow or gone misses something; the mesh counts it. To log it would go round in circles.
+                pass
+
+        self._unfollow(body.channel, follower)
+        try:
+            self.kernel.stream.tap(body.channel, forward)
+        except UnknownChannel as error:
+            raise ControlRefused(str(error)) from None
+        self._followers[body.channel, follower] = forward
+        self.reply(request)
+
+    def _unfollow(self, channel: str, follower: str) -> None:
+        forward = self._followers.pop((channel, follower), None)
+        if forward is not None:
+            self.kernel.stream.untap(channel, forward)

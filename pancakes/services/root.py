@@ -1,0 +1,374 @@
+"""The root of an agent: it stands by the services, and is where all control packets come in (paper §3.4).
+
+All control packets to an agent pass here and are numbered, so that contradictory ones are applied in one order. Each is
+handed to the service that it concerns; what is about a service itself is done here, because a service that sleeps
+cannot wake itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from pancakes.control import (
+    CONTROLS,
+    Begin,
+    Command,
+    Configure,
+    Describe,
+    Follow,
+    Migrate,
+    Reply,
+    Reschedule,
+    Restart,
+    Start,
+    Stop,
+    Unfollow,
+)
+from pancakes.errors import ControlRefused, PancakesError
+from pancakes.kernel.component import Component, describe
+from pancakes.packet import SYSCTRL, Packet, agent_of, join
+from pancakes.service import Request, Service, ServiceSpec, Slot
+from pancakes.suggestion import suggestion
+from pancakes.supervision import Next, Supervision
+
+if TYPE_CHECKING:
+    from pancakes.kernel.kernel import Kernel
+
+WATCH_S = 0.02
+"""How often, in host time, a service that failed is looked at until the last of its tasks has ended."""
+NETWORK = "network"
+
+
+class ServiceState(Enum):
+    """What a service does now."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    FAILED = "failed"
+
+
+@dataclass
+class ServicePlace:
+    """The place of one service; it outlives the actors that fill it."""
+
+    spec: ServiceSpec
+    address: str
+    supervision: Supervision
+    state: ServiceState = ServiceState.STOPPED
+    service: Service | None = None
+    reason: str = ""
+    on_running: list[Callable[[str], None]] = field(default_factory=list)
+    on_ended: list[Callable[[], None]] = field(default_factory=list)
+
+
+class Root(Component):
+    """Starts the services in order, stands by them, and takes all control packets.
+
+    Args:
+        kernel: the kernel.
+        address: `agent/kernel`.
+        specs: the services, in the order in which they start; they stop in reverse.
+        identity: what `Describe` says of the agent besides its tasks.
+        ready: called in this actor once every service has started all that it should.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        *,
+        specs: Sequence[ServiceSpec],
+        identity: Callable[[], dict[str, Any]] = dict,
+        ready: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(kernel, address)
+        self.places = {
+            spec.name: ServicePlace(spec, join(self.agent, spec.name), Supervision(spec.restart)) for spec in specs
+        }
+        self._identity = identity
+        self._on_ready = ready
+        self._number = 0
+        self._closing = False
+        self.ready = False
+
+    def on_start(self) -> None:
+        for body in CONTROLS:
+            self.subscribe(SYSCTRL, body, self.on_control)
+        self._start_next(list(self.places.values()))
+
+    def _start_next(self, places: list[ServicePlace]) -> None:
+        """Starts the services one after the other: tasks need the devices that come before them."""
+        if not places:
+            self.ready = True
+            self.event("ready")
+            self._on_ready()
+            return
+        self.launch(places[0], lambda reason: self._start_next(places[1:]))
+
+    # Services --------------------------------------------------------------------------------------------------
+
+    def launch(self, place: ServicePlace, then: Callable[[str], None] | None = None) -> None:
+        """Starts a service; `then` is called once it runs, or with the reason why it does not."""
+        place.state = ServiceState.STARTING
+        place.reason = ""
+        if then is not None:
+            place.on_running.append(then)
+        spec = place.spec
+        try:
+            service = self.kernel.spawn(
+                spec.cls,
+                place.address,
+                settings=spec.settings,
+                tasks=spec.tasks,
+                ready=lambda service: self.call(lambda: self._service_ready(place, service)),
+                exited=lambda service, error: self.call(lambda: self._service_ended(place, service, error)),
+                **spec.arguments,
+            )
+        except Exception as error:  # what a service's author wrote in __init__ may raise anything
+            self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
+            return
+        assert isinstance(service, Service)
+        place.service = service
+
+    def halt(self, place: ServicePlace, then: Callable[[], None]) -> None:
+        """Stops a service and all of its tasks; `then` is called once it has ended."""
+        if place.state in (ServiceState.STOPPED, ServiceState.FAILED) or place.service is None:
+            then()
+            return
+        place.on_ended.append(then)
+        if place.state is ServiceState.STOPPING:
+            return
+        place.state = ServiceState.STOPPING
+        service = place.service
+        service.call(lambda: service.close(lambda: None))
+
+    def close(self, then: Callable[[], None]) -> None:
+        """Stops all services, last first; `then` is called in this actor when the last has ended."""
+        self._closing = True
+        places = list(self.places.values())
+
+        def next_one() -> None:
+            if places:
+                self.halt(places.pop(), next_one)
+            else:
+                then()
+                self.stop()
+
+        next_one()
+
+    def _service_ready(self, place: ServicePlace, service: Component) -> None:
+        if place.service is not service or place.state is not ServiceState.STARTING:
+            return
+        place.state = ServiceState.RUNNING
+        self.event("service_started", service=place.spec.name)
+        waiting, place.on_running = place.on_running, []
+        for then in waiting:
+            then("")
+
+    def _service_ended(self, place: ServicePlace, service: Component, error: BaseException | None) -> None:
+        if place.service is not service:
+            return
+        self.kernel.stream.unsubscribe(place.address)
+        place.service = None
+        if error is not None and place.state is not ServiceState.STOPPING:
+            self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
+            return
+        place.state = ServiceState.STOPPED
+        self.event("service_stopped", service=place.spec.name)
+        waiting, place.on_ended = place.on_ended, []
+        for then in waiting:
+            then()
+
+    def _service_failed(self, place: ServicePlace, text: str) -> None:
+        place.reason = text
+        following = place.supervision.ended(True, self.kernel.host.now())
+        self.event("service_failed", service=place.spec.name, error=text, then=following.value)
+        if following is Next.RESTART and not self._closing:
+            self.log("warning", f"{place.address} is started again: {text}")
+            self._relaunch_when_clear(place)
+            return
+        place.state = ServiceState.FAILED
+        self.log("error", f"{place.address} is given up: {text}")
+        waiting, place.on_running = place.on_running, []
+        for then in waiting:
+            then(f"{place.address} failed: {text}")
+
+    def _relaunch_when_clear(self, place: ServicePlace) -> None:
+        """Starts a failed service anew once the last of its old tasks has ended: no task may run twice."""
+        if self._closing:
+            return
+        prefix = place.address + "/"
+        if any(component.address.startswith(prefix) for component in self.kernel.registry.components()):
+            self.after_host(WATCH_S, lambda: self._relaunch_when_clear(place))
+        else:
+            self.launch(place)
+
+    # Control ---------------------------------------------------------------------------------------------------
+
+    def on_control(self, packet: Packet) -> None:
+        """Numbers a control packet and hands it on."""
+        self._number += 1
+        request = Request(packet.source, (packet.source, packet.seq), self._number)
+        try:
+            self._resolve(packet.body, request)
+        except (ControlRefused, ValueError) as error:
+            self.reply(request, str(error))
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
+        """Answers whoever asked; an empty reason means that it has been done."""
+        self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+
+    def _resolve(self, body: Any, request: Request) -> None:
+        if isinstance(body, Begin):
+            self.kernel.begin(body.in_s)
+            self.reply(request)
+            return
+        if isinstance(body, (Follow, Unfollow)):
+            self._hand(NETWORK, "", body, request)
+            return
+        target = body.target
+        if isinstance(body, Describe) and not target:
+            self.reply(request, result=self.describe())
+            return
+        service, task = self.find(target)
+        if task:
+            self._hand(service, task, body, request)
+        else:
+            self._control_service(self.places[service], body, request)
+
+    def find(self, target: str) -> tuple[str, str]:
+        """Returns the service and the task that a target means; the task is empty where it means a service.
+
+        Raises:
+            ControlRefused: it means nothing here, or two things.
+        """
+        parts = target.split("/")
+        if parts and parts[0] == self.agent and len(parts) > 1:
+            parts = parts[1:]
+        if len(parts) == 2 and all(parts):
+            if parts[0] not in self.places:
+                raise ControlRefused(f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}")
+            return parts[0], parts[1]
+        if len(parts) != 1 or not parts[0]:
+            raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service")
+        name = parts[0]
+        owners = [
+            place.spec.name
+            for place in self.places.values()
+            if place.service is not None and name in place.service.slots
+        ]
+        if len(owners) > 1:
+            raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which")
+        if owners:
+            return owners[0], name
+        if name in self.places:
+            return name, ""
+        known = [
+            *self.places,
+            *(task for place in self.places.values() if place.service for task in place.service.slots),
+        ]
+        meant = suggestion(name, known)
+        raise ControlRefused(
+            f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else "")
+        )
+
+    def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
+        place = self.places.get(service)
+        if place is None or place.service is None or place.state is not ServiceState.RUNNING:
+            raise ControlRefused(f"{join(self.agent, service)} is {place.state.value if place else 'not there'}")
+        self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
+
+    def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
+        name = place.spec.name
+        if isinstance(body, Start):
+            if place.state not in (ServiceState.STOPPED, ServiceState.FAILED):
+                raise ControlRefused(f"{place.address} is {place.state.value} already")
+            place.supervision.forget()
+            self._tell_asked("start", name, request)
+            self.launch(place, lambda reason: self.reply(request, reason))
+        elif isinstance(body, Stop):
+            self._stop_service(place, body, request)
+        elif isinstance(body, Restart):
+            place.supervision.forget()
+            self._tell_asked("restart", name, request)
+            self.halt(place, lambda: self.launch(place, lambda reason: self.reply(request, reason)))
+        elif isinstance(body, (Reschedule, Configure, Migrate)):
+            raise ControlRefused(f"{place.address} is a service: name one of its tasks")
+        elif place.service is not None:
+            self._hand(name, "", body, request)
+        else:
+            self.reply(request, result=[])
+
+    def _stop_service(self, place: ServicePlace, body: Stop, request: Request) -> None:
+        if place.state is not ServiceState.RUNNING:
+            raise ControlRefused(f"{place.address} is {place.state.value}, not running")
+        elsewhere = agent_of(request.by) != self.agent
+        if elsewhere and place.spec.name == NETWORK and body.for_s is None:
+            raise ControlRefused(
+                f"{place.address} can be stopped from elsewhere only for a time (for_s): nobody could start it again"
+            )
+        assert place.service is not None
+        reason = place.service.refuse_stop()
+        if reason:
+            raise ControlRefused(reason)
+        self._tell_asked("stop", place.spec.name, request)
+        if place.spec.name == NETWORK:
+            # The answer has to leave before the way out is closed.
+            self.reply(request)
+            self.halt(place, lambda: None)
+        else:
+            self.halt(place, lambda: self.reply(request))
+        if body.for_s is not None:
+            self.after(body.for_s, lambda: self._wake(place))
+
+    def _wake(self, place: ServicePlace) -> None:
+        if place.state is ServiceState.STOPPED and not self._closing:
+            self.event("asked", what="wake", service=place.spec.name, by=self.address)
+            self.launch(place)
+
+    def _tell_asked(self, what: str, service: str, request: Request) -> None:
+        self.event("asked", what=what, service=service, by=request.by, number=request.number)
+
+    # Describing ------------------------------------------------------------------------------------------------
+
+    def describe(self) -> dict[str, Any]:
+        """Returns what is to be known about the agent, as plain values."""
+        return {
+            "agent": self.agent,
+            "ready": self.ready,
+            "mission_s": self.kernel.mission.now(),
+            "held": self.kernel.mission.held,
+            "channels": self.kernel.stream.channels(),
+            "devices": self.kernel.registry.device_types(),
+            "services": [self.describe_service(place) for place in self.places.values()],
+            "tasks": [
+                place.service.describe_task(slot)
+                for place in self.places.values()
+                if place.service is not None
+                for slot in _slots(place.service)
+            ],
+            "dead_letters": self.kernel.letters.count,
+            "undelivered": self.kernel.stream.undelivered,
+            **self._identity(),
+        }
+
+    def describe_service(self, place: ServicePlace) -> dict[str, Any]:
+        """Returns what is to be known about a service, as plain values."""
+        return {
+            "agent": self.agent,
+            "service": place.spec.name,
+            "type": place.spec.cls.__name__,
+            "state": place.state.value,
+            "reason": place.reason,
+            "tasks": [slot.name for slot in _slots(place.service)] if place.service is not None else [],
+        }
+
+
+def _slots(service: Service) -> list[Slot]:
+    # The service changes its table in its own actor; a copy made in one step is a consistent picture.
+    return list(service.slots.values())

@@ -1,0 +1,252 @@
+"""Settings: a dataclass says what may be set, plain values say what is set.
+
+The values come from a configuration file or from a packet, so nothing about them is taken on trust. msgspec
+checks each value but stops at its first error; here the dataclass is walked, so that a person sees all
+mistakes at once, each with its key.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.suggestion import suggestion
+
+_T = TypeVar("_T")
+
+_WORDS = {
+    "str": "a string",
+    "int": "an integer",
+    "float": "a number",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "nothing",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One mistake in settings.
+
+    Attributes:
+        path: the keys that lead to it, from the outermost; an integer is a place in a list, from 0. Empty where
+            the settings as a whole are at fault.
+        text: what is wrong, as a phrase.
+        suggestion: what was probably meant, or an empty string.
+    """
+
+    path: tuple[str | int, ...]
+    text: str
+    suggestion: str = ""
+
+    def __str__(self) -> str:
+        key = f"{dotted(self.path)}: " if self.path else ""
+        hint = f", did you mean {self.suggestion!r}?" if self.suggestion else ""
+        return f"{key}{self.text}{hint}"
+
+
+class SettingsError(PancakesError):
+    """Settings do not fit. Carries all of their problems at once."""
+
+    def __init__(self, owner: str, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__(f"bad settings for {owner}: " + "; ".join(str(problem) for problem in self.problems))
+
+
+def dotted(path: Sequence[str | int]) -> str:
+    """Returns a path as a person would write it: `legs[2].length_m`."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if re.fullmatch(r"[A-Za-z0-9_-]+", part) else '"' + part.replace('"', '\\"') + '"'
+            text += f".{name}" if text else name
+    return text
+
+
+def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Problem]:
+    """Returns all that is wrong with plain values as settings of a class.
+
+    Unknown and missing keys, wrong types, numbers out of the range that `Annotated[float, msgspec.Meta(...)]`
+    states, NaN, and what the dataclass refuses itself (a `ValueError` from its `__post_init__`).
+
+    Args:
+        cls: a dataclass, such as the `Settings` of a task, a driver or a service.
+        settings: the values as TOML or msgpack give them.
+        allow_nan: whether NaN is good for a number: not in settings, but in what a task has computed.
+    """
+    fault = _fault_of_class(cls)
+    if fault:
+        return [Problem((), fault)]
+    try:
+        problems = list(_walk(cls, settings, ()))
+        nans = [] if allow_nan else [Problem(path, "is not a number (nan)") for path in _nans(settings, ())]
+    except (TypeError, NameError, RecursionError) as error:  # a type that msgspec cannot check, or cannot resolve
+        return [Problem((), f"{cls.__qualname__} cannot be checked: {error}")]
+    return nans + [problem for problem in problems if all(problem.path != nan.path for nan in nans)]
+
+
+def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False) -> _T:
+    """Makes settings from plain values; see `check_settings` for the arguments.
+
+    Raises:
+        SettingsError: they do not fit; it names every mistake.
+    """
+    problems = check_settings(cls, settings, allow_nan)
+    if problems:
+        raise SettingsError(_owner(cls), problems)
+    return msgspec.convert(settings, cls)
+
+
+def change_settings(settings: _T, changes: Mapping[str, Any]) -> _T:
+    """Makes new settings from present ones, with some keys changed; the present ones stay as they are.
+
+    Args:
+        settings: the present settings.
+        changes: plain values by key. A key that is left out keeps its value; a table is replaced as a whole.
+
+    Raises:
+        SettingsError: the changes do not fit; it names every mistake.
+    """
+    plain = msgspec.to_builtins(settings)
+    return make_settings(type(settings), {**plain, **changes})
+
+
+def required_keys(cls: type) -> list[str]:
+    """Returns the keys of a dataclass that have no default, in their order."""
+    return [
+        field.name
+        for field in dataclasses.fields(cls)
+        if field.init and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+
+
+def _owner(cls: type) -> str:
+    """`ScanTarget.Settings` belongs to ScanTarget, and that is the name which a person knows."""
+    return cls.__qualname__.rpartition("<locals>.")[2].removesuffix(".Settings")
+
+
+def _fault_of_class(cls: type) -> str:
+    if not dataclasses.is_dataclass(cls):
+        return f"{_owner(cls)} has Settings that are no dataclass: decorate them with @dataclass"
+    declared = inspect.get_annotations(cls)
+    if declared and "__dataclass_fields__" not in cls.__dict__:
+        return f"{_owner(cls)} has Settings that add keys to inherited ones without @dataclass: decorate them with it"
+    return ""
+
+
+def _nans(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+    """The paths of all NaN in plain values."""
+    if isinstance(value, float) and math.isnan(value):
+        yield path
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _nans(item, (*path, str(key)))
+    elif isinstance(value, (list, tuple)):
+        for index, item in enumerate(value):
+            yield from _nans(item, (*path, index))
+
+
+def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Checks the parts of a value one by one, and the whole where all parts are sound."""
+    parts = list(_parts(kind, value, path))
+    yield from parts
+    if parts:
+        return
+    choices = _choices(kind)
+    if choices and value is not None and value not in choices:
+        near = suggestion(value, [c for c in choices if isinstance(c, str)]) if isinstance(value, str) else ""
+        yield Problem(path, f"expected one of {', '.join(_shown(c) for c in choices)}, not {_shown(value)}", near)
+        return
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        yield Problem(path, _phrase(str(error), value))
+
+
+def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Checks what is inside a table or list; whatever has no inside has no parts."""
+    kind = _container(kind, value)
+    origin, arguments = get_origin(kind), get_args(kind)
+    if isinstance(value, Mapping):
+        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+            yield from _fields(kind, value, path)
+        elif origin is not None and isinstance(origin, type) and issubclass(origin, Mapping) and len(arguments) == 2:
+            for key, item in value.items():
+                yield from _walk(arguments[1], item, (*path, str(key)))
+    elif isinstance(value, (list, tuple)):
+        for index, item in enumerate(value):
+            yield from _walk(_item_kind(origin, arguments, index), item, (*path, index))
+
+
+def _fields(cls: type, value: Mapping[Any, Any], path: tuple[str | int, ...]) -> Iterator[Problem]:
+    hints = get_type_hints(cls, include_extras=True)
+    known = [field.name for field in dataclasses.fields(cls) if field.init]
+    for key, item in value.items():
+        if key in known:
+            yield from _walk(hints[key], item, (*path, key))
+        else:
+            yield Problem((*path, str(key)), "unknown key", suggestion(str(key), [k for k in known if k not in value]))
+    for key in required_keys(cls):
+        if key not in value:
+            yield Problem((*path, key), "is missing")
+
+
+def _container(kind: Any, value: Any) -> Any:
+    """Strips `Annotated`, and picks from a union the arm that a table or list must be meant for."""
+    while get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) in (Union, types.UnionType):
+        arms = [_container(arm, value) for arm in get_args(kind) if arm is not type(None)]
+        if len(arms) == 1:
+            return arms[0]
+        return Any  # several arms: msgspec alone can say which of them fits
+    return kind
+
+
+def _item_kind(origin: Any, arguments: tuple[Any, ...], index: int) -> Any:
+    if origin is tuple and not (len(arguments) == 2 and arguments[1] is Ellipsis):
+        return arguments[index] if index < len(arguments) else Any
+    if isinstance(origin, type) and issubclass(origin, (Sequence, set, frozenset)) and arguments:
+        return arguments[0]
+    return Any
+
+
+def _choices(kind: Any) -> tuple[Any, ...]:
+    kind = _container(kind, None)
+    return get_args(kind) if get_origin(kind) is Literal else ()
+
+
+def _phrase(message: str, value: Any) -> str:
+    """Turns an error of msgspec into the words of a person who writes TOML."""
+    message = re.sub(r" - at (`[^`]*`|.*)$", "", message)
+    message = re.sub(r"`([^`]*)`", lambda found: " or ".join(_word(part) for part in found[1].split(" | ")), message)
+    message = message.removesuffix(".")
+    message = re.sub(r"(-?\d+)\.0\b", r"\1", message)
+    if message.startswith("Expected "):
+        message = "e" + message[1:]
+        if ", got" not in message and isinstance(value, (str, int, float)):
+            message += f", not {_shown(value)}"
+    return message
+
+
+def _word(kind: str) -> str:
+    return _WORDS.get(kind, kind)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

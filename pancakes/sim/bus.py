@@ -1,0 +1,144 @@
+"""What a simulated robot's devices and the simulated world say to each other: the hardware bus.
+
+It stands for the wires inside a robot, so it has connections of its own, takes part in no fault of the mesh and
+costs no battery. Requests go to the world, replies come back, each in a frame as on the mesh.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import msgspec
+
+from pancakes.errors import RemoteProtocolError
+from pancakes.wire.framing import FrameReader, frame
+
+
+class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
+    """A device begins to use a body; refused where that cannot be.
+
+    Attributes:
+        body: the body's name.
+        device: the device's name, which stands on all replies to it.
+        type: the device's type.
+        model: the kind of robot that a drive believes it drives; empty for sensors.
+    """
+
+    body: str
+    device: str
+    type: str
+    model: str = ""
+
+
+class Drive(msgspec.Struct, tag_field="is", tag="drive", array_like=True, frozen=True):
+    """The wheels are to run.
+
+    Attributes:
+        body: the robot's name.
+        device: the device's name.
+        left_mps: speed of the left wheel.
+        right_mps: speed of the right wheel.
+        ttl_s: for how long that is good, in mission seconds; the wheels stand afterwards.
+        source: address of the task that commands it.
+    """
+
+    body: str
+    device: str
+    left_mps: float
+    right_mps: float
+    ttl_s: float
+    source: str
+
+
+class Halt(msgspec.Struct, tag_field="is", tag="halt", array_like=True, frozen=True):
+    """The wheels are to stand at once."""
+
+    body: str
+    device: str
+
+
+class Sample(msgspec.Struct, tag_field="is", tag="sample", array_like=True, frozen=True):
+    """A sensor is asked.
+
+    Attributes:
+        body: the body's name.
+        device: the device's name.
+        type: the device's type.
+        packets_sent: how many mission packets the body's agent has sent so far, told by the device that
+            measures the battery.
+    """
+
+    body: str
+    device: str
+    type: str
+    packets_sent: int | None = None
+
+
+class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, frozen=True):
+    """A device may use the body that it asked for."""
+
+    device: str
+
+
+class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+    """What a sensor says: the body of a packet of the device's type, as plain values."""
+
+    device: str
+    type: str
+    value: dict[str, Any]
+
+
+class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, frozen=True):
+    """A request cannot be met, and why."""
+
+    device: str
+    reason: str
+
+
+Request: TypeAlias = Attach | Drive | Halt | Sample
+Reply: TypeAlias = Attached | Reading | Refused
+
+_REQUESTS = msgspec.msgpack.Decoder(list[Request])
+_REPLIES = msgspec.msgpack.Decoder(list[Reply])
+_ENCODER = msgspec.msgpack.Encoder()
+
+
+def encode(message: Request | Reply) -> bytes:
+    """Returns a message as a frame."""
+    return frame([_ENCODER.encode(message)])
+
+
+class RequestReader:
+    """Makes requests of the bytes that come from one client."""
+
+    def __init__(self) -> None:
+        self._frames = FrameReader()
+
+    def feed(self, data: bytes) -> list[Request]:
+        """Takes bytes, and returns the requests that are now complete.
+
+        Raises:
+            RemoteProtocolError: the bytes are no requests.
+        """
+        try:
+            return [request for payload in self._frames.feed(data) for request in _REQUESTS.decode(payload)]
+        except msgspec.MsgspecError as error:
+            raise RemoteProtocolError(f"that is no request to a simulated world: {error}") from None
+
+
+class ReplyReader:
+    """Makes replies of the bytes that come from a world."""
+
+    def __init__(self) -> None:
+        self._frames = FrameReader()
+
+    def feed(self, data: bytes) -> list[Reply]:
+        """Takes bytes, and returns the replies that are now complete.
+
+        Raises:
+            RemoteProtocolError: the bytes are no replies.
+        """
+        try:
+            return [reply for payload in self._frames.feed(data) for reply in _REPLIES.decode(payload)]
+        except msgspec.MsgspecError as error:
+            raise RemoteProtocolError(f"that is no reply of a simulated world: {error}") from None

@@ -1,0 +1,48 @@
+"""The truth about the simulated world, as the world tells it to its own agent's tasks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pancakes.packet import packet_type
+
+
+@dataclass(frozen=True, slots=True)
+class BodyState:
+    """What one body does.
+
+    Attributes:
+        name: what it is called.
+        kind: `robot`, `sensor` or `mover`.
+        x_m: where it is.
+        y_m: where it is.
+        theta_rad: its heading, in (-pi, pi].
+        v_mps: its speed along its heading.
+        omega_radps: its turning rate.
+        battery_v: true voltage of its battery; None where it has none.
+        driven_by: the task whose command its wheels follow; empty in safe hold.
+    """
+
+    name: str
+    kind: str
+    x_m: float
+    y_m: float
+    theta_rad: float
+    v_mps: float
+    omega_radps: float
+    battery_v: float | None = None
+    driven_by: str = ""
+
+
+@packet_type("world_state")
+@dataclass(frozen=True, slots=True)
+class WorldState:
+    """What all bodies do at one moment: robots first, then sensor nodes, then movers, as configured.
+
+    Attributes:
+        time_s: mission time of that moment.
+        bodies: the bodies.
+    """
+
+    time_s: float
+    bodies: tuple[BodyState, ...]

@@ -1,0 +1,115 @@
+"""The task that is the simulated world (`sim.world`): it owns the arena, answers the hardware bus, tells the truth.
+
+It runs in an agent of the role `environment`. While the mission waits at 0, so does the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.packet import SYSTEM
+from pancakes.sim.bus import Attach, Attached, Drive, Halt, Reading, Refused, Reply, Request, Sample
+from pancakes.sim.bus_server import BusServer
+from pancakes.sim.drive import Wheels
+from pancakes.sim.quantities import Positive
+from pancakes.sim.settings import ContentSettings
+from pancakes.sim.simulation import EARLY_S, STEP_S, Simulation
+from pancakes.task import Task, Tick, every
+
+
+class World(Task):
+    """The simulated world.
+
+    Publishes a `world_state` packet on `system` at exact multiples of its period in mission time, and the events
+    `collision` and `out_of_bounds` on `log`.
+    """
+
+    @dataclass
+    class Settings(ContentSettings):
+        """What the world holds, and how it is reached. The contents are read once, when the task starts.
+
+        Attributes:
+            bus: address at which simulated devices reach it.
+            state_hz: how often it publishes its state; a period must be a whole number of steps of 10 ms.
+        """
+
+        bus: str = "tcp://127.0.0.1:7499"
+        state_hz: Positive = 20.0
+
+        def __post_init__(self) -> None:
+            ContentSettings.__post_init__(self)
+            steps = 1.0 / (self.state_hz * STEP_S)
+            if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+                raise ValueError(f"state_hz = {self.state_hz} gives a period that is no whole number of {STEP_S} s")
+
+    settings: Settings
+    _server: BusServer | None = None
+
+    def on_start(self) -> None:
+        self._simulation = Simulation(self.settings, self.random)
+        self._state_steps = round(1.0 / (self.settings.state_hz * STEP_S))
+        self._next_state_step = 0
+        self._server = BusServer(self.kernel.transport, self.call, self._serve, self.log)
+        address = self._server.listen(self.settings.bus)
+        self.log("info", f"the hardware bus listens at {address}")
+
+    def on_stop(self) -> None:
+        if self._server is not None:
+            self._server.close()
+
+    def on_failure(self, *error: Any) -> None:
+        self.on_stop()
+
+    def on_settings(self) -> None:
+        self.log("warning", "a world that runs keeps what it holds: its new settings count from its next start")
+
+    @every(hz=50)
+    def advance(self, tick: Tick) -> None:
+        """Goes on to the present."""
+        self._advance()
+
+    def _advance(self) -> None:
+        now_s = self.now()
+        while self._next_state_step * STEP_S <= now_s + EARLY_S:
+            self._simulation.advance(self._next_state_step * STEP_S)
+            self.publish(SYSTEM, self._simulation.state())
+            self._next_state_step += self._state_steps
+        self._simulation.advance(now_s)
+        for happening in self._simulation.take_happenings():
+            self.event(
+                happening.kind,
+                time_s=happening.time_s,
+                names=list(happening.names),
+                x_m=happening.x_m,
+                y_m=happening.y_m,
+            )
+
+    def _serve(self, request: Request) -> Reply | None:
+        """Answers a request of a simulated device, at the world's present."""
+        self._advance()
+        try:
+            return self._answer(request)
+        except PancakesError as error:
+            return Refused(request.device, str(error))
+
+    def _answer(self, request: Request) -> Reply | None:
+        simulation = self._simulation
+        match request:
+            case Attach():
+                simulation.check(request.body, request.type, request.model)
+                return Attached(request.device)
+            case Drive():
+                wheels = Wheels(request.left_mps, request.right_mps)
+                simulation.drive(request.body, wheels, request.ttl_s, request.source)
+            case Halt():
+                simulation.hold(request.body)
+            case Sample():
+                if request.packets_sent is not None:
+                    simulation.packets_sent(request.body, request.packets_sent)
+                value = msgspec.to_builtins(simulation.sample(request.body, request.type))
+                return Reading(request.device, request.type, value)
+        return None

@@ -1,0 +1,60 @@
+"""When a task that ended is started again: the decision, as OTP's supervisors make it. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class RestartSpec:
+    """What a service does when a task has ended by itself.
+
+    Attributes:
+        policy: `permanent`: it is started again; `transient`: only where it failed; `temporary`: never.
+        at_most: how many restarts are tried ...
+        within_s: ... in so many seconds of host time; one more failure, and the task is given up.
+    """
+
+    policy: Literal["permanent", "transient", "temporary"] = "permanent"
+    at_most: int = 3
+    within_s: float = 5.0
+
+
+class Next(Enum):
+    """What follows the end of a task."""
+
+    RESTART = "restart"
+    REST = "rest"
+    GIVE_UP = "give up"
+
+
+class Supervision:
+    """The memory that a restart policy needs, for one task."""
+
+    def __init__(self, spec: RestartSpec) -> None:
+        self.spec = spec
+        self._restarts_s: deque[float] = deque()
+
+    def ended(self, failed: bool, now_s: float) -> Next:
+        """Decides what follows an end that nobody asked for.
+
+        Args:
+            failed: whether it ended by an error.
+            now_s: host time.
+        """
+        policy = self.spec.policy
+        if policy == "temporary" or (policy == "transient" and not failed):
+            return Next.GIVE_UP if failed else Next.REST
+        while self._restarts_s and self._restarts_s[0] <= now_s - self.spec.within_s:
+            self._restarts_s.popleft()
+        if len(self._restarts_s) >= self.spec.at_most:
+            return Next.GIVE_UP
+        self._restarts_s.append(now_s)
+        return Next.RESTART
+
+    def forget(self) -> None:
+        """Begins anew: somebody asked for a start."""
+        self._restarts_s.clear()

@@ -1,0 +1,181 @@
+"""Tasks: the main actors, which sense, control and decide (paper §3.2).
+
+A task says what it depends on and what it reacts to, and owns no thread, socket or lock:
+
+    class Blink(Task):
+        @dataclass
+        class Settings:
+            colour: str = "red"
+
+        @every(hz=1)
+        def blink(self, tick: Tick) -> None:
+            self.log("info", f"{self.settings.colour} at {tick.time_s:.0f} s")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from pancakes.control import Migrate
+from pancakes.kernel.component import Component
+from pancakes.kernel.handlers import Tick, every, on, period_of
+from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.migration.rule import MigrationRule
+from pancakes.packet import SYSCTRL, Fence
+from pancakes.settings import change_settings, make_settings
+from pancakes.supervision import RestartSpec
+
+if TYPE_CHECKING:
+    from pancakes.kernel.kernel import Kernel
+
+__all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
+
+
+@dataclass
+class Nothing:
+    """Settings or state of a task that has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSpec:
+    """All that a service needs to start a task, as data.
+
+    Attributes:
+        name: its name; its address is the service's with the name appended.
+        cls: its class.
+        type: name of its class's entry point; empty where it has none, and then it cannot move.
+        version: version of the distribution that the class comes from.
+        settings: its settings, as plain values.
+        rate_hz: the rate of its first timer, where it shall differ from what the class says.
+        start: whether it is started with its service.
+        restart: what happens when it ends by itself.
+        durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
+        rule: when it moves to another agent by itself.
+        arguments: what else its class wants, for tasks that a service makes of its own classes.
+    """
+
+    name: str
+    cls: type[Task]
+    type: str = ""
+    version: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    rate_hz: float | None = None
+    start: bool = True
+    restart: RestartSpec = RestartSpec()
+    durability: str = "lazy"
+    rule: MigrationRule | None = None
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """What a task carries from one actor to the next, on this agent or on another.
+
+    Attributes:
+        settings: its settings, as plain values.
+        state: its state, as plain values.
+        periods_s: the periods of its timers, by method.
+    """
+
+    settings: Mapping[str, Any]
+    state: Mapping[str, Any]
+    periods_s: Mapping[str, float] = field(default_factory=dict)
+
+
+class Task(Component):
+    """The base of all tasks.
+
+    Attributes:
+        requires: the device types that the agent must have. A task that requires an actuator is its only holder
+            while it runs.
+        settings: an instance of the class's `Settings`; replaced as a whole when they are changed, before
+            `on_settings` is called.
+        state: an instance of the class's `State`; it moves with the task.
+    """
+
+    requires: ClassVar[tuple[str, ...]] = ()
+    Settings: ClassVar[type] = Nothing
+    State: ClassVar[type] = Nothing
+
+    settings: Any
+    state: Any
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        carried: Carried | None = None,
+        rate_hz: float | None = None,
+        fence: Fence | None = None,
+        started: Callable[[Task], None] | None = None,
+        handled: Callable[[Task], None] | None = None,
+    ) -> None:
+        super().__init__(kernel, address, mailbox)
+        carried = carried or Carried({}, {})
+        self.settings = make_settings(self.Settings, carried.settings)
+        self.state = make_settings(self.State, carried.state)
+        self._periods_s = carried.periods_s
+        self._rate_hz = rate_hz
+        self._fence = fence
+        self._on_started = started
+        self._on_handled = handled
+        self.last: Carried | None = None
+
+    def on_settings(self) -> None:
+        """Called in the actor after the settings were changed while it runs."""
+
+    def migrate(self, to: str = "", then: str = "") -> None:
+        """Asks for this task to be moved to the neighbour that takes it for the lowest cost.
+
+        It goes on until one has been found, and for good where none is. The answer comes as a `Reply` on
+        `sysctrl`.
+
+        Args:
+            to: the only neighbour to ask; empty: all.
+            then: a task to start here once this one has gone.
+        """
+        service = self.address.split("/")[1]
+        self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then))
+
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        carried_s = self._periods_s.get(method)
+        if carried_s is not None:
+            return carried_s
+        return period_of(self._rate_hz) if self._rate_hz is not None and not self.timers else period_s
+
+    def take_turn(self, slice_s: float | None) -> None:
+        super().take_turn(slice_s)
+        if self._on_handled is not None:
+            self._on_handled(self)
+
+    def after_start(self) -> None:
+        if self._on_started is not None:
+            self._on_started(self)
+
+    def change_settings(self, changes: Mapping[str, Any]) -> None:
+        """Changes some settings: all of them are good, or nothing changes. In the actor.
+
+        Raises:
+            SettingsError: names every mistake.
+        """
+        self.settings = change_settings(self.settings, changes)
+        self.on_settings()
+
+    def carry(self) -> Carried:
+        """Returns what the task would carry to another actor now, as plain values. In the actor."""
+        return Carried(
+            msgspec.to_builtins(self.settings),
+            msgspec.to_builtins(self.state),
+            {name: timer.period_s for name, timer in self.timers.items()},
+        )
+
+    def _end(self, error: BaseException | None) -> None:
+        if error is None:
+            self.last = self.carry()
+        super()._end(error)

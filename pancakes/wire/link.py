@@ -1,0 +1,342 @@
+"""The state of one link to another agent: events and the host time go in, actions come out.
+
+    GREETING --hello--> MET --welcome--> UP --refuse, goodbye, silence, broken protocol--> OVER
+
+Both sides say hello. Two agents may be joined by several connections for a moment (both dialled, or one
+came back before the other noticed that it had gone), so one of them chooses: the one with the lower name sends
+`Welcome` on the connection that stays, and only then do packets flow, on either side. No packet is ever sent
+on a connection that will be given up for another, so none is lost or overtaken.
+
+Who does the sending, and where the time comes from, is the caller's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from pancakes.errors import RemoteProtocolError
+from pancakes.packet import Packet
+from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.wire.framing import Assembler, FrameReader
+from pancakes.wire.messages import (
+    HELLO_NUMBER,
+    Goodbye,
+    Hello,
+    LinkMessage,
+    Peers,
+    Piece,
+    Ping,
+    Pong,
+    Refusal,
+    Refuse,
+    Welcome,
+    link_message_from_row,
+)
+
+_RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTimes:
+    """All times of links and membership, in seconds of the host clock.
+
+    Attributes:
+        hello_s: how long a peer may take for its hello.
+        heartbeat_s: a ping is sent when nothing else was for so long.
+        missed: so many heartbeats without a byte, and the peer is gone: after `heartbeat_s * missed`, 2.0 s.
+        measure_s: a busy link sends a ping that often all the same, to measure the round trip.
+        stuck_s: a peer that takes none of the bytes that wait for it for so long is closed.
+        hold_s: how long a connection dialled by the higher name waits for our own dial to the same agent.
+        retry_first_s: an address is dialled again after a random time up to this,
+        retry_longest_s: which doubles with each failure up to this.
+    """
+
+    hello_s: float = 2.0
+    heartbeat_s: float = 0.5
+    missed: int = 4
+    measure_s: float = 5.0
+    stuck_s: float = 5.0
+    hold_s: float = 0.5
+    retry_first_s: float = 0.1
+    retry_longest_s: float = 10.0
+
+    @property
+    def gone_s(self) -> float:
+        """How long a peer may be silent."""
+        return self.heartbeat_s * self.missed
+
+
+class State(Enum):
+    """Where a link is; see the module's text."""
+
+    GREETING = "greeting"
+    MET = "met"
+    UP = "up"
+    OVER = "over"
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send this message, before any packet that waits."""
+
+    message: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """The peer said who it is; answer with `Link.admit` (the lower name, once) or `Link.refuse`."""
+
+    hello: Hello
+
+
+@dataclass(frozen=True, slots=True)
+class Up:
+    """The link stands: packets may flow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Packets came in, in this order."""
+
+    packets: list[Packet]
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedBlob:
+    """A blob is complete."""
+
+    kind: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """The peer named addresses of agents that it is connected to."""
+
+    addresses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Over:
+    """The link has ended: close the connection once what was to be sent is sent. Always the last action.
+
+    Attributes:
+        reason: a sentence for people.
+        refused: the peer's refusal of us, where that was the end.
+        refusing: our refusal of the peer, likewise.
+        goodbye: the peer's goodbye, likewise.
+        broken: whether the peer broke the protocol.
+    """
+
+    reason: str
+    refused: Refusal | None = None
+    refusing: Refusal | None = None
+    goodbye: Goodbye | None = None
+    broken: bool = False
+
+
+Action = Send | Met | Up | Received | ReceivedBlob | Learnt | Over
+
+
+class Link:
+    """One link.
+
+    Args:
+        own: what we say about ourselves.
+        times: its times.
+        now_s: host time at which the connection was opened.
+
+    Attributes:
+        state: where it is.
+        peer: what the peer said about itself, once it has.
+        rtt_s: smoothed round trip time, once measured.
+    """
+
+    def __init__(self, own: Hello, times: LinkTimes, now_s: float) -> None:
+        self.state = State.GREETING
+        self.peer: Hello | None = None
+        self.rtt_s: float | None = None
+        self._own = own
+        self._times = times
+        self._opened_s = now_s
+        self._heard_s = now_s
+        self._sent_s = now_s
+        self._pinged_s = now_s
+        self._pings = 0
+        self._unanswered: dict[int, float] = {}
+        self._reader = FrameReader()
+        self._assembler = Assembler()
+        self._encoder = Encoder()
+
+    def open(self, now_s: float) -> list[Action]:
+        """Begins: to be called once, when the connection stands."""
+        return [self._send(self._own, now_s)]
+
+    def sent(self, now_s: float) -> None:
+        """Notes that packets were sent, which makes a heartbeat needless. May be called from any thread."""
+        self._sent_s = now_s
+
+    def due_s(self) -> float:
+        """Returns the host time at which `tick` has something to do, if nothing comes in before."""
+        if self.state is State.OVER:
+            return float("inf")
+        beat_s = min(self._sent_s + self._times.heartbeat_s, self._pinged_s + self._times.measure_s)
+        return min(self._deadline()[0], beat_s)
+
+    def tick(self, now_s: float) -> list[Action]:
+        """Does what the time asks for: a heartbeat, or the end of a silent link."""
+        if self.state is State.OVER:
+            return []
+        deadline_s, reason = self._deadline()
+        if now_s >= deadline_s:
+            return self._over(reason)
+        quiet = now_s >= self._sent_s + self._times.heartbeat_s
+        if quiet or now_s >= self._pinged_s + self._times.measure_s:
+            self._pings += 1
+            self._pinged_s = now_s
+            self._unanswered[self._pings] = now_s
+            while len(self._unanswered) > self._times.missed:
+                del self._unanswered[next(iter(self._unanswered))]
+            return [self._send(Ping(self._pings), now_s)]
+        return []
+
+    def receive(self, data: bytes, now_s: float) -> list[Action]:
+        """Takes bytes that came in. Where they break the protocol, the last action is `Over`."""
+        if self.state is State.OVER:
+            return []
+        self._heard_s = now_s  # any byte counts as life
+        actions: list[Action] = []
+        try:
+            for payload in self._reader.feed(data):
+                self._payload(payload, now_s, actions)
+                if self.state is State.OVER:
+                    break
+        except RemoteProtocolError as error:
+            actions.append(self._send(Refuse("protocol", str(error)[:1000]), now_s))
+            actions.extend(self._over(f"{self._who()} broke the protocol: {error}", broken=True))
+        return actions
+
+    def admit(self, now_s: float) -> list[Action]:
+        """Makes this the link that stays. Only the lower name does so, after `Met`."""
+        if self.state is not State.MET:
+            return []
+        self.state = State.UP
+        return [self._send(Welcome(), now_s), Up()]
+
+    def refuse(self, code: Refusal, reason: str, now_s: float) -> list[Action]:
+        """Tells the peer why it is not wanted, and ends the link."""
+        if self.state is State.OVER:
+            return []
+        return [self._send(Refuse(code, reason[:1000]), now_s), *self._over(reason, refusing=code)]
+
+    def leave(self, goodbye: Goodbye, now_s: float) -> list[Action]:
+        """Says goodbye, and ends the link."""
+        if self.state is State.OVER:
+            return []
+        return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
+
+    def gossip(self, addresses: tuple[str, ...], now_s: float) -> list[Action]:
+        """Tells the peer addresses of other agents."""
+        return [self._send(Peers(addresses), now_s)] if self.state is State.UP else []
+
+    def _who(self) -> str:
+        return self.peer.name if self.peer is not None else "the other side"
+
+    def _deadline(self) -> tuple[float, str]:
+        """Returns when the link ends if nothing comes in, and why it then does."""
+        times = self._times
+        silent = (self._heard_s + times.gone_s, f"nothing was heard from {self._who()} for {times.gone_s:g} s")
+        if self.state is State.GREETING:
+            return self._opened_s + times.hello_s, f"no hello came within {times.hello_s:g} s"
+        if self.state is State.MET:
+            # The lower name may have to find out first that an older link has died.
+            welcome_s = times.hello_s + times.gone_s
+            return min(silent, (self._opened_s + welcome_s, f"{self._who()} did not say welcome in {welcome_s:g} s"))
+        return silent
+
+    def _send(self, message: LinkMessage, now_s: float) -> Send:
+        self._sent_s = now_s
+        return Send(self._encoder.link_message(message))
+
+    def _over(
+        self,
+        reason: str,
+        refused: Refusal | None = None,
+        refusing: Refusal | None = None,
+        goodbye: Goodbye | None = None,
+        broken: bool = False,
+    ) -> list[Action]:
+        self.state = State.OVER
+        return [Over(reason, refused, refusing, goodbye, broken)]
+
+    def _payload(self, payload: bytes, now_s: float, actions: list[Action]) -> None:
+        packets: list[Packet] = []
+        for row in rows_from_payload(payload):
+            if type(row[0]) is str:
+                if self.state is not State.UP:
+                    raise RemoteProtocolError("a packet came before the link was up")
+                if not packets:
+                    actions.append(Received(packets))
+                packets.append(packet_from_row(row))
+                continue
+            packets = []  # what follows a message of the link comes after it
+            if row[0] == HELLO_NUMBER:
+                actions.extend(self._hello(row, now_s))
+            else:
+                actions.extend(self._message(link_message_from_row(row), now_s))
+            if self.state is State.OVER:
+                return
+
+    def _hello(self, row: list[object], now_s: float) -> list[Action]:
+        if self.state is not State.GREETING:
+            raise RemoteProtocolError("a second hello came")
+        own = self._own
+        if len(row) < 2 or row[1] != own.version:  # another version's hello may have any form behind its version
+            theirs = row[1] if len(row) > 1 and isinstance(row[1], int) else "unknown"
+            reason = f"{own.name} speaks version {own.version} of the protocol and the other side version {theirs}"
+            return self.refuse("version", reason, now_s)
+        hello = link_message_from_row(row)
+        assert isinstance(hello, Hello)
+        self.peer = hello
+        if hello.fleet != own.fleet:
+            reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
+            return self.refuse("fleet", reason, now_s)
+        self.state = State.MET
+        return [Met(hello)]
+
+    def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
+        match message:
+            case Refuse(code, reason):
+                return self._over(f"{self._who()} refused the link: {reason}", refused=code)
+            case Goodbye(why, for_s):
+                until = "" if for_s is None else f" for {for_s:g} s"
+                reason = f"{self._who()} sleeps{until}" if why == "sleep" else f"{self._who()} stopped"
+                return self._over(reason, goodbye=message)
+            case Ping(token):
+                return [self._send(Pong(token), now_s)]
+            case Pong(token):
+                self._pong(token, now_s)
+                return []
+        if self.state is State.GREETING:
+            raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
+        if isinstance(message, Welcome):
+            if self.state is not State.MET or self.peer is None or self._own.name < self.peer.name:
+                raise RemoteProtocolError("a welcome came that was not the peer's to send")
+            self.state = State.UP
+            return [Up()]
+        if self.state is not State.UP:
+            raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
+        if isinstance(message, Peers):
+            return [Learnt(message.addresses)]
+        assert isinstance(message, Piece)
+        whole = self._assembler.feed(message)
+        return [ReceivedBlob(*whole)] if whole is not None else []
+
+    def _pong(self, token: int, now_s: float) -> None:
+        pinged_s = self._unanswered.pop(token, None)
+        if pinged_s is None:
+            return  # an old one: too late to say anything about the link of today
+        measured_s = now_s - pinged_s
+        self.rtt_s = measured_s if self.rtt_s is None else self.rtt_s + _RTT_WEIGHT * (measured_s - self.rtt_s)

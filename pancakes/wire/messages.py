@@ -1,0 +1,161 @@
+"""What two agents say to each other besides packets: the link's own messages.
+
+On the wire each is an array that begins with its number; a packet is an array that begins with the name of
+its channel, so the first element tells them apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal, get_args
+
+import msgspec
+
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+
+VERSION: Final = 1
+"""Version of the wire protocol. Agents of different versions do not talk."""
+
+HELLO_NUMBER: Final = 1
+"""First element of a `Hello`; the version follows it in every version of the protocol, past and to come."""
+
+Role = Literal["agent", "environment", "client"]
+"""`agent` may host tasks; `environment` is a simulated world, never asked to; `client` is a terminal, never counted."""
+
+Refusal = Literal["version", "fleet", "name", "self", "old", "duplicate", "full", "protocol"]
+"""Why a link was refused, for programs; the sentence beside it is for people.
+
+`version`, `fleet`: other than ours. `name`: borne by another agent. `self`: we dialled ourselves. `old`: a later
+boot of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more
+peers. `protocol`: the peer broke the protocol.
+"""
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[^/*\s]+\Z")]
+Address = Annotated[str, msgspec.Meta(max_length=256)]
+Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+
+
+class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
+    """The first message on a link, from both sides: who I am.
+
+    Attributes:
+        version: version of the wire protocol.
+        fleet: agents of different fleets do not talk.
+        name: the agent's name, the first part of all its addresses.
+        role: what it may be asked for.
+        journal: UUID of its journal; two agents of one name are told apart by it.
+        boot: how often that journal was opened; a higher one is a later life of the same agent.
+        listen: address at which it can be dialled, or empty.
+    """
+
+    version: int
+    fleet: Name
+    name: Name
+    role: Role
+    journal: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    boot: Count
+    listen: Address = ""
+
+
+class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """Sent by the lower name, on one connection to a peer at a time: this is the one that stays."""
+
+
+class Refuse(msgspec.Struct, frozen=True, array_like=True, tag=3):
+    """The last message on a link that its sender does not want, or no longer wants."""
+
+    code: Refusal
+    reason: Sentence
+
+
+class Ping(msgspec.Struct, frozen=True, array_like=True, tag=4):
+    """The heartbeat; `token` counts the sender's pings."""
+
+    token: Count
+
+
+class Pong(msgspec.Struct, frozen=True, array_like=True, tag=5):
+    """The answer to a ping, with its token."""
+
+    token: Count
+
+
+class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
+    """The last message of an agent that leaves on purpose.
+
+    Attributes:
+        why: it will `sleep` (and is not to be counted as dead), or it will `stop`.
+        for_s: how long it sleeps, in seconds of host time; None where it does not know.
+    """
+
+    why: Literal["sleep", "stop"]
+    for_s: Duration | None = None
+
+
+class Peers(msgspec.Struct, frozen=True, array_like=True, tag=7):
+    """Gossip: addresses of agents that the sender is connected to, never those of clients."""
+
+    addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
+
+
+class Piece(msgspec.Struct, frozen=True, array_like=True, tag=8):
+    """A piece of a blob (a task's snapshot), which is too large for one frame.
+
+    Attributes:
+        blob: number that the sender gave to this blob on this link.
+        kind: what it is, in the sender's words.
+        total: length of the whole blob in bytes.
+        offset: where this piece belongs; the pieces of a blob come in order.
+        data: its bytes.
+    """
+
+    blob: Count
+    kind: Annotated[str, msgspec.Meta(max_length=64)]
+    total: Count
+    offset: Count
+    data: bytes
+
+
+LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers | Piece
+
+_CLASSES: Final[dict[Any, type[LinkMessage]]] = {cls.__struct_config__.tag: cls for cls in get_args(LinkMessage)}
+
+
+def link_message_from_row(row: list[Any]) -> LinkMessage:
+    """Makes a link message from the array that came in.
+
+    Raises:
+        RemoteProtocolError: it is none, or its values are not what they must be.
+    """
+    cls = _CLASSES.get(row[0])
+    if cls is None:
+        raise RemoteProtocolError(f"the link has no message with the number {row[0]}")
+    try:
+        return msgspec.convert(row, cls)
+    except msgspec.ValidationError as error:
+        raise RemoteProtocolError(f"the link's message {cls.__name__} is malformed: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who an agent is, for its links; see `Hello` for the attributes."""
+
+    name: str
+    journal: str
+    boot: int = 0
+    fleet: str = "default"
+    role: Role = "agent"
+
+    def hello(self, listen: str = "") -> Hello:
+        """Returns the hello of this agent, which can be dialled at `listen`.
+
+        Raises:
+            LocalProtocolError: a part is not what it must be, such as a name with a slash.
+        """
+        row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, listen]
+        try:
+            return msgspec.convert(row, Hello)
+        except msgspec.ValidationError as error:
+            raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {error}") from None

@@ -1,0 +1,68 @@
+"""`BatteryWatchdog`: talk less when the battery runs low (paper §3.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pancakes.control import Reply, Reschedule
+from pancakes.devices.types import Battery
+from pancakes.packet import SYSCTRL, SYSTEM, Packet
+from pancakes.task import Task, on
+from pancakes_encirclement.quantities import NotNegative, Share
+
+CHARGED_ABOVE = 0.02
+"""The battery must rise this far above the threshold before falling below it counts anew."""
+
+
+class BatteryWatchdog(Task):
+    """Slows other tasks down, by control packets, when the battery falls below a level. Event: `saving_power`."""
+
+    requires = ("battery",)
+
+    @dataclass
+    class Settings:
+        """When, and what.
+
+        Attributes:
+            below: the level, as a share of the battery's range.
+            slow: the new rate of each task that is slowed down, in Hz, by `service/task`.
+        """
+
+        below: Share = 0.90
+        slow: dict[str, NotNegative] = field(default_factory=dict)
+
+    @dataclass
+    class State:
+        """What outlives a restart.
+
+        Attributes:
+            saving: whether the battery has fallen below the level, and the tasks were slowed down.
+        """
+
+        saving: bool = False
+
+    settings: Settings
+    state: State
+
+    def on_start(self) -> None:
+        self._asked: dict[int, str] = {}
+
+    @on(SYSTEM, Battery, keep="latest")
+    def measured(self, packet: Packet) -> None:
+        """Takes a reading of the battery."""
+        level = packet.body.level
+        if self.state.saving:
+            self.state.saving = level < self.settings.below + CHARGED_ABOVE
+        elif level < self.settings.below:
+            self.state.saving = True
+            self.event("saving_power", level=level, slow=dict(self.settings.slow))
+            for target, rate_hz in self.settings.slow.items():
+                request = self.publish(SYSCTRL, Reschedule(target, rate_hz))
+                self._asked[request.seq] = target
+
+    @on(SYSCTRL, Reply, addressed=True)
+    def answered(self, packet: Packet) -> None:
+        """Says what could not be slowed down, and why."""
+        target = self._asked.pop(packet.cause[1], None) if packet.cause is not None else None
+        if target is not None and not packet.body.ok:
+            self.log("warning", f"{target} was not slowed down: {packet.body.reason}")

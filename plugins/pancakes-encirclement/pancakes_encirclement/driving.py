@@ -1,0 +1,56 @@
+"""What all tasks that drive a robot have in common: the sensors round its body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pancakes.devices.types import Infrared, Sonar
+from pancakes.packet import SYSTEM, Packet, agent_of
+from pancakes.task import Task, on
+from pancakes_encirclement.avoidance import Avoidance
+from pancakes_encirclement.steering import Steering
+
+
+class DrivingTask(Task):
+    """The base of tasks that drive, and steer round what infrared and sonar see.
+
+    A robot needs neither ring of sensors: one without drives by the law alone.
+    """
+
+    requires = ("pose", "motors")
+
+    @dataclass
+    class Settings:
+        """How it drives.
+
+        Attributes:
+            avoidance: how carefully it drives; the sizes are those of the robot.
+        """
+
+        avoidance: Avoidance = field(default_factory=Avoidance)
+
+    settings: Any
+
+    def on_start(self) -> None:
+        self.steering = Steering(self.settings.avoidance)
+
+    def on_settings(self) -> None:
+        self.steering = Steering(self.settings.avoidance)
+
+    @on(SYSTEM, Infrared, keep="latest")
+    def infrared_seen(self, packet: Packet) -> None:
+        """Takes a sweep of the infrared ring."""
+        self._sweep(packet.body)
+
+    @on(SYSTEM, Sonar, keep="latest")
+    def sonar_seen(self, packet: Packet) -> None:
+        """Takes a sweep of the sonar ring."""
+        self._sweep(packet.body)
+
+    def _sweep(self, ring: Infrared | Sonar) -> None:
+        self.steering.sweep(ring.bearings_rad, ring.ranges_m, ring.max_range_m, self.now())
+
+    def is_own(self, packet: Packet) -> bool:
+        """Returns whether a packet was published on this robot."""
+        return agent_of(packet.source) == self.agent

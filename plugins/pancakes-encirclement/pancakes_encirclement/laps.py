@@ -1,0 +1,46 @@
+"""Counting how often a robot has gone round a point."""
+
+from __future__ import annotations
+
+import math
+
+from pancakes_encirclement.angles import wrap
+from pancakes_encirclement.circle import Point
+
+ON_CIRCLE_SHARE = 0.1
+"""A robot is on the circle where its distance from the centre is within this share of the radius."""
+
+
+def on_circle(position_m: Point, centre_m: Point, radius_m: float) -> bool:
+    """Returns whether a place is on a circle, to within `ON_CIRCLE_SHARE` of its radius."""
+    distance = math.hypot(position_m[0] - centre_m[0], position_m[1] - centre_m[1])
+    return abs(distance - radius_m) <= ON_CIRCLE_SHARE * radius_m
+
+
+class Laps:
+    """Sums the angle that a robot sweeps round a centre, clockwise, in revolutions.
+
+    Args:
+        revolutions: what was counted before, on this robot or on another.
+    """
+
+    def __init__(self, revolutions: float = 0.0) -> None:
+        self.revolutions = revolutions
+        self._bearing_rad: float | None = None
+
+    def recentred(self) -> None:
+        """The centre has moved: the next position begins a new arc, and adds nothing by itself."""
+        self._bearing_rad = None
+
+    def passed(self, position_m: Point, centre_m: Point) -> bool:
+        """Takes a position.
+
+        Returns:
+            Whether it completes a revolution.
+        """
+        bearing = math.atan2(position_m[1] - centre_m[1], position_m[0] - centre_m[0])
+        before = math.floor(self.revolutions)
+        if self._bearing_rad is not None:
+            self.revolutions -= wrap(bearing - self._bearing_rad) / (2.0 * math.pi)
+        self._bearing_rad = bearing
+        return math.floor(self.revolutions) > before

@@ -1,0 +1,67 @@
+"""`MotionDetection`: tell the neighbours that something moves here (paper §4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pancakes.devices.types import Motion, Pose
+from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, agent_of
+from pancakes.task import Task, on
+from pancakes_encirclement.packets import MotionDetected
+from pancakes_encirclement.quantities import NotNegative
+
+
+def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:
+    """Returns where in the world a motion sensor at `pose` sees something move.
+
+    Returns:
+        None where the sensor cannot tell.
+    """
+    if motion.bearing_rad is None or motion.range_m is None:
+        return None
+    direction = pose.theta_rad + motion.bearing_rad
+    return pose.x_m + motion.range_m * math.cos(direction), pose.y_m + motion.range_m * math.sin(direction)
+
+
+class MotionDetection(Task):
+    """Sends a place to the neighbours when the motion sensor senses something: its own, as in the paper."""
+
+    requires = ("motion", "pose")
+
+    @dataclass
+    class Settings:
+        """What to send, and how often.
+
+        Attributes:
+            period_s: at most one report in this time.
+            locate: send the place of what moves, as the sensor tells it, instead of the sensor's own.
+        """
+
+        period_s: NotNegative = 2.0
+        locate: bool = False
+
+    settings: Settings
+
+    def on_start(self) -> None:
+        self._pose: Pose | None = None
+        self._next_s = -math.inf
+
+    @on(SYSTEM, Pose, keep="latest")
+    def moved(self, packet: Packet) -> None:
+        """Remembers where the sensor stands."""
+        if agent_of(packet.source) == self.agent:
+            self._pose = packet.body
+
+    @on(SYSTEM, Motion, keep="latest")
+    def sensed(self, packet: Packet) -> None:
+        """Takes a reading of the motion sensor."""
+        motion: Motion = packet.body
+        if not motion.detected or self._pose is None or self.now() < self._next_s:
+            return
+        place = place_of(motion, self._pose) if self.settings.locate else (self._pose.x_m, self._pose.y_m)
+        if place is None:
+            return
+        self._next_s = self.now() + self.settings.period_s
+        self.publish(SYSTEM, MotionDetected(*place), to=NEIGHBOURS)
+        self.event("motion_detected", x_m=place[0], y_m=place[1])

@@ -1,0 +1,26 @@
+"""What the tasks of the encirclement say to each other, from agent to agent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pancakes.packet import packet_type
+
+
+@packet_type("encirclement.motion_detected")
+@dataclass(frozen=True, slots=True)
+class MotionDetected:
+    """Motion was sensed here: the place to go round, in the frame of the world."""
+
+    x_m: float
+    y_m: float
+
+
+@packet_type("encirclement.neighbour_pose")
+@dataclass(frozen=True, slots=True)
+class NeighbourPose:
+    """Where the sender is, in the frame of the world; heading in radians, counter-clockwise from the x axis."""
+
+    x_m: float
+    y_m: float
+    theta_rad: float

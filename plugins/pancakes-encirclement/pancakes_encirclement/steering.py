@@ -1,0 +1,120 @@
+"""A robot's steering: what a law wants, and what the robot sees, made one twist.
+
+`Steering` is a state machine without packets or clocks: poses, sweeps and times go in, twists come out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from pancakes.devices.types import Pose, Twist
+from pancakes_encirclement.angles import wrap
+from pancakes_encirclement.avoidance import Avoidance, blocked, free_bearing, room_ahead
+from pancakes_encirclement.homing import Homing
+from pancakes_encirclement.local_map import LocalMap
+
+_TIGHTER = (1.0, 0.5, 0.2)
+"""Shares of the wanted clearance that a robot tries in turn, where it finds no way."""
+_LONG_WAY_RAD = 0.6
+"""A way round that leads farther off than this is worth waiting for a free one."""
+_SLOWEST_SHARE = 0.2
+"""The share of its speed that a robot keeps however far its way leads from where it would like to go."""
+_STOP_SHARE = 0.3
+"""The share of the clearance that a robot never drives into."""
+
+
+class Steering:
+    """Leads a robot round what its sensors show.
+
+    Args:
+        avoidance: how carefully it drives.
+    """
+
+    def __init__(self, avoidance: Avoidance) -> None:
+        self._avoidance = avoidance
+        self._reach_m = avoidance.body_radius_m + avoidance.look_ahead_m
+        kept_m = self._reach_m + 2.0 * avoidance.clearance_m
+        self._map = LocalMap(avoidance.body_radius_m, kept_m, avoidance.memory_s)
+        self._pose: Pose | None = None
+        self._side = 0
+        self._blocked_since_s: float | None = None
+
+    def sweep(self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float) -> None:
+        """Takes a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
+        if self._pose is not None:
+            self._map.sweep(self._pose, bearings_rad, ranges_m, max_range_m, now_s)
+
+    def moved(self, pose: Pose) -> None:
+        """Takes the robot's newest pose."""
+        self._pose = pose
+
+    def follow(self, wanted: Twist, now_s: float) -> Twist:
+        """Returns the wanted twist where its way is free, and one round what stands in it elsewhere."""
+        points = self._points(now_s)
+        if not points or wanted.v_mps <= 0.0:
+            self._way_is_free()
+            return wanted
+        keep = self._avoidance.body_radius_m + self._avoidance.clearance_m
+        # The chord of the arc, as far ahead as the robot looks, is the direction that the law wants to take.
+        turn = max(-math.pi / 2, min(math.pi / 2, wanted.omega_radps / wanted.v_mps * self._reach_m / 2.0))
+        if not blocked(points, turn, keep, self._reach_m):
+            self._way_is_free()
+            return self._slowed(wanted, points)
+        homing = Homing(wanted.v_mps, self._avoidance.turn_radps)
+        return self._detour(points, turn, self._reach_m, math.inf, homing, now_s)
+
+    def drive_to(self, bearing_rad: float, distance_m: float, homing: Homing, now_s: float) -> Twist:
+        """Returns the twist that brings the robot to a goal, round what stands between.
+
+        Args:
+            bearing_rad: direction of the goal in the frame of the body.
+            distance_m: distance to the goal.
+            homing: the law to drive by.
+            now_s: mission time.
+        """
+        points = self._points(now_s)
+        keep = self._avoidance.body_radius_m + self._avoidance.clearance_m
+        reach = min(self._reach_m, distance_m + keep)
+        if not points or not blocked(points, bearing_rad, keep, reach):
+            self._way_is_free()
+            return self._slowed(homing.towards(bearing_rad, distance_m), points)
+        return self._detour(points, bearing_rad, reach, distance_m, homing, now_s)
+
+    def _points(self, now_s: float) -> list[tuple[float, float]]:
+        return [] if self._pose is None else self._map.around(self._pose, now_s)
+
+    def _way_is_free(self) -> None:
+        self._side = 0
+        self._blocked_since_s = None
+
+    def _detour(
+        self,
+        points: list[tuple[float, float]],
+        wanted_rad: float,
+        reach_m: float,
+        distance_m: float,
+        homing: Homing,
+        now_s: float,
+    ) -> Twist:
+        if self._blocked_since_s is None:
+            self._blocked_since_s = now_s
+        patient = now_s - self._blocked_since_s < self._avoidance.patience_s
+        for share in _TIGHTER:
+            keep = self._avoidance.body_radius_m + share * self._avoidance.clearance_m
+            bearing = free_bearing(points, wanted_rad, keep, reach_m, self._side)
+            if bearing is not None:
+                turn = wrap(bearing - wanted_rad)
+                if patient and abs(turn) > _LONG_WAY_RAD:
+                    return Twist(0.0, 0.0)
+                if turn != 0.0:
+                    self._side = 1 if turn > 0.0 else -1
+                twist = homing.towards(bearing, distance_m)
+                # Slower, the farther off: else two robots side by side keep each other from turning for ever.
+                share_of_speed = max(_SLOWEST_SHARE, 1.0 - abs(turn) / (math.pi / 2))
+                return self._slowed(Twist(twist.v_mps * share_of_speed, twist.omega_radps), points)
+        return Twist(0.0, 0.0)  # shut in: it waits, and what moves will move on
+
+    def _slowed(self, twist: Twist, points: list[tuple[float, float]]) -> Twist:
+        room = room_ahead(points, self._avoidance.body_radius_m + _STOP_SHARE * self._avoidance.clearance_m)
+        return Twist(min(twist.v_mps, room / self._avoidance.reaction_s), twist.omega_radps)

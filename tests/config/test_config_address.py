@@ -1,0 +1,49 @@
+"""Addresses of agents."""
+
+import pytest
+
+from pancakes.config import Address, parse_address
+
+
+@pytest.mark.parametrize(
+    ("text", "address", "loopback"),
+    [
+        ("tcp://127.0.0.1:7401", Address("tcp", "127.0.0.1", 7401), True),
+        ("tcp://localhost:0", Address("tcp", "localhost", 0), True),
+        ("tcp://127.8.0.1:1", Address("tcp", "127.8.0.1", 1), True),
+        ("tcp://[::1]:65535", Address("tcp", "::1", 65535), True),
+        ("tcp://[fe80::1%eth0]:1", Address("tcp", "fe80::1%eth0", 1), False),
+        ("tcp://0.0.0.0:1", Address("tcp", "0.0.0.0", 1), False),
+        ("tcp://robot-1.lab.example:1", Address("tcp", "robot-1.lab.example", 1), False),
+        ("tcp://localhost.evil.example:1", Address("tcp", "localhost.evil.example", 1), False),
+    ],
+)
+def test_addresses(text: str, address: Address, loopback: bool):
+    assert parse_address(text) == address
+    assert address.loopback is loopback
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "is no address"),
+        ("127.0.0.1:7401", "write it as tcp://host:port"),
+        ("tcp://::1:7401", "an IPv6 host stands in brackets"),
+        ("tcp://127.0.0.1:7401/x", "is no address"),
+        ("tcp://me@host:1", "is no address"),
+        ("tcp://host", "has no port"),
+        ("tcp://host:", "has no port"),
+        ("tcp://host:http", "has a bad port, 'http'"),
+        ("tcp://host:65536", "has a bad port"),
+        ("tcp://host:-1", "has a bad port"),
+        ("tcp://:7401", "has no host"),
+        ("tcp://[]:7401", "has no host"),
+        ("tcp://[::x]:7401", "has a bad IPv6 host"),
+        ("tcp://256.0.0.1:1", "four numbers from 0 to 255"),
+        ("tcp://ho*st:1", "has a bad host"),
+    ],
+)
+def test_what_is_no_address_says_why(text: str, problem: str):
+    with pytest.raises(ValueError, match="^'") as error:
+        parse_address(text)
+    assert problem in str(error.value)

@@ -1,0 +1,255 @@
+"""What a configuration can get wrong. All of it comes at once, each with its line, its key and what was meant."""
+
+import pytest
+
+from pancakes.config import parse
+from pancakes.errors import ConfigError
+
+HEAD = 'schema = 1\n[agent]\nname = "agent1"\n'
+"""Three lines that are sound: what the tests add begins on line 4."""
+
+
+def faults(text: str, sets: list[str] | None = None) -> list[str]:
+    with pytest.raises(ConfigError) as error:
+        parse(text, "a.toml", sets or [])
+    return [str(fault) for fault in error.value.faults]
+
+
+def test_all_mistakes_come_at_once_in_the_order_of_the_file():
+    text = """schema = 1
+[agent]
+name = "agent1"
+rolle = "agent"
+[clock]
+speed = 0
+[device.motors]
+driver = "sim.motors"
+rate_hz = -10
+[task.ScanTarget]
+type = "encirclement.ScanTarget"
+service = "clinet"
+restart = { policy = "permanant", at_most = "three" }
+"""
+    assert faults(text) == [
+        "a.toml:4: [agent] rolle: unknown key, did you mean 'role'?",
+        "a.toml:6: [clock] speed: expected a number > 0, not 0",
+        "a.toml:9: [device.motors] rate_hz: expected a number > 0, not -10",
+        "a.toml:12: [task.ScanTarget] service: there is no service 'clinet', did you mean 'client'?",
+        (
+            "a.toml:13: [task.ScanTarget] restart.policy: expected one of 'permanent', 'transient', 'temporary',"
+            " not 'permanant', did you mean 'permanent'?"
+        ),
+        "a.toml:13: [task.ScanTarget] restart.at_most: expected an integer, got a string",
+    ]
+
+
+def test_an_empty_file_lacks_the_schema_and_the_name():
+    assert faults("") == [
+        "a.toml: schema: is missing: the file states its format as schema = 1",
+        "a.toml: [agent] name: is missing",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("schema", "problem"),
+    [
+        ("2", "the format 2 is not known to this version, which reads 1"),
+        ('"1"', "expected an integer, not '1'"),
+        ("true", "expected an integer, not True"),
+    ],
+)
+def test_only_the_format_that_this_version_knows_is_read(schema: str, problem: str):
+    assert faults(HEAD.replace("schema = 1", f"schema = {schema}")) == [f"a.toml:1: schema: {problem}"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[tasks.X]\n", ["a.toml:4: [tasks]: unknown table, did you mean 'task'?"]),
+        ("[clock]\nspede = 2\n", ["a.toml:5: [clock] spede: unknown key, did you mean 'speed'?"]),
+        (
+            "[task.X]\ntype = 'x'\nrestart = { at_least = 1 }\n",
+            ["a.toml:6: [task.X] restart.at_least: unknown key, did you mean 'at_most'?"],
+        ),
+        (
+            "[task.X]\ntype = 'x'\n[task.X.migrate]\nwhen = 'battery'\nbelow = 0.5\nelse = 1\n",
+            ["a.toml:9: [task.X] migrate.else: unknown key"],
+        ),
+        (
+            "[service.network]\ndiscovery_hz = 1\n",
+            [
+                (
+                    "a.toml:5: [service.network] discovery_hz: unknown key;"
+                    " the service's own settings belong into its key `settings`"
+                )
+            ],
+        ),
+        (
+            "[task.X]\ntype = 'x'\nname = 'Y'\n",
+            ["a.toml:6: [task.X] name: unknown key; the name stands in the head of the table: [task.NAME]"],
+        ),
+        ("[channel.images]\nsize = 3\n", ["a.toml:5: [channel.images] size: unknown key"]),
+    ],
+)
+def test_unknown_keys_are_found_at_any_depth(text: str, expected: list[str]):
+    assert faults(HEAD + text) == expected
+
+
+def test_an_unknown_key_at_the_top():
+    assert faults("shcema = 1\n" + HEAD) == ["a.toml:1: shcema: unknown key, did you mean 'schema'?"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[clock]\nspeed = nan\n", "a.toml:5: [clock] speed: is not a number (nan)"),
+        ("[clock]\nspeed = true\n", "a.toml:5: [clock] speed: expected a number, got true or false"),
+        ("[clock]\nhold = 1\n", "a.toml:5: [clock] hold: expected true or false, got an integer"),
+        ("[device.d]\ndriver = 1\n", "a.toml:5: [device.d] driver: expected a string, got an integer"),
+        ("[device.d]\ndriver = 'x'\nsettings = 1\n", "a.toml:6: [device.d] settings: expected a table, got an integer"),
+        ("[device.d]\nrate_hz = 1\n", "a.toml:4: [device.d] driver: is missing"),
+        ("[service.vision]\n", "a.toml:4: [service.vision] type: is missing"),
+        ("[task.X]\n", "a.toml:4: [task.X] type: is missing"),
+        (
+            "[task.X]\ntype = 'x'\nrestart = { within_s = 0 }\n",
+            "a.toml:6: [task.X] restart.within_s: expected a number of seconds > 0, not 0",
+        ),
+        (
+            "[task.X]\ntype = 'x'\nrestart = { within_s = inf }\n",
+            "a.toml:6: [task.X] restart.within_s: expected a number of seconds > 0, not inf",
+        ),
+        (
+            "[service.log]\nrestart = { at_most = -1 }\n",
+            "a.toml:5: [service.log] restart.at_most: expected an integer >= 0, not -1",
+        ),
+        ("[task]\ntype = 'x'\n", "a.toml:5: [task.type]: expected a table with a name, such as [task.NAME]"),
+        ("[[task]]\ntype = 'x'\n", "a.toml:4: [task]: expected tables with a name each, such as [task.NAME]"),
+        ("[channel.system]\n", "a.toml:4: [channel.system]: the channel 'system' is a core one and always there"),
+    ],
+)
+def test_values_have_their_type_and_range(text: str, expected: str):
+    assert faults(HEAD + text) == [expected]
+
+
+def test_infinity_is_no_rate():
+    assert faults(HEAD + "[device.d]\ndriver = 'x'\nrate_hz = inf\n") == [
+        "a.toml:6: [device.d] rate_hz: expected a number <= 1000000000, not inf"
+    ]
+
+
+@pytest.mark.parametrize(("name", "near"), [("go home", "go_home"), ("a/b", "a_b"), ("*", "_"), (".x", "x")])
+def test_a_name_can_be_part_of_an_address_and_of_a_file_name(name: str, near: str):
+    (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
+
+    assert fault.startswith("a.toml:4: [task.")
+    assert f"{name!r} is no name: a name has letters, digits, '.', '_' and '-'" in fault
+    assert fault.endswith(f"did you mean {near!r}?")
+
+
+def test_agents_and_fleets_have_names_too():
+    text = 'schema = 1\n[agent]\nname = ""\nfleet = "a b"\n'
+
+    first, second = faults(text)
+    assert first.startswith("a.toml:3: [agent] name: '' is no name")
+    assert second.startswith("a.toml:4: [agent] fleet: 'a b' is no name")
+
+
+def test_a_long_name_is_refused():
+    (fault,) = faults(HEAD + f"[task.{'x' * 101}]\ntype = 'x'\n")
+    assert "at most 100 long" in fault
+
+
+def test_a_task_of_the_device_service_needs_a_name_of_its_own():
+    text = HEAD + "[device.pose]\ndriver = 'x'\n[task.pose]\ntype = 'x'\nservice = 'device'\n"
+    assert faults(text) == [
+        "a.toml:6: [task.pose]: has the same address as [device.pose]: give one of them another name"
+    ]
+
+
+class TestAddresses:
+    def test_each_peer_is_checked(self):
+        text = (
+            HEAD
+            + """peers = [
+    "tcp://10.0.0.1:7401",
+    "127.0.0.1:7401",
+    "tcp://10.0.0.1:0",
+    "tcp://10.0.0.1:7401",
+]
+"""
+        )
+        assert faults(text) == [
+            "a.toml:6: [agent] peers[1]: '127.0.0.1:7401' is no address: write it as tcp://host:port",
+            "a.toml:7: [agent] peers[2]: 'tcp://10.0.0.1:0' has the port 0, at which nobody can be reached",
+            "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' stands in the list for the second time",
+        ]
+
+    def test_an_agent_is_not_its_own_peer(self):
+        text = HEAD + 'listen = "tcp://127.0.0.1:7401"\npeers = ["tcp://127.0.0.1:7401"]\n'
+        (fault,) = faults(text)
+        assert "is the address at which this agent itself listens" in fault
+
+    def test_a_bad_address_to_listen_at(self):
+        assert faults(HEAD + 'listen = "tcp://127.0.0.1"\n') == [
+            "a.toml:4: [agent] listen: 'tcp://127.0.0.1' has no port: write it as tcp://host:port"
+        ]
+
+    def test_other_computers_are_let_in_only_where_the_file_says_insecure(self):
+        text = HEAD + 'listen = "tcp://0.0.0.0:7401"\n'
+
+        (fault,) = faults(text)
+        assert fault.startswith("a.toml:4: [agent] listen: 'tcp://0.0.0.0:7401' can be reached from other computers")
+        assert "settings = { insecure = true } in [service.network]" in fault
+        assert faults(text + "[service.network]\nsettings = { insecure = 1 }\n"), "only a plain true will do"
+
+        assert parse(text + "[service.network]\nsettings = { insecure = true }\n", "a.toml").agent.listen
+
+
+class TestMigrationRules:
+    def rule(self, rule: str) -> list[str]:
+        return faults(HEAD + f"[task.X]\ntype = 'x'\nmigrate = {rule}\n[task.GoHome]\ntype = 'x'\n")
+
+    @pytest.mark.parametrize(
+        ("rule", "key", "problem"),
+        [
+            ("{ below = 0.5 }", "migrate.when", "is missing"),
+            ("{ when = '', below = 0.5 }", "migrate.when", "is empty"),
+            ("{ when = 'battery' }", "migrate", "needs a bound: below, above or both"),
+            ("{ when = 'battery', below = 65 }", "migrate.below", "expected a number from 0 to 1"),
+            ("{ when = 'battery', above = -1 }", "migrate.above", "expected a number from 0 to 1"),
+            ("{ when = 'battery', below = nan }", "migrate.below", "is not a number (nan)"),
+            ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "expected a finite number, not inf"),
+            ("{ when = 'battery', below = 0.5, above = 0.4 }", "migrate.below", "is more than above (0.4)"),
+            ("{ when = 'battery', below = 0.5, then = 'X' }", "migrate.then", "names the task itself"),
+        ],
+    )
+    def test_a_rule_that_cannot_be_meant(self, rule: str, key: str, problem: str):
+        (fault,) = self.rule(rule)
+        assert fault.startswith(f"a.toml:6: [task.X] {key}: {problem}")
+
+    def test_what_follows_is_a_task_of_this_agent(self):
+        assert self.rule("{ when = 'battery', below = 0.5, then = 'GoHom' }") == [
+            "a.toml:6: [task.X] migrate.then: there is no task 'GoHom' here, did you mean 'GoHome'?"
+        ]
+
+    def test_the_bounds_of_other_fields_are_theirs(self):
+        text = HEAD + "[task.X]\ntype = 'x'\nmigrate = { when = 'temperature', field = 'celsius', above = 70 }\n"
+        assert parse(text, "a.toml").tasks["X"].migrate.above == 70
+
+
+class TestSyntax:
+    """TOML that cannot be parsed hides all else, so its fault comes alone."""
+
+    @pytest.mark.parametrize(
+        ("text", "expected"),
+        [
+            ("schema = 1\n[agent\n", "a.toml:2: TOML: expected ']' at the end of a table declaration"),
+            ("schema = 1\nx = \n", "a.toml:2: TOML: invalid value"),
+            ("schema = 1\nx = [1,\n", "a.toml:2: TOML: invalid value"),
+            ("[task.X]\n\n[task.X]\n", "a.toml:3: [task.X]: the table stands here for the second time"),
+            ("schema = 1\nschema = 1\n", "a.toml:2: TOML: a key stands here for the second time"),
+            ("x = " + "[" * 100_000, "a.toml: TOML: is nested too deeply"),
+        ],
+    )
+    def test_it_names_the_line(self, text: str, expected: str):
+        assert faults(text) == [expected]

@@ -1,0 +1,237 @@
+"""A configuration names plug-ins: they must exist, their settings must fit, and what tasks need must be there."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+from msgspec import Meta
+
+from pancakes.config import load, parse
+from pancakes.devices.driver import Actuator, Sensor
+from pancakes.devices.types import Battery, Pose
+from pancakes.errors import ConfigError
+from pancakes.plugins import Plugins
+from pancakes.service import Service
+from pancakes.task import Task
+
+
+class Compass(Sensor):
+    type = "pose"
+
+    @dataclass
+    class Settings:
+        offset_rad: float = 0.0
+
+    def sample(self) -> Pose:
+        return Pose(0.0, 0.0, self.settings.offset_rad)
+
+
+class Wheels(Actuator):
+    type = "motors"
+
+    def apply(self, command: Any, ttl_s: float) -> None: ...
+
+    def hold(self) -> None: ...
+
+
+class Untyped(Sensor):
+    def sample(self) -> None: ...
+
+
+class Circle(Task):
+    requires = ("pose", "motors")
+
+    @dataclass
+    class Settings:
+        radius_m: Annotated[float, Meta(gt=0)] = 0.5
+
+
+class Watch(Task):
+    pass
+
+
+PARTS = {
+    **{("pancakes.services", name): Service for name in ("device", "network", "log", "client")},
+    ("pancakes.transports", "tcp"): object,
+    ("pancakes.drivers", "test.compass"): Compass,
+    ("pancakes.drivers", "test.wheels"): Wheels,
+    ("pancakes.drivers", "test.untyped"): Untyped,
+    ("pancakes.drivers", "test.function"): len,
+    ("pancakes.tasks", "test.Circle"): Circle,
+    ("pancakes.tasks", "test.Watch"): Watch,
+    ("pancakes.tasks", "test.Service"): Service,
+    ("pancakes.costs", "tasks"): len,
+    ("pancakes.packets", "devices"): Battery,
+}
+
+HEAD = 'schema = 1\n[agent]\nname = "agent1"\n'
+DEVICES = '[device.wheels]\ndriver = "test.wheels"\n[device.compass]\ndriver = "test.compass"\n'
+
+
+def faults(text: str, parts: dict[tuple[str, str], Any] | None = None) -> list[str]:
+    """The faults of a text that begins on line 4."""
+    try:
+        parse(HEAD + text, "a.toml", [], Plugins(extra=parts or PARTS))
+    except ConfigError as error:
+        return [str(fault) for fault in error.faults]
+    return []
+
+
+def test_a_sound_configuration():
+    text = 'listen = "tcp://127.0.0.1:0"\n' + DEVICES + '[task.Circle]\ntype = "test.Circle"\nsettings.radius_m = 1\n'
+    assert faults(text) == []
+
+
+def test_names_that_nobody_offers():
+    text = '[device.d]\ndriver = "test.compas"\n[service.s]\ntype = "lidar.M"\n[task.Circle]\ntype = "Circle"\n'
+    assert faults(text) == [
+        "a.toml:5: [device.d] driver: unknown driver 'test.compas', did you mean 'test.compass'?",
+        "a.toml:7: [service.s] type: unknown service type 'lidar.M' (no installed distribution offers any of lidar.*)",
+        "a.toml:9: [task.Circle] type: unknown task type 'Circle', did you mean 'test.Circle'?",
+    ]
+
+
+def test_an_address_of_a_transport_that_nobody_offers():
+    assert faults('listen = "tpc://127.0.0.1:1"\npeers = ["udp://127.0.0.1:1"]\n') == [
+        "a.toml:4: [agent] listen: unknown transport 'tpc' in 'tpc://127.0.0.1:1', did you mean 'tcp'?",
+        "a.toml:5: [agent] peers[0]: unknown transport 'udp' in 'udp://127.0.0.1:1'",
+    ]
+
+
+def test_settings_are_checked_against_the_class():
+    text = (
+        DEVICES
+        + """settings = { offset = 1 }
+[service.log]
+settings = { colour = true }
+[task.Circle]
+type = "test.Circle"
+start = false
+[task.Circle.settings]
+radius_m = -1
+"""
+    )
+    assert faults(text) == [
+        "a.toml:8: [device.compass] settings.offset: unknown key, did you mean 'offset_rad'?",
+        "a.toml:10: [service.log] settings.colour: unknown key",
+        "a.toml:15: [task.Circle] settings.radius_m: expected a number > 0, not -1",
+    ]
+
+
+def test_what_is_wrong_with_the_format_and_with_the_plugins_comes_together(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(HEAD + '[clock]\nspeed = 0\n[task.Circle]\ntype = "test.Cirlce"\nstrat = true\n')
+
+    with pytest.raises(ConfigError) as error:
+        load(path, ["task.Circle.migrate={ when = 'batery', below = 0.5, cost = 'taks' }"], Plugins(extra=PARTS))
+    assert [(fault.where.rpartition("/")[2][:10], fault.suggestion) for fault in error.value.faults] == [
+        ("a.toml:5", ""),
+        ("a.toml:7", "test.Circle"),
+        ("a.toml:8", "start"),
+        ("--set task", "tasks"),
+        ("--set task", "battery"),
+    ]
+
+
+class TestRequires:
+    def test_a_device_that_is_not_there(self):
+        text = '[device.compass]\ndriver = "test.compass"\n[task.Circle]\ntype = "test.Circle"\n'
+        assert faults(text) == [
+            "a.toml:7: [task.Circle] type: needs a device of the type motors; this agent has pose",
+        ]
+
+    def test_no_device_at_all(self):
+        assert faults('[task.Circle]\ntype = "test.Circle"\n') == [
+            "a.toml:5: [task.Circle] type: needs devices: pose, motors; this agent has no device",
+        ]
+
+    def test_a_task_that_is_not_started_may_wait_for_its_device(self):
+        assert faults('[task.Circle]\ntype = "test.Circle"\nstart = false\n') == []
+
+    def test_a_task_that_a_migration_will_start_may_not(self):
+        text = """[task.Circle]
+type = "test.Circle"
+start = false
+[task.Watch]
+type = "test.Watch"
+migrate = { when = "battery", below = 0.5, then = "Circle" }
+"""
+        (fault,) = faults(text)
+        assert fault.startswith("a.toml:5: [task.Circle] type: needs devices")
+
+
+class TestMigrationRules:
+    def rule(self, rule: str) -> list[str]:
+        return faults(f'[task.Watch]\ntype = "test.Watch"\nmigrate = {rule}\n')
+
+    def test_the_cost_is_a_plugin(self):
+        assert self.rule('{ when = "battery", below = 0.5, cost = "task" }') == [
+            "a.toml:6: [task.Watch] migrate.cost: unknown cost 'task', did you mean 'tasks'?"
+        ]
+
+    def test_the_packets_it_watches_are_of_a_known_type(self):
+        assert self.rule('{ when = "batterie", below = 0.5 }') == [
+            "a.toml:6: [task.Watch] migrate.when: unknown type of packets 'batterie', did you mean 'battery'?"
+        ]
+
+    def test_the_field_is_one_of_theirs(self):
+        assert self.rule('{ when = "battery", below = 7, field = "voltage" }') == [
+            (
+                "a.toml:6: [task.Watch] migrate.field: a packet of the type 'battery' has no field 'voltage',"
+                " but voltage_v, level, did you mean 'voltage_v'?"
+            )
+        ]
+        (fault,) = self.rule('{ when = "pose", below = 0.5 }')
+        assert "a packet of the type 'pose' has no field 'level', but x_m, y_m, theta_rad" in fault
+
+
+class TestDevices:
+    def test_only_an_actuator_has_a_hold(self):
+        text = DEVICES + "hold_after_s = 1\n"
+        assert faults(text) == [
+            "a.toml:8: [device.compass] hold_after_s: is for actuators, and 'test.compass' is none",
+        ]
+
+    def test_a_plugin_of_the_wrong_kind_is_its_authors_mistake(self):
+        text = '[device.a]\ndriver = "test.untyped"\n[device.b]\ndriver = "test.function"\n'
+        assert faults(text + '[task.t]\ntype = "test.Service"\n') == [
+            (
+                "a.toml:5: [device.a] driver: 'test.untyped' does not say the type of its device:"
+                " a defect of its distribution"
+            ),
+            "a.toml:7: [device.b] driver: 'test.function' is no Driver: a defect of its distribution",
+            "a.toml:9: [task.t] type: 'test.Service' is no Task: a defect of its distribution",
+        ]
+
+
+class TestPluginsThatFailToImport:
+    """They are no fault of the file: the agent runs without them, and `Plugins.problems` says what to log."""
+
+    @pytest.fixture
+    def plugins(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plugins:
+        information = tmp_path / "broken_parts-1.0.dist-info"
+        information.mkdir()
+        (information / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-parts\nVersion: 1.0\n")
+        (information / "entry_points.txt").write_text(
+            "[pancakes.tasks]\nbroken.Task = broken_parts:Task\n"
+            "[pancakes.drivers]\nbroken.driver = broken_parts:Driver\n"
+            "[pancakes.packets]\nbroken = broken_parts\n"
+        )
+        (tmp_path / "broken_parts.py").write_text("raise RuntimeError('no camera')\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        return Plugins(extra=PARTS)
+
+    def test_the_configuration_is_sound(self, plugins: Plugins):
+        config = parse(HEAD + '[task.X]\ntype = "broken.Task"\n', "a.toml", [], plugins)
+
+        assert config.tasks["X"].type == "broken.Task"
+        assert "'broken.Task' of broken-parts 1.0 (broken_parts:Task) cannot be loaded" in str(plugins.problems()[0])
+
+    def test_a_device_of_unknown_type_may_be_what_a_task_needs(self, plugins: Plugins):
+        text = '[device.d]\ndriver = "broken.driver"\n[task.Circle]\ntype = "test.Circle"\n'
+        assert parse(HEAD + text, "a.toml", [], plugins)
+
+    def test_a_module_of_packets_may_have_had_the_type_that_a_rule_watches(self, plugins: Plugins):
+        text = '[task.Watch]\ntype = "test.Watch"\nmigrate = { when = "smell", field = "strength", below = 1 }\n'
+        assert parse(HEAD + text, "a.toml", [], plugins)

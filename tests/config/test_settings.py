@@ -1,0 +1,172 @@
+"""Settings: a dataclass says what may be set; plain values from a file or a packet are checked against it."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import pytest
+from msgspec import Meta
+
+from pancakes.settings import SettingsError, change_settings, check_settings, make_settings
+
+
+@dataclass
+class Leg:
+    length_m: Annotated[float, Meta(gt=0)]
+    joints: int = 2
+
+    def __post_init__(self) -> None:
+        if self.joints == 13:
+            raise ValueError("13 joints cannot be steered")
+
+
+class Walker:
+    @dataclass
+    class Settings:
+        gait: Literal["walk", "trot"] = "walk"
+        speed_mps: float = 0.1
+        home_m: tuple[float, float] | None = None
+        tail: Leg | None = None
+        legs: list[Leg] = field(default_factory=list)
+        spare: dict[str, Leg] = field(default_factory=dict)
+        anything: Any = None
+
+
+def problems(settings: Any, cls: type = Walker.Settings) -> list[str]:
+    return [str(problem) for problem in check_settings(cls, settings)]
+
+
+def test_sound_values_become_an_instance():
+    settings = make_settings(
+        Walker.Settings,
+        {"gait": "trot", "speed_mps": 1, "home_m": [1, 2], "tail": {"length_m": 0.2}, "legs": [{"length_m": 1}]},
+    )
+
+    assert settings.gait == "trot"
+    assert settings.speed_mps == 1.0 and isinstance(settings.speed_mps, float)
+    assert settings.home_m == (1.0, 2.0)
+    assert settings.tail == Leg(0.2)
+    assert settings.legs == [Leg(1.0)]
+
+
+def test_what_is_left_out_has_its_default():
+    assert make_settings(Walker.Settings, {}) == Walker.Settings()
+
+
+def test_all_mistakes_come_at_once_each_with_its_path():
+    assert problems(
+        {
+            "gait": "trott",
+            "speed": 1,
+            "home_m": [1, "x"],
+            "tail": {"joints": 1.5},
+            "legs": [{"length_m": 1}, {"length_m": -1}, {"lenght_m": 1}],
+            "spare": {"left front": {"length_m": 1, "joints": 13}},
+        }
+    ) == [
+        "gait: expected one of 'walk', 'trot', not 'trott', did you mean 'trot'?",
+        "speed: unknown key, did you mean 'speed_mps'?",
+        "home_m[1]: expected a number, got a string",
+        "tail.joints: expected an integer, got a number",
+        "tail.length_m: is missing",
+        "legs[1].length_m: expected a number > 0, not -1",
+        "legs[2].lenght_m: unknown key, did you mean 'length_m'?",
+        "legs[2].length_m: is missing",
+        'spare."left front": 13 joints cannot be steered',
+    ]
+
+
+def test_a_key_that_is_there_already_is_not_suggested_again():
+    assert problems({"speed_mps": 1, "speed": 1}) == ["speed: unknown key"]
+
+
+def test_a_list_of_the_wrong_length():
+    assert problems({"home_m": [1]}) == ["home_m: expected a list of length 2, got 1"]
+
+
+def test_settings_that_are_no_table():
+    assert problems(3) == ["expected a table, got an integer"]
+
+
+def test_none_is_good_only_where_the_type_says_so():
+    assert problems({"tail": None, "home_m": None}) == []
+    assert problems({"gait": None, "speed_mps": None}) == [
+        "gait: expected a string, got nothing",
+        "speed_mps: expected a number, got nothing",
+    ]
+
+
+def test_nan_is_no_setting_but_may_be_a_state():
+    nan = float("nan")
+
+    assert problems({"speed_mps": nan, "anything": {"x": [nan]}, "legs": [{"length_m": nan}]}) == [
+        "speed_mps: is not a number (nan)",
+        "anything.x[0]: is not a number (nan)",
+        "legs[0].length_m: is not a number (nan)",
+    ]
+    assert make_settings(Walker.Settings, {"speed_mps": nan}, allow_nan=True).speed_mps != 0.1
+
+
+def test_make_settings_names_the_owner_and_every_mistake():
+    with pytest.raises(SettingsError) as error:
+        make_settings(Walker.Settings, {"gate": "trot", "speed_mps": "fast"})
+
+    assert str(error.value) == (
+        "bad settings for Walker: gate: unknown key, did you mean 'gait'?; speed_mps: expected a number, got a string"
+    )
+    assert [problem.path for problem in error.value.problems] == [("gate",), ("speed_mps",)]
+
+
+class TestChange:
+    """Settings that arrive by packet change those keys that they name."""
+
+    before = Walker.Settings(gait="trot", home_m=(1.0, 2.0), tail=Leg(0.2, joints=4))
+
+    def test_the_other_keys_stay(self):
+        after = change_settings(self.before, {"speed_mps": 0.3})
+
+        assert after == Walker.Settings(gait="trot", speed_mps=0.3, home_m=(1.0, 2.0), tail=Leg(0.2, joints=4))
+        assert self.before.speed_mps == 0.1, "nobody who holds the old settings sees them change"
+
+    def test_a_table_is_replaced_as_a_whole(self):
+        assert change_settings(self.before, {"tail": {"length_m": 1}}).tail == Leg(1.0)
+
+    def test_all_or_nothing(self):
+        with pytest.raises(SettingsError, match="speed_mps: expected a number"):
+            change_settings(self.before, {"gait": "walk", "speed_mps": []})
+
+
+class TestClassesThatCannotBeSettings:
+    """An author's mistake is told in a sentence, too."""
+
+    def test_a_class_without_the_decorator(self):
+        class Plain:
+            class Settings:
+                radius_m: float = 1.0
+
+        assert problems({}, Plain.Settings) == [
+            "Plain has Settings that are no dataclass: decorate them with @dataclass"
+        ]
+
+    def test_a_subclass_that_forgot_the_decorator(self):
+        class Runner:
+            class Settings(Walker.Settings):
+                stamina: float = 1.0
+
+        assert problems({"stamina": 2}, Runner.Settings) == [
+            "Runner has Settings that add keys to inherited ones without @dataclass: decorate them with it"
+        ]
+
+    def test_a_subclass_that_adds_nothing_is_sound(self):
+        class Runner:
+            class Settings(Walker.Settings):
+                pass
+
+        assert problems({"gait": "trot"}, Runner.Settings) == []
+
+    def test_a_type_that_cannot_be_resolved(self):
+        @dataclass
+        class Settings:
+            radius_m: "Metres"  # noqa: F821 - the mistake that is tested
+
+        (problem,) = problems({"radius_m": 1}, Settings)
+        assert "cannot be checked: name 'Metres' is not defined" in problem

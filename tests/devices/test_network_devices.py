@@ -1,0 +1,139 @@
+"""Virtual devices: the hardware is another agent's, the packets come over the mesh."""
+
+import pytest
+
+from pancakes.control import Hold
+from pancakes.devices.network import NetworkMotors, NetworkPose
+from pancakes.devices.pace import Pace
+from pancakes.devices.types import Battery, Pose, Twist
+from pancakes.packet import Packet, type_name
+from pancakes.settings import SettingsError, make_settings
+
+
+class Context:
+    """What a driver sees of its agent, with a clock that the test moves."""
+
+    agent = "agent1"
+    device = "pose"
+
+    def __init__(self):
+        self.time_s = 0.0
+        self.readings, self.lines, self.sent, self.later = [], [], [], []
+
+    def now(self):
+        return self.time_s
+
+    def deliver(self, body):
+        self.readings.append(body)
+
+    def send(self, channel, body, to):
+        self.sent.append((channel, body, to))
+
+    def after(self, delay_s, function):
+        self.later.append((self.time_s + delay_s, function))
+
+    def log(self, level, text):
+        self.lines.append((level, text))
+
+    def run_until(self, time_s):
+        while self.later and min(due for due, _ in self.later) <= time_s:
+            due = min(self.later, key=lambda call: call[0])
+            self.later.remove(due)
+            self.time_s = due[0]
+            due[1]()
+        self.time_s = time_s
+
+
+def packet(body, source="world/client/MotionCapture"):
+    return Packet("system", type_name(body), source, "agent1/device/pose", 0.0, 1, body)
+
+
+def pose_device(**settings):
+    context = Context()
+    driver = NetworkPose(context, make_settings(NetworkPose.Settings, settings))
+    driver.open()
+    return driver, context
+
+
+def test_a_reading_that_comes_is_published_as_its_own():
+    driver, context = pose_device()
+    driver.receive(packet(Pose(1.0, 2.0, 0.5)))
+    assert context.readings == [Pose(1.0, 2.0, 0.5)]
+    assert driver.sample() is None
+
+
+def test_no_more_than_max_hz_are_published():
+    driver, context = pose_device(max_hz=10.0)
+    for step in range(200):  # 100 a second for 2 s
+        context.run_until(step * 0.01)
+        driver.receive(packet(Pose(step, 0.0, 0.0)))
+    assert len(context.readings) == pytest.approx(20, abs=1)
+
+
+def test_readings_at_the_same_rate_all_pass_though_they_are_not_quite_regular():
+    driver, context = pose_device(max_hz=10.0)
+    for step in range(100):
+        context.run_until(0.1 * step + (0.008 if step % 2 else 0.0))
+        driver.receive(packet(Pose(step, 0.0, 0.0)))
+    assert len(context.readings) == 100
+
+
+def test_packets_of_another_type_are_dropped_and_said_once():
+    driver, context = pose_device()
+    for _ in range(3):
+        driver.receive(packet(Battery(8.0, 0.5), "agent2/device/battery"))
+    assert context.readings == []
+    assert context.lines == [
+        ("warning", "this device takes packets of the type 'pose'; agent2/device/battery sent 'battery'")
+    ]
+
+
+def test_silence_is_warned_of_once_and_its_end_is_told():
+    driver, context = pose_device(stale_after_s=2.0)
+    context.run_until(1.0)
+    driver.receive(packet(Pose(0.0, 0.0, 0.0)))
+    context.run_until(2.9)
+    assert context.lines == []
+    context.run_until(10.0)
+    assert context.lines == [("warning", "no reading has come for 2.0 s of mission time")]
+    driver.receive(packet(Pose(0.0, 0.0, 0.0)))
+    assert context.lines[-1] == ("info", "readings come again, from world/client/MotionCapture")
+    context.run_until(20.0)
+    assert len(context.lines) == 3
+
+
+def test_a_closed_device_watches_no_more():
+    driver, context = pose_device()
+    driver.close()
+    context.run_until(10.0)
+    assert (context.lines, context.later) == ([], [])
+
+
+def test_virtual_devices_say_that_they_need_the_mesh():
+    assert NetworkPose.networked
+    assert NetworkMotors.networked
+
+
+def test_virtual_motors_pass_commands_and_hold_on():
+    context = Context()
+    motors = NetworkMotors(context, make_settings(NetworkMotors.Settings, {"target": "agent2/device/motors"}))
+    motors.open()
+    motors.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
+    motors.hold()
+    (first, second) = context.sent
+    assert first == ("ctrl", Twist(0.1, 0.2), "agent2/device/motors")
+    assert (second[0], type(second[1]), second[2]) == ("ctrl", Hold, "agent2/device/motors")
+
+
+@pytest.mark.parametrize("target", ["agent2", "agent2/motors", "agent2//motors", ""])
+def test_a_target_must_be_a_devices_address(target):
+    with pytest.raises(SettingsError, match="no device's address"):
+        make_settings(NetworkMotors.Settings, {"target": target})
+
+
+def test_a_pace_does_not_make_up_for_a_gap():
+    pace = Pace(10.0)
+    assert pace.due(0.0)
+    assert pace.due(5.0)
+    assert not pace.due(5.01)
+    assert pace.due(5.1)

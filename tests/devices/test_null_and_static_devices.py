@@ -1,0 +1,54 @@
+"""Devices without hardware: those that do nothing, and those that never change."""
+
+import math
+
+import pytest
+
+from pancakes.devices import null
+from pancakes.devices.static import StaticPose
+from pancakes.devices.types import Pose, Twist
+from pancakes.settings import SettingsError, make_settings
+
+
+@pytest.mark.parametrize(
+    ("cls", "device_type"),
+    [
+        (null.NullPose, "pose"),
+        (null.NullBattery, "battery"),
+        (null.NullInfrared, "ir"),
+        (null.NullSonar, "sonar"),
+        (null.NullMotion, "motion"),
+    ],
+)
+def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
+    sensor = cls(None, cls.Settings())
+    sensor.open()
+    assert cls.type == device_type
+    assert sensor.sample() is None
+    sensor.close()
+
+
+def test_null_motors_take_every_command():
+    motors = null.NullMotors(None, null.NullMotors.Settings())
+    motors.open()
+    motors.apply(Twist(0.1, 0.0), 0.5, "agent1/client/ScanTarget")
+    motors.hold()
+    motors.close()
+    assert motors.type == "motors"
+
+
+def test_a_null_device_of_ones_own_type_is_a_class_of_two_lines():
+    class NullGas(null.NullSensor):
+        type = "gas"
+
+    assert NullGas(None, NullGas.Settings()).sample() is None
+
+
+def test_a_static_pose_is_where_it_was_said_to_be():
+    settings = make_settings(StaticPose.Settings, {"x_m": 1.0, "y_m": -2.0, "theta_rad": 3 * math.pi})
+    assert StaticPose(None, settings).sample() == Pose(1.0, -2.0, pytest.approx(math.pi))
+
+
+def test_a_static_pose_must_be_said():
+    with pytest.raises(SettingsError, match="x_m: is missing; y_m: is missing"):
+        make_settings(StaticPose.Settings, {})

@@ -1,0 +1,114 @@
+"""What a journal in a directory does with the operating system."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pancakes.journal import Entry, FileJournal, JournalError
+
+SCAN = Entry("task", "agent1/ScanTarget", b"x")
+
+
+def test_the_directory_is_for_its_owner_alone(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path / "robots" / "agent1")
+    journal.write([SCAN])
+
+    assert journal.directory.stat().st_mode & 0o777 == 0o700
+    assert all(path.stat().st_mode & 0o077 == 0 for path in journal.directory.iterdir())
+
+
+def test_each_new_journal_has_an_id_of_its_own(tmp_path: Path) -> None:
+    assert FileJournal(tmp_path / "a").uuid != FileJournal(tmp_path / "b").uuid
+
+
+def test_another_process_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    holder = FileJournal(tmp_path)
+    code = (
+        "import sys, pathlib\n"
+        "from pancakes.journal import FileJournal, JournalError\n"
+        "try: FileJournal(pathlib.Path(sys.argv[1]))\n"
+        "except JournalError as error: print(error)\n"
+    )
+
+    said = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True).stdout
+
+    assert said == f"the state directory {tmp_path} is in use by another agent (process {os.getpid()})\n"
+    holder.close()
+
+
+def test_a_process_that_was_killed_leaves_no_lock_and_no_half_entry(tmp_path: Path) -> None:
+    # It dies between writing the temporary file and renaming it.
+    code = (
+        "import os, sys, pathlib, signal\n"
+        "from pancakes.journal import Entry, FileJournal\n"
+        "journal = FileJournal(pathlib.Path(sys.argv[1]), 'first')\n"
+        "journal.write([Entry('task', 'agent1/ScanTarget', b'old')])\n"
+        "os.replace = lambda *names: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "journal.write([Entry('task', 'agent1/ScanTarget', b'new')])\n"
+    )
+    subprocess.run([sys.executable, "-c", code, tmp_path], check=False)
+    assert [path.name for path in tmp_path.glob("*.tmp")] == ["task.agent1%2FScanTarget.rec.tmp"]
+
+    journal = FileJournal(tmp_path)
+
+    assert [entry.data for entry in journal.entries("task")] == [b"old"]
+    assert list(tmp_path.glob("*.tmp")) == []
+    assert journal.set_aside == ()
+
+
+def test_entries_are_on_disk_before_write_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The order of system calls that an entry's survival rests on: all files, then names, then the directory."""
+    journal = FileJournal(tmp_path)
+    calls: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def spy_fsync(handle: int) -> None:
+        calls.append(f"fsync {Path(os.readlink(f'/proc/self/fd/{handle}')).name}")
+        fsync(handle)
+
+    def spy_replace(old: Path, new: Path) -> None:
+        calls.append(f"rename {Path(new).name}")
+        replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", spy_fsync)
+    monkeypatch.setattr(os, "replace", spy_replace)
+    journal.write([Entry("task", "a", b""), Entry("task", "b", b"")])
+
+    assert calls == [
+        "fsync task.a.rec.tmp",
+        "fsync task.b.rec.tmp",
+        "rename task.a.rec",
+        "rename task.b.rec",
+        f"fsync {tmp_path.name}",
+    ]
+
+
+def test_a_full_disk_is_an_error_that_names_the_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = FileJournal(tmp_path)
+    journal.write([SCAN])
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(JournalError, match=f"{tmp_path} cannot be written: No space left on device"):
+        journal.write([Entry("task", SCAN.key, b"y")])
+
+    assert journal.entries("task") == [SCAN]
+
+
+def test_a_file_in_the_directory_s_place_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("")
+    with pytest.raises(JournalError, match="cannot be used: File exists"):
+        FileJournal(tmp_path / "state")
+
+
+def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    FileJournal(tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"

@@ -1,0 +1,211 @@
+"""What every journal promises, whatever it writes to: one suite for the file and the memory journal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+
+from pancakes.journal import Entry, FileJournal, Journal, JournalError, MemoryJournal
+
+
+class Disk(Protocol):
+    """A disk that outlives the journals on it, and that a test may damage."""
+
+    def open(self, uuid: str = "first") -> Journal: ...
+
+    def names(self) -> list[str]: ...
+
+    def read(self, name: str) -> bytes: ...
+
+    def write(self, name: str, data: bytes) -> None: ...
+
+
+class DirectoryDisk:
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    def open(self, uuid: str = "first") -> Journal:
+        return FileJournal(self.directory, uuid)
+
+    def names(self) -> list[str]:
+        return sorted(path.name for path in self.directory.iterdir())
+
+    def read(self, name: str) -> bytes:
+        return (self.directory / name).read_bytes()
+
+    def write(self, name: str, data: bytes) -> None:
+        (self.directory / name).write_bytes(data)
+
+
+class DictionaryDisk:
+    def __init__(self) -> None:
+        self.cells: dict[str, bytes] = {}
+
+    def open(self, uuid: str = "first") -> Journal:
+        return MemoryJournal(self.cells, uuid)
+
+    def names(self) -> list[str]:
+        return sorted(self.cells)
+
+    def read(self, name: str) -> bytes:
+        return self.cells[name]
+
+    def write(self, name: str, data: bytes) -> None:
+        self.cells[name] = data
+
+
+@pytest.fixture(params=["file", "memory"])
+def disk(request: pytest.FixtureRequest, tmp_path: Path) -> Disk:
+    return DirectoryDisk(tmp_path / "state") if request.param == "file" else DictionaryDisk()
+
+
+SCAN = Entry("task", "agent1/ScanTarget", b"on the circle")
+HOME = Entry("task", "agent1/GoHome", b"parked")
+NAME = "task.agent1%2FScanTarget.rec"
+
+
+def test_what_was_written_is_there_after_a_restart(disk: Disk) -> None:
+    journal = disk.open()
+    journal.write([SCAN, HOME])
+    journal.close()
+
+    reopened = disk.open()
+
+    assert reopened.read("task", "agent1/ScanTarget") == SCAN
+    assert reopened.entries("task") == [HOME, SCAN]
+    assert reopened.entries("fence") == []
+    assert reopened.set_aside == ()
+
+
+def test_a_later_entry_takes_the_place_of_an_earlier_one(disk: Disk) -> None:
+    journal = disk.open()
+    journal.write([SCAN])
+    journal.write([HOME, Entry("task", SCAN.key, b"2"), Entry("task", SCAN.key, b"3")])
+    journal.close()
+
+    reopened = disk.open()
+
+    assert [entry.data for entry in reopened.entries("task")] == [b"parked", b"3"]
+
+
+def test_a_journal_keeps_its_id_and_counts_its_boots(disk: Disk) -> None:
+    first = disk.open("first")
+    first.close()
+    second = disk.open("second")
+
+    assert (first.uuid, first.boot) == ("first", 1)
+    assert (second.uuid, second.boot) == ("first", 2)
+
+
+def test_two_cannot_have_it_at_once(disk: Disk) -> None:
+    journal = disk.open()
+    with pytest.raises(JournalError, match="in use"):
+        disk.open()
+    journal.close()
+    disk.open().close()
+
+
+def test_a_closed_journal_writes_nothing(disk: Disk) -> None:
+    journal = disk.open()
+    journal.close()
+    with pytest.raises(JournalError, match="closed"):
+        journal.write([SCAN])
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (lambda data: data[:-1], "torn or damaged"),
+        (lambda data: data[: len(data) // 2], "torn or damaged"),
+        (lambda data: b"", "is empty"),
+        (lambda data: data[:-3] + b"xyz", "torn or damaged"),
+        (lambda data: b"TOML" + data, "is no file of a journal"),
+    ],
+    ids=["last byte missing", "half", "empty", "changed", "another format"],
+)
+def test_a_damaged_entry_is_set_aside_by_name_and_never_used(
+    disk: Disk, damage: Callable[[bytes], bytes], reason: str
+) -> None:
+    journal = disk.open()
+    journal.write([SCAN, HOME])
+    journal.close()
+    disk.write(NAME, damage(disk.read(NAME)))
+
+    reopened = disk.open()
+
+    assert reopened.read("task", SCAN.key) is None
+    assert reopened.entries("task") == [HOME]
+    (aside,) = reopened.set_aside
+    assert (aside.kind, aside.key) == ("task", "agent1/ScanTarget")
+    assert NAME in str(aside) and reason in str(aside)
+    assert NAME not in disk.names() and NAME + ".bad" in disk.names()
+    reopened.close()
+    # It is reported once, and out of the way from then on.
+    assert disk.open().set_aside == ()
+
+
+def test_a_second_damaged_entry_does_not_overwrite_the_first(disk: Disk) -> None:
+    disk.open().close()
+    for text in (b"one", b"two"):
+        disk.write(NAME, text)
+        disk.open().close()
+
+    assert disk.read(NAME + ".bad") == b"one"
+    assert disk.read(NAME + ".2.bad") == b"two"
+
+
+def test_an_entry_of_another_journal_is_set_aside(disk: Disk, tmp_path: Path) -> None:
+    other = FileJournal(tmp_path / "other", "another-robot")
+    other.write([SCAN])
+    other.close()
+    disk.open().close()
+    disk.write(NAME, (tmp_path / "other" / NAME).read_bytes())
+
+    (aside,) = disk.open().set_aside
+
+    assert "belongs to the journal another-robot, this is first" in aside.reason
+
+
+def test_an_entry_under_a_false_name_is_set_aside(disk: Disk) -> None:
+    journal = disk.open()
+    journal.write([SCAN])
+    journal.close()
+    disk.write("task.agent1%2FGoHome.rec", disk.read(NAME))
+
+    reopened = disk.open()
+
+    assert [aside.key for aside in reopened.set_aside] == ["agent1/GoHome"]
+    assert reopened.entries("task") == [SCAN]
+
+
+def test_a_journal_that_lost_its_identity_is_another_one_and_believes_nothing(disk: Disk) -> None:
+    journal = disk.open("first")
+    journal.write([SCAN])
+    journal.close()
+    disk.write("identity.identity.rec", b"garbage")
+
+    reopened = disk.open("second")
+
+    assert (reopened.uuid, reopened.boot) == ("second", 1)
+    assert reopened.entries("task") == []
+    assert len(reopened.set_aside) == 2
+
+
+@pytest.mark.parametrize("kind", ["", "Task", "task.x", "identity"])
+def test_a_kind_is_a_word(disk: Disk, kind: str) -> None:
+    with pytest.raises(JournalError, match="no kind"):
+        disk.open().write([Entry(kind, "key", b"")])
+
+
+def test_keys_may_have_any_letters_but_not_any_length(disk: Disk) -> None:
+    journal = disk.open()
+    odd = Entry("task", "../agent 1/Straße\n%", b"x")
+    journal.write([odd])
+    with pytest.raises(JournalError, match="too long"):
+        journal.write([Entry("task", "x" * 300, b"")])
+    journal.close()
+
+    assert disk.open().entries("task") == [odd]

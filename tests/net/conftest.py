@@ -1,0 +1,257 @@
+"""Two networks to run the same tests on: real sockets on loopback, and virtual time."""
+
+from __future__ import annotations
+
+import heapq
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import pytest
+
+from pancakes.clock import Clock, MonotonicClock, VirtualClock
+from pancakes.net.loop import Timer
+from pancakes.net.memory import MemoryNetwork
+from pancakes.net.mesh import Mesh
+from pancakes.net.tcp import TcpTransport
+from pancakes.net.transport import Connection, Transport
+from pancakes.packet import Packet
+from pancakes.wire.link import LinkTimes
+from pancakes.wire.messages import Identity, Role
+
+PATIENCE_S = 20.0
+
+
+class Timeline:
+    """A virtual scheduler: what is due at the same time runs in the order in which it was put off."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+        self._heap: list[tuple[float, int, Timer]] = []
+        self._count = 0
+
+    def call_at(self, time_s: float, function: Callable[[], None]) -> Timer:
+        timer = Timer(function)
+        self._count += 1
+        heapq.heappush(self._heap, (max(time_s, self.clock.now()), self._count, timer))
+        return timer
+
+    def step(self) -> bool:
+        if not self._heap:
+            return False
+        time_s, _, timer = heapq.heappop(self._heap)
+        self.clock.advance_to(time_s)
+        if timer.function is not None:
+            timer.function()
+        return True
+
+    def run_until(self, time_s: float) -> None:
+        while self._heap and self._heap[0][0] <= time_s:
+            self.step()
+        self.clock.advance_to(time_s)
+
+
+class TcpRig:
+    """Transports over TCP on loopback; waits in real time."""
+
+    virtual = False
+    listen_at = "tcp://127.0.0.1:0"
+
+    def __init__(self) -> None:
+        self.clock: Clock = MonotonicClock()
+        self.changed = threading.Condition()
+        self._transports: list[Transport] = []
+
+    def transport(self, name: str) -> Transport:
+        made = TcpTransport(self.clock, name)
+        self._transports.append(made)
+        return made
+
+    def note(self) -> None:
+        """To be called when something has happened that a test may wait for."""
+        with self.changed:
+            self.changed.notify_all()
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        # `wait_for` looks again at each note; the short slices are for conditions about which nobody notes.
+        deadline_s = time.monotonic() + PATIENCE_S
+        with self.changed:
+            while not condition():
+                assert time.monotonic() < deadline_s, "what the test waits for did not happen"
+                self.changed.wait(0.01)
+
+    def ear(self) -> Ear:
+        return Ear(self)
+
+    def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
+        return Agent(self, name, *arguments, **more)
+
+    def close(self) -> None:
+        for transport in self._transports:
+            transport.close()
+
+
+class MemoryRig:
+    """Transports in memory; virtual time runs until what a test waits for has happened."""
+
+    virtual = True
+    listen_at = "tcp://127.0.0.1:0"
+
+    def __init__(self) -> None:
+        self.timeline = Timeline()
+        self.clock: Clock = self.timeline.clock
+        self.network = MemoryNetwork(self.timeline.call_at, self.clock.now, random.Random(1))
+
+    def transport(self, name: str) -> Transport:
+        return self.network.transport(name)
+
+    def note(self) -> None:
+        pass
+
+    def until(self, condition: Callable[[], Any]) -> None:
+        deadline_s = self.clock.now() + 60.0
+        while not condition():
+            assert self.clock.now() < deadline_s and self.timeline.step(), "what the test waits for did not happen"
+
+    def ear(self) -> Ear:
+        return Ear(self)
+
+    def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
+        return Agent(self, name, *arguments, **more)
+
+    def close(self) -> None:
+        pass
+
+
+class Ear:
+    """A handler that writes down what it is told."""
+
+    def __init__(self, rig: TcpRig | MemoryRig) -> None:
+        self._rig = rig
+        self.connection: Connection | None = None
+        self.data = b""
+        self.closed_for: list[str] = []
+        self.drains = 0
+        self.threads: list[int] = []
+
+    def opened(self, connection: Connection) -> None:
+        self.connection = connection
+        self._heard()
+
+    def received(self, data: bytes) -> None:
+        self.data += data
+        self._heard()
+
+    def drained(self) -> None:
+        self.drains += 1
+        self._heard()
+
+    def closed(self, reason: str) -> None:
+        self.closed_for.append(reason)
+        self._heard()
+
+    def _heard(self) -> None:
+        self.threads.append(threading.get_ident())
+        self._rig.note()
+
+
+@pytest.fixture(params=["tcp", "memory"])
+def rig(request: pytest.FixtureRequest) -> Iterator[TcpRig | MemoryRig]:
+    made = TcpRig() if request.param == "tcp" else MemoryRig()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def memory_rig() -> MemoryRig:
+    return MemoryRig()
+
+
+@pytest.fixture
+def new_memory_rig() -> type[MemoryRig]:
+    return MemoryRig
+
+
+@pytest.fixture
+def tcp_rig() -> Iterator[TcpRig]:
+    made = TcpRig()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def ear(rig: Any) -> Callable[[], Ear]:
+    return rig.ear  # type: ignore[no-any-return]
+
+
+class Agent:
+    """A mesh and what it told."""
+
+    def __init__(
+        self,
+        rig: TcpRig | MemoryRig,
+        name: str,
+        peers: Sequence[str] = (),
+        *,
+        journal: str = "",
+        boot: int = 1,
+        fleet: str = "default",
+        role: Role = "agent",
+        listen: str | None = None,
+        times: LinkTimes | None = None,
+        defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+    ) -> None:
+        self._rig = rig
+        self.name = name
+        self.packets: list[Packet] = []
+        self.ups: list[str] = []
+        self.downs: list[tuple[str, str, float | None]] = []
+        self.blobs: list[tuple[str, str, bytes]] = []
+        self.refusals: list[str] = []
+        self.lines: list[tuple[str, str]] = []
+        self._seq = 0
+        self.transport = rig.transport(name)
+        self.mesh = Mesh(
+            Identity(name, journal or f"journal of {name}", boot, fleet, role),
+            self.transport,
+            rig.listen_at if listen is None else listen,
+            peers,
+            random.Random(name),
+            rig.clock,
+            on_packet=lambda peer, packet: self._note(self.packets, packet),
+            on_peer_up=lambda hello: self._note(self.ups, hello.name),
+            on_peer_down=lambda *news: self._note(self.downs, news),
+            on_blob=lambda *blob: self._note(self.blobs, blob),
+            on_refused=lambda reason: self._note(self.refusals, reason),
+            on_log=lambda *line: self._note(self.lines, line),
+            defer=defer,
+            times=times,
+        )
+        self.mesh.start()
+
+    def _note(self, kept: list[Any], news: Any) -> None:
+        kept.append(news)
+        self._rig.note()
+
+    def say(self, to: str, body: Any = None, channel: str = "chat", kind: str = "words", retry: bool = False) -> int:
+        self._seq += 1
+        packet = Packet(channel, kind, f"{self.name}/client/test", to, 0.0, self._seq, body)
+        return self.mesh.send(packet, retry=retry)
+
+    def knows(self, *names: str) -> bool:
+        return [hello.name for hello in self.mesh.connected()] == sorted(names)
+
+    def log(self, level: str) -> str:
+        return "\n".join(text for at, text in self.lines if at == level)
+
+
+@pytest.fixture
+def agent(rig: Any) -> Callable[..., Agent]:
+    return rig.agent  # type: ignore[no-any-return]
+
+
+@pytest.fixture
+def timeline() -> Timeline:
+    return Timeline()

@@ -1,0 +1,286 @@
+"""Membership: who is dialled, when, and which connection stays."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from pancakes.net.peers import FORGET_AFTER, MAX_AGENTS, MAX_LEARNT, Admit, Dial, Peers, Turn, reachable
+from pancakes.wire.link import LinkTimes
+from pancakes.wire.messages import Goodbye, Hello
+
+
+def hello(name, listen=None, **more):
+    values = {"version": 1, "fleet": "f", "role": "agent", "journal": f"journal of {name}", "boot": 1, **more}
+    return Hello(name=name, listen=f"tcp://{name}:1" if listen is None else listen, **values)
+
+
+def peers(*static, own="m", seed=1):
+    return Peers(hello(own), static, random.Random(seed), LinkTimes(), 0.0)
+
+
+def connect(it, name, now_s=0.0, **more):
+    """A connection from `name` comes in and comes to stand."""
+    link = it.new_link()
+    it.met(link, hello(name, **more), "tcp://there:9", now_s)
+    it.up(link, now_s)
+    return link
+
+
+def addresses(it):
+    return [known["address"] for known in it.describe()]
+
+
+def dials(decisions):
+    return [decision.address for decision in decisions if isinstance(decision, Dial)]
+
+
+def test_all_static_addresses_are_dialled_side_by_side_at_once():
+    it = peers("tcp://a:1", "tcp://b:1", "tcp://m:1")
+    assert it.due_s() == 0.0
+    assert dials(it.tick(0.0)) == ["tcp://a:1", "tcp://b:1"], "but not its own"
+    assert it.tick(5.0) == [] and it.due_s() == math.inf, "a dial under way is not doubled"
+
+
+def test_waits_double_from_a_tenth_of_a_second_to_ten_seconds_with_full_jitter():
+    bounds = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 10.0, 10.0]
+    waits: list[list[float]] = [[] for _ in bounds]
+    for seed in range(200):
+        it, now_s = peers("tcp://a:1", seed=seed), 0.0
+        for wait in waits:
+            (dial,) = it.tick(now_s)
+            it.over(dial.link, now_s)
+            wait.append(it.due_s() - now_s)
+            now_s = it.due_s()
+    for bound, wait in zip(bounds, waits, strict=True):
+        assert 0.9 * bound < max(wait) <= bound
+        assert min(wait) < 0.1 * bound
+
+
+def test_a_connected_agent_is_not_dialled_under_any_of_its_addresses():
+    it = peers("tcp://a:1", "tcp://alias:1")
+    one, two = it.tick(0.0)
+    assert it.met(one.link, hello("z", "tcp://a:1"), "tcp://a:1", 0.0) == [Admit(one.link)]
+    it.up(one.link, 0.0)
+    it.met(two.link, hello("z", "tcp://a:1"), "tcp://alias:1", 0.0)
+    it.over(two.link, 0.0, refused="duplicate")
+    assert it.tick(100.0) == []
+    it.over(one.link, 100.0)
+    assert sorted(dials(it.tick(101.0))) == ["tcp://a:1", "tcp://alias:1"]
+
+
+def test_the_lower_name_admits_and_the_higher_waits():
+    it = peers(own="m")
+    assert it.met(it.new_link(), hello("z"), "", 0.0) == [Admit(1)]
+    assert it.met(it.new_link(), hello("a"), "", 0.0) == []
+
+
+def test_our_own_dial_goes_before_the_others():
+    it = peers("tcp://z:1")
+    (mine,) = it.tick(0.0)
+    theirs = it.new_link()
+    assert it.met(theirs, hello("z"), "", 0.1) == [], "it waits"
+    assert it.met(mine.link, hello("z"), "tcp://z:1", 0.2) == [Admit(mine.link)]
+    (turned,) = it.up(mine.link, 0.2)
+    assert isinstance(turned, Turn) and (turned.link, turned.code) == (theirs, "duplicate")
+
+
+def test_the_others_dial_is_taken_where_ours_fails():
+    it = peers("tcp://z:1")
+    (mine,) = it.tick(0.0)
+    theirs = it.new_link()
+    it.met(theirs, hello("z"), "", 0.1)
+    it.over(mine.link, 0.2)
+    assert it.due_s() <= 0.2
+    assert Admit(theirs) in it.tick(0.2)
+
+
+def test_the_others_dial_is_taken_where_ours_takes_too_long():
+    it = peers("tcp://z:1")
+    it.tick(0.0)
+    theirs = it.new_link()
+    it.met(theirs, hello("z"), "", 0.1)
+    assert it.tick(0.5) == [] and it.due_s() == 0.6
+    assert it.tick(0.6) == [Admit(theirs)]
+
+
+def test_a_second_connection_waits_until_the_first_shows_life():
+    it = peers()
+    first = connect(it, "z")
+    second = it.new_link()
+    assert it.met(second, hello("z"), "", 1.0) == []
+    (turned,) = it.heard(first, 1.1)
+    assert (turned.link, turned.code) == (second, "duplicate")
+
+
+def test_a_second_connection_is_taken_when_the_first_dies():
+    it = peers()
+    first = connect(it, "z")
+    second = it.new_link()
+    it.met(second, hello("z"), "", 1.0)
+    assert it.over(first, 2.0) == [Admit(second)]
+
+
+def test_a_dial_of_our_own_beside_a_link_is_needless():
+    it = peers("tcp://alias:1")
+    (dial,) = it.tick(0.0)
+    connect(it, "z")
+    (turned,) = it.met(dial.link, hello("z"), "tcp://alias:1", 0.1)
+    assert (turned.link, turned.code) == (dial.link, "duplicate")
+
+
+def test_a_later_boot_replaces_the_old_link_and_an_earlier_one_is_refused():
+    it = peers()
+    old = connect(it, "z", boot=2)
+    new = it.new_link()
+    turned, admitted = it.met(new, hello("z", boot=3), "", 1.0)
+    assert (turned.link, turned.code) == (old, "old") and admitted == Admit(new)
+    (late,) = it.met(it.new_link(), hello("z", boot=1), "", 1.0)
+    assert late.code == "old"
+
+
+def test_the_higher_name_follows_the_choice_of_the_lower():
+    it = peers(own="m")
+    first, second = it.new_link(), it.new_link()
+    it.met(first, hello("a"), "", 0.0)
+    it.up(first, 0.0)
+    it.met(second, hello("a"), "", 1.0)
+    (turned,) = it.up(second, 1.0)
+    assert (turned.link, turned.code) == (first, "duplicate")
+    assert it.over(first, 1.0, refused="duplicate") == []
+    assert [peer.name for peer in it.connected()] == ["a"]
+
+
+def test_another_journal_under_a_connected_name_is_refused_by_either_side():
+    for own in ("a", "z"):
+        it = peers(own=own)
+        connect(it, "m")
+        (turned,) = it.met(it.new_link(), hello("m", journal="another"), "", 1.0)
+        assert turned.code == "name" and "name m" in turned.reason
+
+
+def test_a_new_journal_is_taken_once_the_old_one_has_gone():
+    it = peers()
+    it.over(connect(it, "z"), 1.0)
+    assert it.met(it.new_link(), hello("z", journal="a new disk"), "", 2.0) == [Admit(2)]
+
+
+def test_we_notice_when_we_dial_ourselves_and_never_do_so_again():
+    it = peers("tcp://alias:1")
+    (dial,) = it.tick(0.0)
+    (turned,) = it.met(dial.link, hello("m"), "tcp://alias:1", 0.0)
+    assert turned.code == "self"
+    it.over(dial.link, 0.0, refused="self")
+    assert it.tick(1000.0) == [] and addresses(it) == []
+
+
+def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
+    it = peers()
+    assert dials(it.learnt(["tcp://c:1", "tcp://m:1", ""], 0.0)) == ["tcp://c:1"]
+    connect(it, "z")
+    connect(it, "y", role="client")
+    connect(it, "x", role="environment")
+    connect(it, "w", listen="")
+    assert it.gossip() == ("tcp://x:1", "tcp://z:1")
+    assert "tcp://y:1" not in addresses(it)
+
+
+def test_the_book_of_learnt_addresses_is_bounded():
+    it = peers("tcp://a:1")
+    it.learnt([f"tcp://x:{number}" for number in range(10_000)], 0.0)
+    assert len(addresses(it)) == MAX_LEARNT + 1
+
+
+def test_a_learnt_address_that_always_fails_is_forgotten_a_static_one_never():
+    it, now_s = peers("tcp://static:1"), 0.0
+    it.learnt(["tcp://learnt:1"], now_s)
+    for _ in range(FORGET_AFTER * 2):
+        for it_dial in it.tick(now_s):
+            it.over(it_dial.link, now_s)
+        it.over(1, now_s)
+        it.over(2, now_s)
+        now_s += 11.0
+    assert addresses(it) == ["tcp://static:1"]
+
+
+@pytest.mark.parametrize("refused", ["version", "fleet", "name", "full"])
+def test_who_refuses_us_for_good_is_asked_at_the_longest_interval(refused):
+    it = peers("tcp://a:1")
+    (dial,) = it.tick(0.0)
+    it.over(dial.link, 0.0, refused=refused)
+    assert it.due_s() == 10.0
+
+
+def test_who_breaks_the_protocol_is_not_dialled_again_at_once():
+    it = peers("tcp://a:1")
+    (dial,) = it.tick(0.0)
+    it.met(dial.link, hello("a"), "", 0.0)
+    it.up(dial.link, 0.0)
+    it.over(dial.link, 100.0, broken=True)
+    assert it.due_s() == 110.0
+
+
+def test_a_link_that_flaps_waits_longer_each_time_one_that_lasted_begins_anew():
+    it, now_s = peers("tcp://a:1"), 0.0
+
+    def live_for(seconds):
+        nonlocal now_s
+        now_s = it.due_s()
+        (dial,) = it.tick(now_s)
+        it.met(dial.link, hello("a"), "", now_s)
+        it.up(dial.link, now_s)
+        now_s += seconds
+        it.over(dial.link, now_s)
+        (known,) = it.describe()
+        return known["failures"]
+
+    assert [live_for(0.1), live_for(0.1), live_for(60.0), live_for(0.1)] == [1, 2, 0, 1]
+
+
+def test_a_sleeper_is_left_alone_until_it_should_be_back():
+    it = peers("tcp://z:1")
+    (dial,) = it.tick(0.0)
+    it.met(dial.link, hello("z"), "", 0.0)
+    it.up(dial.link, 0.0)
+    it.over(dial.link, 5.0, goodbye=Goodbye("sleep", 30.0))
+    assert it.asleep(6.0) == {"z": 29.0}
+    assert it.due_s() == 35.0
+    assert it.asleep(35.0) == {}
+    connect(it, "z", 20.0)
+    assert it.asleep(20.0) == {}, "it came back early"
+
+
+def test_who_sleeps_without_an_end_or_stops_is_asked_seldom():
+    for goodbye in (Goodbye("sleep"), Goodbye("stop")):
+        it = peers("tcp://z:1")
+        (dial,) = it.tick(0.0)
+        it.met(dial.link, hello("z"), "", 0.0)
+        it.up(dial.link, 0.0)
+        it.over(dial.link, 5.0, goodbye=goodbye)
+        assert it.due_s() == 15.0
+        assert it.asleep(1e6) == ({"z": math.inf} if goodbye.why == "sleep" else {})
+
+
+def test_a_mesh_has_its_bounds():
+    it = peers(own="a")
+    for number in range(MAX_AGENTS - 1):
+        assert connect(it, f"b{number}")
+    (turned,) = it.met(it.new_link(), hello("c"), "", 0.0)
+    assert turned.code == "full"
+    assert it.met(it.new_link(), hello("d", role="client"), "", 0.0) == [Admit(MAX_AGENTS + 1)]
+
+
+@pytest.mark.parametrize(
+    ("listen", "remote", "address"),
+    [
+        ("tcp://10.0.0.1:7401", "tcp://10.0.0.9:555", "tcp://10.0.0.1:7401"),
+        ("tcp://0.0.0.0:7401", "tcp://10.0.0.9:555", "tcp://10.0.0.9:7401"),
+        ("tcp://[::]:7401", "tcp://[fe80::1]:555", "tcp://[fe80::1]:7401"),
+        ("tcp://0.0.0.0:7401", "", ""),
+        ("", "tcp://10.0.0.9:555", ""),
+    ],
+)
+def test_who_listens_everywhere_is_dialled_where_it_was_seen(listen, remote, address):
+    assert reachable(listen, remote) == address

@@ -1,0 +1,129 @@
+"""What only real sockets do."""
+
+from __future__ import annotations
+
+import socket
+import threading
+
+import pytest
+
+from pancakes.clock import MonotonicClock
+from pancakes.errors import PancakesError
+from pancakes.net.tcp import TcpTransport, is_loopback, parse_address
+
+
+@pytest.mark.parametrize(
+    ("address", "place"),
+    [
+        ("tcp://127.0.0.1:7401", ("127.0.0.1", 7401)),
+        ("tcp://robot1.lan:0", ("robot1.lan", 0)),
+        ("tcp://[::1]:80", ("::1", 80)),
+    ],
+)
+def test_addresses_are_read(address, place):
+    assert parse_address(address) == place
+
+
+@pytest.mark.parametrize(
+    "address", ["udp://a:1", "tcp://::1:80", "tcp://a:65536", "tcp://a:-1", "tcp://a", "tcp://a:²"]
+)
+def test_what_is_no_address_is_said(address):
+    with pytest.raises(PancakesError, match="is no address"):
+        parse_address(address)
+
+
+@pytest.mark.parametrize(
+    ("address", "loopback"),
+    [
+        ("tcp://127.0.0.1:1", True),
+        ("tcp://127.9.9.9:1", True),
+        ("tcp://[::1]:1", True),
+        ("tcp://localhost:1", True),
+        ("tcp://0.0.0.0:1", False),
+        ("tcp://192.168.1.4:1", False),
+        ("tcp://robot1:1", False),
+    ],
+)
+def test_loopback_is_told_from_the_rest(address, loopback):
+    assert is_loopback(address) == loopback
+
+
+def test_names_are_looked_up_beside_the_loop(tcp_rig):
+    here, there = tcp_rig.ear(), tcp_rig.ear()
+    address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
+    tcp_rig.transport("a").dial(address.replace("127.0.0.1", "localhost"), here)
+    tcp_rig.until(lambda: there.connection)
+
+
+def test_a_name_that_does_not_exist_is_said(tcp_rig):
+    here = tcp_rig.ear()
+    tcp_rig.transport("a").dial("tcp://no-such-host.invalid:1", here)
+    tcp_rig.until(lambda: here.closed_for)
+    assert "tcp://no-such-host.invalid:1" in here.closed_for[0]
+
+
+def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
+    """A listener whose queue is full answers no more."""
+    with socket.socket() as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        deaf.listen(0)
+        port = deaf.getsockname()[1]
+        fillers = []
+        for _ in range(4):
+            filler = socket.socket()
+            filler.setblocking(False)
+            filler.connect_ex(("127.0.0.1", port))
+            fillers.append(filler)
+        transport = TcpTransport(MonotonicClock(), dial_s=0.1)
+        here = tcp_rig.ear()
+        transport.dial(f"tcp://127.0.0.1:{port}", here)
+        tcp_rig.until(lambda: here.closed_for)
+        transport.close()
+        for filler in fillers:
+            filler.close()
+    assert here.closed_for == [f"tcp://127.0.0.1:{port} did not answer within 0.1 s"]
+
+
+def test_closing_ends_the_thread_and_drops_what_was_put_off():
+    before = threading.active_count()
+    transport = TcpTransport(MonotonicClock(), "a")
+    assert threading.active_count() == before + 1
+    ran = []
+    transport.call_later(0.0, lambda: ran.append("due"))
+    transport.call_later(60.0, lambda: ran.append("late"))
+    transport.close()
+    assert threading.active_count() == before and ran == ["due"]
+    transport.call_later(0.0, lambda: ran.append("after"))
+    transport.close()
+    assert ran == ["due"]
+
+
+def test_a_handler_that_fails_does_not_silence_the_others(tcp_rig, caplog):
+    transport = tcp_rig.transport("a")
+    done = threading.Event()
+    transport.call_later(0.0, lambda: 1 // 0)
+    transport.call_later(0.0, done.set)
+    assert done.wait(10)
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_senders_in_many_threads_do_not_mix_their_bytes(tcp_rig):
+    here, there = tcp_rig.ear(), tcp_rig.ear()
+    address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
+    tcp_rig.transport("a").dial(address, here)
+    tcp_rig.until(lambda: here.connection)
+
+    def send(letter):
+        for number in range(300):
+            here.connection.send(letter + number.to_bytes(4, "big") + letter * 5000)
+
+    threads = [threading.Thread(target=send, args=(letter,)) for letter in (b"a", b"b", b"c")]
+    for thread in threads:
+        thread.start()
+    tcp_rig.until(lambda: len(there.data) == 3 * 300 * 5005)
+    seen = {b"a": 0, b"b": 0, b"c": 0}
+    for start in range(0, len(there.data), 5005):
+        letter = there.data[start : start + 1]
+        assert there.data[start + 1 : start + 5] == seen[letter].to_bytes(4, "big")
+        assert there.data[start + 5 : start + 5005] == letter * 5000
+        seen[letter] += 1

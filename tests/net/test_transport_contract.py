@@ -1,0 +1,152 @@
+"""What every transport promises, on real sockets and in virtual time alike."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from pancakes.errors import PancakesError
+
+
+def joined(rig, ear):
+    """Two transports with a connection between them: (dialling ear, accepting ear)."""
+    here, there = ear(), ear()
+    address = rig.transport("b").listen(rig.listen_at, lambda: there)
+    rig.transport("a").dial(address, here)
+    rig.until(lambda: here.connection and there.connection)
+    return here, there
+
+
+def test_bytes_arrive_both_ways_in_order(rig, ear):
+    here, there = joined(rig, ear)
+    for number in range(200):
+        here.connection.send(bytes([number]))
+        there.connection.send(bytes([255 - number]))
+    rig.until(lambda: len(here.data) == 200 and len(there.data) == 200)
+    assert there.data == bytes(range(200))
+    assert here.data == bytes(range(255, 55, -1))
+
+
+def test_much_at_once_arrives_whole_and_in_order(rig, ear):
+    here, there = joined(rig, ear)
+    chunks = [bytes([number % 251]) * 100_000 for number in range(200)]
+    for chunk in chunks:
+        here.connection.send(chunk)
+    rig.until(lambda: len(there.data) == 20_000_000)
+    assert there.data == b"".join(chunks)
+    assert here.connection.unsent() == 0
+
+
+def test_the_real_port_is_told(rig, ear):
+    address = rig.transport("a").listen("tcp://127.0.0.1:0", lambda: ear())
+    assert address.startswith("tcp://127.0.0.1:") and not address.endswith(":0")
+
+
+def test_a_port_in_use_is_an_error_that_names_it(rig, ear):
+    address = rig.transport("a").listen(rig.listen_at, lambda: ear())
+    with pytest.raises(PancakesError, match=f"{address}.*in use"):
+        rig.transport("b").listen(address, lambda: ear())
+
+
+@pytest.mark.parametrize("address", ["", "7401", "tcp://", "tcp://host", "tcp://:1", "tcp://127.0.0.1:x"])
+def test_what_is_no_address_cannot_be_listened_at(rig, ear, address):
+    with pytest.raises(PancakesError, match="no address"):
+        rig.transport("a").listen(address, lambda: ear())
+
+
+@pytest.mark.parametrize("address", ["nonsense", "tcp://127.0.0.1:1"])
+def test_a_dial_that_fails_is_told_once(rig, ear, address):
+    here = ear()
+    rig.transport("a").dial(address, here)
+    rig.until(lambda: here.closed_for)
+    assert here.connection is None
+    assert len(here.closed_for) == 1 and address in here.closed_for[0]
+
+
+def test_closing_is_told_once_to_each_side(rig, ear):
+    here, there = joined(rig, ear)
+    here.connection.close("enough")
+    here.connection.close("again")
+    rig.until(lambda: here.closed_for and there.closed_for)
+    assert here.closed_for == ["enough"]
+    assert there.closed_for == ["the other side closed the connection"]
+
+
+def test_last_words_arrive_even_where_the_other_side_talks_on(rig, ear):
+    here, there = joined(rig, ear)
+    there.connection.send(b"x" * 100_000)
+    here.connection.send(b"farewell")
+    here.connection.close("enough")
+    rig.until(lambda: there.closed_for)
+    assert there.data == b"farewell"
+
+
+def test_nothing_is_sent_after_closing(rig, ear):
+    here, there = joined(rig, ear)
+    here.connection.close()
+    here.connection.send(b"too late")
+    rig.until(lambda: there.closed_for)
+    assert there.data == b""
+
+
+def test_closing_a_transport_closes_all_that_is_open(rig, ear):
+    here, there = ear(), ear()
+    a, b = rig.transport("a"), rig.transport("b")
+    a.dial(b.listen(rig.listen_at, lambda: there), here)
+    rig.until(lambda: here.connection and there.connection)
+    a.close()
+    rig.until(lambda: here.closed_for and there.closed_for)
+    assert here.closed_for == ["the transport was closed"]
+
+
+def test_what_was_put_off_runs_in_order_and_can_be_cancelled(rig):
+    transport = rig.transport("a")
+    seen: list[str] = []
+    transport.call_later(0.05, lambda: seen.append("late"))
+    transport.call_later(0.0, lambda: seen.append("first"))
+    transport.call_later(0.0, lambda: seen.append("second"))
+    transport.call_later(0.02, lambda: seen.append("never")).cancel()
+    rig.until(lambda: "late" in seen)
+    assert seen == ["first", "second", "late"]
+
+
+def test_all_callbacks_come_from_one_thread(rig, ear):
+    here, _ = joined(rig, ear)
+    here.connection.close()
+    rig.until(lambda: here.closed_for)
+    assert len({*here.threads}) == 1
+    assert (threading.get_ident() in here.threads) == rig.virtual
+
+
+def test_callbacks_never_run_inside_of_a_call(rig, ear):
+    """Else a caller that holds a lock would meet itself."""
+    here, there = joined(rig, ear)
+    order: list[str] = []
+    here.closed = lambda reason: order.append("closed")  # type: ignore[method-assign]
+
+    def close() -> None:
+        here.connection.close()
+        order.append("call returned")
+
+    here.received = lambda data: close()  # type: ignore[method-assign]
+    there.connection.send(b"close it from the transport's own thread")
+    rig.until(lambda: "closed" in order)
+    assert order == ["call returned", "closed"]
+
+
+def test_a_connection_says_when_it_has_room_again(tcp_rig):
+    """Over TCP: more than the kernel's buffers hold, and a reader that begins late."""
+    here, there = tcp_rig.ear(), tcp_rig.ear()
+    gate = threading.Event()
+    swallow = there.received
+    there.received = lambda data: (gate.wait(10), swallow(data))  # type: ignore[method-assign]
+    a, b = tcp_rig.transport("a"), tcp_rig.transport("b")
+    a.dial(b.listen(tcp_rig.listen_at, lambda: there), here)
+    tcp_rig.until(lambda: here.connection and there.connection)
+    while here.connection.unsent() == 0:
+        here.connection.send(bytes(1_000_000))
+    assert here.drains == 0
+    gate.set()
+    tcp_rig.until(lambda: here.drains)
+    assert here.connection.unsent() == 0

@@ -1,0 +1,330 @@
+"""The hardware bus: drivers at one end, the world at the other, over a network in memory and over TCP."""
+
+import random
+import threading
+
+import pytest
+
+from pancakes.clock import MonotonicClock
+from pancakes.devices.types import Battery, Pose, Twist
+from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.net.memory import MemoryNetwork
+from pancakes.net.tcp import TcpTransport
+from pancakes.settings import SettingsError, make_settings
+from pancakes.sim import bus
+from pancakes.sim.bus_client import BusClient
+from pancakes.sim.bus_server import BusServer
+from pancakes.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
+
+ADDRESS = "tcp://127.0.0.1:7499"
+
+
+class Rig:
+    """A world that answers from a table, and an agent whose drivers ask it, in virtual time."""
+
+    def __init__(self):
+        self.dispatcher = VirtualDispatcher(1)
+        self.network = MemoryNetwork(self.dispatcher.call_at, self.dispatcher.clock.now, random.Random(1))
+        self.world_transport = self.network.transport("world")
+        self.requests = []
+        self.answers = {bus.Attach: bus.Attached("")}
+        self.world_log = []
+
+    def open_world(self, transport=None):
+        transport = transport or self.world_transport
+        self.server = BusServer(
+            transport, lambda function: function(), self.serve, lambda *line: self.world_log.append(line)
+        )
+        assert self.server.listen(ADDRESS) == ADDRESS
+
+    def serve(self, request):
+        self.requests.append(request)
+        return self.answers.get(type(request))
+
+    def run(self, duration_s):
+        self.dispatcher.run_until(self.dispatcher.clock.now() + duration_s)
+
+    def asked(self, kind):
+        return [request for request in self.requests if isinstance(request, kind)]
+
+
+class Context:
+    """What a driver sees of its agent."""
+
+    def __init__(self, rig, agent="agent1", device="motors", shared=None):
+        self.agent = agent
+        self.device = device
+        self.transport = rig.network.transport(agent)
+        self.readings = []
+        self.lines = []
+        self.packets = 0
+        self._shared = {} if shared is None else shared
+
+    def deliver(self, body):
+        self.readings.append(body)
+
+    def log(self, level, text):
+        self.lines.append((level, text))
+
+    def mission_packets_sent(self):
+        return self.packets
+
+    def shared(self, key, make):
+        if key not in self._shared:
+            self._shared[key] = make()
+        return self._shared[key]
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def opened(cls, context, **settings):
+    driver = cls(context, make_settings(cls.Settings, {"world": ADDRESS, **settings}))
+    driver.open()
+    return driver
+
+
+def test_a_drive_sends_wheel_speeds_with_their_time_to_live_and_their_source(rig):
+    rig.open_world()
+    drive = opened(DifferentialDrive, Context(rig))
+    rig.run(1.0)
+    drive.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")
+    rig.run(0.1)
+    (attach,) = rig.asked(bus.Attach)
+    assert (attach.body, attach.type, attach.model) == ("agent1", "motors", "khepera3")
+    (command,) = rig.asked(bus.Drive)
+    assert (command.body, command.ttl_s, command.source) == ("agent1", 0.5, "agent1/client/ScanTarget")
+    assert command.left_mps == pytest.approx(0.1 - 0.2 * 0.0885 / 2)
+    assert command.right_mps == pytest.approx(0.1 + 0.2 * 0.0885 / 2)
+
+
+def test_a_measured_wheel_base_takes_the_place_of_the_models(rig):
+    rig.open_world()
+    drive = opened(DifferentialDrive, Context(rig), wheel_base_m=0.1)
+    rig.run(1.0)
+    drive.apply(Twist(0.0, 1.0), 0.5, "x")
+    rig.run(0.1)
+    assert rig.asked(bus.Drive)[0].right_mps == pytest.approx(0.05)
+
+
+def test_hold_is_sent_at_once(rig):
+    rig.open_world()
+    drive = opened(DifferentialDrive, Context(rig), body="robot7")
+    rig.run(1.0)
+    drive.hold()
+    rig.run(0.1)
+    assert [halt.body for halt in rig.asked(bus.Halt)] == ["robot7"]
+
+
+def test_a_sample_is_asked_for_and_delivered_when_it_comes(rig):
+    rig.open_world()
+    rig.answers[bus.Sample] = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+    context = Context(rig, device="pose")
+    sensor = opened(SimulatedPose, context)
+    rig.run(1.0)
+    assert sensor.sample() is None
+    assert context.readings == []
+    rig.run(0.1)
+    assert context.readings == [Pose(1.0, 2.0, 0.5)]
+
+
+def test_one_question_is_under_way_at_a_time(rig):
+    rig.open_world()
+    context = Context(rig, device="pose")
+    sensor = opened(SimulatedPose, context)
+    rig.run(1.0)
+    for _ in range(3):  # nobody answers
+        sensor.sample()
+        rig.run(0.1)
+    assert len(rig.asked(bus.Sample)) == 1
+
+
+def test_the_battery_tells_how_many_packets_were_sent(rig):
+    rig.open_world()
+    rig.answers[bus.Sample] = bus.Reading("battery", "battery", {"voltage_v": 8.0, "level": 0.8})
+    context = Context(rig, device="battery")
+    context.packets = 42
+    sensor = opened(SimulatedBattery, context)
+    rig.run(1.0)
+    sensor.sample()
+    rig.run(0.1)
+    assert rig.asked(bus.Sample)[0].packets_sent == 42
+    assert context.readings == [Battery(8.0, 0.8)]
+
+
+def test_the_drivers_of_an_agent_share_one_connection(rig):
+    rig.open_world()
+    shared = {}
+    for cls, device in ((SimulatedPose, "pose"), (SimulatedInfrared, "ir")):
+        opened(cls, Context(rig, device=device, shared=shared))
+    rig.run(1.0)
+    assert len(shared) == 1
+    assert sorted(attach.device for attach in rig.asked(bus.Attach)) == ["ir", "pose"]
+
+
+def test_a_refusal_is_said_once(rig):
+    rig.open_world()
+    rig.answers[bus.Attach] = bus.Refused("ir", "agent1 is a pioneer3dx, which has no infrared sensors")
+    rig.answers[bus.Sample] = rig.answers[bus.Attach]
+    context = Context(rig, device="ir")
+    sensor = opened(SimulatedInfrared, context)
+    for _ in range(3):
+        rig.run(0.5)
+        sensor.sample()
+    assert [line for line in context.lines if line[0] == "error"] == [
+        ("error", "agent1 is a pioneer3dx, which has no infrared sensors")
+    ]
+
+
+def test_a_world_that_comes_later_is_found(rig):
+    context = Context(rig, device="pose")
+    opened(SimulatedPose, context)
+    rig.run(3.0)
+    assert rig.requests == []
+    rig.open_world()
+    rig.run(2.0)
+    assert [request.body for request in rig.asked(bus.Attach)] == ["agent1"]
+    assert ("info", f"reached the world at {ADDRESS}") in context.lines
+
+
+def test_a_world_that_does_not_answer_is_warned_of_once(rig):
+    context = Context(rig, device="pose")
+    opened(SimulatedPose, context)
+    rig.run(30.0)
+    warnings = [text for level, text in context.lines if level == "warning"]
+    assert len(warnings) == 1
+    assert warnings[0].startswith(f"the world at {ADDRESS} does not answer")
+
+
+def test_a_world_that_dies_is_said_to_be_gone_and_what_was_asked_is_forgotten(rig):
+    rig.open_world()
+    context = Context(rig, device="pose")
+    sensor = opened(SimulatedPose, context)
+    rig.run(1.0)
+    sensor.sample()
+    rig.world_transport.close()
+    rig.run(1.0)
+    errors = [text for level, text in context.lines if level == "error"]
+    assert len(errors) == 1
+    assert errors[0].startswith(f"the world at {ADDRESS} is gone")
+    sensor.sample()
+    rig.run(1.0)
+
+    rig.requests.clear()
+    rig.open_world(rig.network.transport("world"))
+    rig.run(3.0)
+    sensor.sample()
+    rig.run(0.1)
+    assert [type(request) for request in rig.requests] == [bus.Attach, bus.Sample]
+
+
+def test_a_world_task_that_ends_closes_its_bus_and_is_said_to_be_gone_once(rig):
+    rig.open_world()
+    context = Context(rig, device="pose")
+    opened(SimulatedPose, context)
+    rig.run(1.0)
+    rig.server.close()
+    rig.run(20.0)
+    assert [level for level, _ in context.lines] == ["info", "error", "warning"]
+
+
+def test_a_closed_client_dials_no_more(rig):
+    client = BusClient(rig.network.transport("agent1"), ADDRESS, lambda level, text: None)
+    rig.run(0.5)
+    client.close()
+    rig.open_world()
+    rig.run(5.0)
+    assert not client.send(bus.Halt("agent1", "motors"))
+
+
+def test_garbage_closes_that_connection_and_no_other(rig):
+    rig.open_world()
+    context = Context(rig, device="pose")
+    opened(SimulatedPose, context)
+
+    class Rude:
+        reason = None
+
+        def opened(self, connection):
+            connection.send(b"\x00\x00\x00\x04junk")
+
+        def received(self, data):
+            pass
+
+        def closed(self, reason):
+            self.reason = reason
+
+    rude = Rude()
+    rig.network.transport("stranger").dial(ADDRESS, rude)
+    rig.run(1.0)
+    assert rude.reason is not None
+    assert "that is no request to a simulated world" in rig.world_log[0][1]
+    assert [line for line in context.lines if line[0] == "error"] == []
+
+
+@pytest.mark.parametrize("cut", [1, 3, 7])
+def test_requests_are_read_however_the_network_cuts_them(cut):
+    requests = [
+        bus.Attach("a", "motors", "motors", "khepera3"),
+        bus.Drive("a", "motors", 0.1, 0.2, 0.5, "x"),
+        bus.Halt("a", "m"),
+    ]
+    data = b"".join(bus.encode(request) for request in requests)
+    reader = bus.RequestReader()
+    assert [r for i in range(0, len(data), cut) for r in reader.feed(data[i : i + cut])] == requests
+
+
+def test_a_request_of_the_wrong_shape_is_refused():
+    with pytest.raises(RemoteProtocolError, match="no request to a simulated world"):
+        bus.RequestReader().feed(bus.encode(bus.Reading("ir", "ir", {})))
+    with pytest.raises(RemoteProtocolError, match="no reply of a simulated world"):
+        bus.ReplyReader().feed(bus.encode(bus.Halt("a", "motors")))
+
+
+def test_an_unknown_model_is_a_mistake_in_the_settings():
+    with pytest.raises(SettingsError, match="no robot model 'pioneer'"):
+        make_settings(DifferentialDrive.Settings, {"world": ADDRESS, "model": "pioneer"})
+    with pytest.raises(SettingsError, match="world: is missing"):
+        make_settings(DifferentialDrive.Settings, {})
+
+
+def test_it_works_over_tcp_as_well():
+    served, answered = threading.Event(), threading.Event()
+    world, agent = TcpTransport(MonotonicClock(), "world"), TcpTransport(MonotonicClock(), "agent1")
+    pose = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
+
+    def serve(request):
+        served.set()
+        return pose if isinstance(request, bus.Sample) else None
+
+    try:
+        address = BusServer(world, lambda function: function(), serve, lambda *line: None).listen("tcp://127.0.0.1:0")
+
+        class TcpContext(Context):
+            def __init__(self):
+                self.agent, self.device, self.transport = "agent1", "pose", agent
+                self.readings, self.lines, self._shared = [], [], {}
+
+            def deliver(self, body):
+                super().deliver(body)
+                answered.set()
+
+        context = TcpContext()
+        sensor = SimulatedPose(context, SimulatedPose.Settings(address))
+        sensor.open()
+        assert served.wait(10.0), "the attachment did not arrive"
+        sensor.sample()
+        assert answered.wait(10.0), "the reading did not come"
+        assert context.readings == [Pose(1.0, 2.0, 0.5)]
+    finally:
+        agent.close()
+        world.close()
+
+
+def test_an_address_in_use_is_said(rig):
+    rig.open_world()
+    with pytest.raises(PancakesError, match="7499"):
+        rig.open_world()

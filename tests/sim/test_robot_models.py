@@ -1,0 +1,50 @@
+"""The robots that a configuration can name, and the sensors they carry."""
+
+import math
+
+import pytest
+
+from pancakes.errors import PancakesError
+from pancakes.sim.khepera import KHEPERA_III
+from pancakes.sim.models import robot_model
+from pancakes.sim.pioneer import PIONEER_3DX
+
+
+def degrees(ring):
+    return [round(math.degrees(sensor.bearing_rad)) for sensor in ring.sensors]
+
+
+def test_models_are_found_by_name():
+    assert robot_model("khepera3") is KHEPERA_III
+    assert robot_model("pioneer3dx") is PIONEER_3DX
+
+
+def test_an_unknown_model_gets_a_suggestion():
+    with pytest.raises(PancakesError, match="no robot model 'kepera3'.*khepera3, pioneer3dx.*did you mean 'khepera3'"):
+        robot_model("kepera3")
+
+
+def test_the_khepera_has_nine_infrared_sensors_where_the_real_one_has_them():
+    ring = KHEPERA_III.ir
+    assert sorted(degrees(ring)) == [-128, -75, -42, -13, 13, 42, 75, 128, 180]
+    places = {round(math.degrees(s.bearing_rad)): (s.x_m, s.y_m) for s in ring.sensors}
+    assert places[128] == (-0.038, 0.048)
+    assert places[-128] == (-0.038, -0.048)
+    assert places[13] == (0.070, 0.017)
+    assert places[180] == (-0.048, 0.0)
+    assert math.degrees(ring.cone_rad) == pytest.approx(20)
+    assert (ring.curve.nearest_m, ring.curve.farthest_m) == (0.02, 0.20)
+
+
+def test_the_khepera_has_five_sonars_that_reach_four_metres():
+    assert degrees(KHEPERA_III.sonar) == [90, 45, 0, -45, -90]
+    assert KHEPERA_III.sonar.max_range_m == 4.0
+    assert (KHEPERA_III.full_v, KHEPERA_III.empty_v) == (8.4, 6.6)
+
+
+def test_the_pioneer_has_sonars_all_round_and_no_infrared():
+    assert PIONEER_3DX.ir is None
+    assert degrees(PIONEER_3DX.sonar)[:8] == [90, 50, 30, 10, -10, -30, -50, -90]
+    assert len(PIONEER_3DX.sonar.sensors) == 16
+    for sensor in PIONEER_3DX.sonar.sensors:
+        assert math.hypot(sensor.x_m, sensor.y_m) == pytest.approx(PIONEER_3DX.radius_m)

@@ -1,0 +1,280 @@
+"""What travels, what does not, and what is refused when it comes in."""
+
+from __future__ import annotations
+
+import enum
+import random
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pancakes.devices.types import Infrared, Pose
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.packet import Fence, Packet, packet_type
+from pancakes.wire.codec import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, Encoder, packet_from_row, rows_from_payload
+from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
+from pancakes.wire.messages import HELLO_NUMBER, Hello, Identity, Peers, Piece, Ping, link_message_from_row
+
+
+class Colour(enum.Enum):
+    RED = "red"
+
+
+@dataclass(frozen=True)
+class Inner:
+    colour: Colour
+    places: tuple[tuple[float, float], ...] = ()
+
+
+@packet_type("codec test outer")
+@dataclass(frozen=True)
+class Outer:
+    inner: Inner
+    by_name: dict[str, Inner] = field(default_factory=dict)
+    image: Any = None
+
+
+def packet(body, kind="no such type", **more):
+    return Packet("system", kind, "a/b/c", "d", 1.5, 7, body, **more)
+
+
+def there_and_back(it):
+    (row,) = rows_from_payload(frame([Encoder().packet(it)])[4:])
+    return packet_from_row(row)
+
+
+def payload(*rows):
+    return msgpack.packb(list(rows))
+
+
+ROW = ["system", "t", "a/b/c", "d", 1.5, 7, None, {}, None]
+
+
+def test_all_of_a_packet_travels():
+    it = packet(Pose(1.0, -2.0, 0.5), "pose", cause=("x/y/z", 3), fence=Fence("a/GoHome", (2, "b")))
+    assert there_and_back(it) == it
+
+
+def test_nested_dataclasses_enums_and_tuples_become_what_they_were():
+    inner = Inner(Colour.RED, ((1.0, 2.0), (3.0, 4.0)))
+    it = packet(Outer(inner, {"one": inner}), "codec test outer")
+    assert there_and_back(it) == it
+
+
+def test_a_body_of_an_unknown_type_stays_a_mapping():
+    assert there_and_back(packet(Inner(Colour.RED))).body == {"colour": "red", "places": []}
+
+
+@pytest.mark.parametrize("dtype", ["bool", "uint8", "int64", "float16", "float32", "float64", ">f4", "complex128"])
+@pytest.mark.parametrize("shape", [(), (0,), (5,), (2, 3), (2, 1, 4)])
+def test_arrays_travel_as_they_are_and_come_read_only(dtype, shape):
+    array = (numpy.arange(numpy.prod(shape, dtype=int)) % 2).reshape(shape).astype(dtype)
+    came = there_and_back(packet({"array": array})).body["array"]
+    assert came.dtype == array.dtype and came.shape == array.shape
+    assert numpy.array_equal(came, array)
+    assert not came.flags.writeable
+
+
+def test_arrays_within_dataclasses_and_slices_of_arrays_travel():
+    image = numpy.arange(24).reshape(4, 6)[::2, 1::2]
+    came = there_and_back(packet(Outer(Inner(Colour.RED), image=image), "codec test outer"))
+    assert numpy.array_equal(came.body.image, image)
+
+
+def test_numbers_of_numpy_become_numbers():
+    body = [numpy.float32(0.5), numpy.int64(3), numpy.bool_(True), numpy.float64(1.5)]
+    assert there_and_back(packet(body)).body == [0.5, 3, True, 1.5]
+
+
+class Place(NamedTuple):
+    x_m: float
+    y_m: float
+
+
+def test_named_tuples_enums_of_ints_and_the_like_become_plain():
+    body = [Place(1.0, 2.0), enum.IntEnum("Number", ["ONE"]).ONE, bytearray(b"b"), OrderedDict(a=1)]
+    assert there_and_back(packet(body)).body == [[1.0, 2.0], 1, b"b", {"a": 1}]
+
+
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        ({"a": {1, 2}}, r"its body\.a is of the type set"),
+        ([1, object()], r"its body\[1\] is of the type object"),
+        ({1: 2}, "the key 1"),
+        ({"a": {b"k": 2}}, r"its body\.a has the key b'k'"),
+        (2**64, "range"),
+        ("\ud800", "surrogates"),
+        (msgpack.ExtType(5, b""), "of the type ExtType"),
+        (numpy.array(["text"]), "only numbers and booleans"),
+        (numpy.array([None]), "only numbers and booleans"),
+        (numpy.zeros(2, dtype=[("a", "f4")]), "only numbers and booleans"),
+        ([0] * (MAX_ARRAY_LENGTH + 1), "list of 65537"),
+        ({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}, "map of 4097"),
+        (bytes(MAX_MESSAGE_BYTES), "a frame holds"),
+    ],
+)
+def test_what_cannot_travel_is_an_error_that_names_the_packet(body, problem):
+    with pytest.raises(LocalProtocolError, match=problem) as caught:
+        Encoder().packet(packet(body))
+    assert "packet 7 of the type 'no such type' from a/b/c cannot be sent" in str(caught.value)
+
+
+def test_an_encoder_goes_on_after_an_error():
+    encoder = Encoder()
+    with pytest.raises(LocalProtocolError):
+        encoder.packet(packet([1, 2, 2**64]))
+    assert encoder.packet(packet(1)) == Encoder().packet(packet(1))
+
+
+def nested(depth):
+    body: Any = 0
+    for _ in range(depth):
+        body = [body]
+    return body
+
+
+def test_what_the_encoder_lets_pass_the_decoder_takes_to_the_last_level():
+    deepest = nested(MAX_DEPTH - 2)  # the frame and the packet are two levels
+    assert there_and_back(packet(deepest)).body == deepest
+    with pytest.raises(LocalProtocolError, match="nested deeper"):
+        Encoder().packet(packet(nested(MAX_DEPTH - 1)))
+    with pytest.raises(RemoteProtocolError, match="nested deeper"):
+        rows_from_payload(payload([*ROW[:7], nested(MAX_DEPTH - 1), None]))
+
+
+def test_the_longest_packet_that_is_let_pass_is_taken():
+    spare = MAX_MESSAGE_BYTES - len(Encoder().packet(packet(bytes(MAX_MESSAGE_BYTES - 100))))
+    largest = packet(bytes(MAX_MESSAGE_BYTES - 100 + spare))
+    assert len(Encoder().packet(largest)) == MAX_MESSAGE_BYTES
+    assert there_and_back(largest) == largest
+    with pytest.raises(LocalProtocolError):
+        Encoder().packet(packet(largest.body + b"x"))
+
+
+@pytest.mark.parametrize(
+    ("data", "problem"),
+    [
+        (b"\xc1", "msgpack"),
+        (b"\x92\x01", "msgpack"),
+        (b"\x90", "no array of messages"),
+        (b"\x80", "no array of messages"),
+        (b"\x91\x90", "neither a packet"),
+        (b"\x91\x91\xc0", "neither a packet"),
+        (b"\x91\xc0", "neither a packet"),
+        (b"\xdd\xff\xff\xff\xff", "msgpack"),
+        (b"\xdf\xff\xff\xff\xff", "msgpack"),
+        (b"\xc9\xff\xff\xff\xff\x01", "msgpack"),
+        (b"\x91" * 3000 + b"\xc0", "msgpack"),
+        (payload(ROW) + b"\xc0", "msgpack"),
+        (payload(["c", {1: 2}]), "msgpack"),
+        (payload(["c", {b"k": 2}]), "key that is no string"),
+        (payload(["c", msgpack.ExtType(2, b"abc")]), "not ours: 2"),
+        (b"\x91\x92\xa1c\xd6\xff" + bytes(4), "not ours: -1"),
+        (b"\x91\x92\xa1c\x91\xd7\xff" + bytes(8), "not ours: -1"),
+        (payload(["c", msgpack.ExtType(1, b"abc")]), "malformed array"),
+        (payload(["c", msgpack.ExtType(1, msgpack.packb(["<f8", [3], bytes(16)]))]), "shape"),
+        (payload(["c", msgpack.ExtType(1, msgpack.packb(["<f8", [-1], bytes(8)]))]), "malformed array"),
+        (payload(["c", msgpack.ExtType(1, msgpack.packb(["|O8", [1], bytes(8)]))]), "only numbers"),
+        (payload(["c", msgpack.ExtType(1, msgpack.packb(["f8,f8", [1], bytes(16)]))]), "only numbers"),
+        (payload(["c", msgpack.ExtType(1, msgpack.packb(["<f8", [1] * 33, bytes(8)]))]), "malformed array"),
+    ],
+)
+def test_bad_frames_are_the_peers_fault(data, problem):
+    with pytest.raises(RemoteProtocolError, match=problem):
+        rows_from_payload(data)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{0: ""}, {1: 5}, {2: None}, {3: 1}, {4: "now"}, {4: -1.0}, {4: float("nan")}, {5: -1}, {6: ["a"]}, {8: ["a", 1]}],
+)
+def test_a_malformed_packet_is_the_peers_fault(change):
+    row = [change.get(index, value) for index, value in enumerate(ROW)]
+    with pytest.raises(RemoteProtocolError, match="packet is malformed"):
+        packet_from_row(row)
+
+
+def test_a_packet_has_nine_parts():
+    for row in (ROW[:8], [*ROW, None]):
+        with pytest.raises(RemoteProtocolError, match="malformed"):
+            packet_from_row(row)
+
+
+def test_a_body_that_does_not_fit_its_type_is_the_peers_fault():
+    with pytest.raises(RemoteProtocolError, match=r"'ir'.*ranges_m.*from a/b/c"):
+        there_and_back(packet({"bearings_rad": [0.0], "max_range_m": 1.0, "ranges_m": "near"}, "ir"))
+    assert there_and_back(packet(Infrared((0.0,), (1.0,), 2.0), "ir")).body == Infrared((0.0,), (1.0,), 2.0)
+
+
+_BODIES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats(allow_nan=False) | st.text() | st.binary(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=30,
+)
+
+
+@given(_BODIES)
+def test_any_plain_body_travels(body):
+    assert there_and_back(packet(body)).body == body
+
+
+@given(st.binary(min_size=1, max_size=200))
+def test_any_bytes_are_read_or_refused(data):
+    try:
+        rows = rows_from_payload(data)
+        for row in rows:
+            link_message_from_row(row) if type(row[0]) is int else packet_from_row(row)
+    except RemoteProtocolError:
+        pass
+
+
+def test_frames_with_a_broken_bit_are_read_or_refused():
+    image = numpy.arange(6.0)
+    good = frame(
+        [Encoder().packet(packet({"pose": Pose(1.0, 2.0, 3.0), "image": image}, fence=Fence("a/b", (1, "a"))))]
+    )
+    source = random.Random(1)
+    for _ in range(3000):
+        broken = bytearray(good[4:])
+        broken[source.randrange(len(broken))] ^= 1 << source.randrange(8)
+        try:
+            for row in rows_from_payload(bytes(broken)):
+                link_message_from_row(row) if type(row[0]) is int else packet_from_row(row)
+        except RemoteProtocolError:
+            pass
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Hello(1, "default", "a", "agent", "uuid", 3, "tcp://127.0.0.1:1"),
+        Ping(4),
+        Peers(("tcp://a:1", "tcp://b:1")),
+        Piece(1, "snapshot", 3, 0, b"abc"),
+    ],
+)
+def test_messages_of_the_link_travel(message):
+    (row,) = rows_from_payload(frame([Encoder().link_message(message)])[4:])
+    assert link_message_from_row(row) == message
+
+
+@pytest.mark.parametrize(
+    "row",
+    [[99], [0], [True], [4], [4, -1], [4, "1"], [6, "nap", None], [7, ["x" * 300]], [HELLO_NUMBER, 1, "f", "a/b"]],
+)
+def test_malformed_messages_of_the_link_are_the_peers_fault(row):
+    with pytest.raises(RemoteProtocolError):
+        link_message_from_row(row)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "*", "two words", "x" * 65])
+def test_a_name_that_would_break_addresses_is_refused_at_home(name):
+    with pytest.raises(LocalProtocolError, match="cannot introduce itself"):
+        Identity(name, "uuid").hello()

@@ -1,0 +1,214 @@
+"""The state machine of a link, fed with events and times."""
+
+from __future__ import annotations
+
+import msgpack
+import pytest
+
+from pancakes.packet import Packet
+from pancakes.wire.codec import Encoder
+from pancakes.wire.framing import frame, split
+from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, ReceivedBlob, Send, State, Up
+from pancakes.wire.messages import Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
+
+
+def hello(name, **more):
+    values = {"version": 1, "fleet": "default", "role": "agent", "journal": f"journal of {name}", "boot": 1, **more}
+    return Hello(name=name, **values)
+
+
+def wire(*messages):
+    encoder = Encoder()
+    return frame([encoder.packet(it) if isinstance(it, Packet) else encoder.link_message(it) for it in messages])
+
+
+def sent(actions):
+    return frame([action.message for action in actions if isinstance(action, Send)])
+
+
+def rest(actions):
+    return [action for action in actions if not isinstance(action, Send)]
+
+
+def opened(name="a", now_s=0.0, **more):
+    link = Link(hello(name, **more), LinkTimes(), now_s)
+    link.open(now_s)
+    return link
+
+
+def up(name="a", peer="b", now_s=0.0):
+    link = opened(name, now_s)
+    link.receive(wire(hello(peer)), now_s)
+    if name < peer:
+        link.admit(now_s)
+    else:
+        link.receive(wire(Welcome()), now_s)
+    assert link.state is State.UP
+    return link
+
+
+PACKET = Packet("chat", "words", "b/c/d", "a", 0.0, 1, "hello")
+
+
+def test_two_links_come_up_when_the_lower_name_says_welcome():
+    a, b = Link(hello("a"), LinkTimes(), 0.0), Link(hello("b"), LinkTimes(), 0.0)
+    from_a, from_b = a.open(0.0), b.open(0.0)
+    assert rest(a.receive(sent(from_b), 0.1)) == [Met(hello("b"))]
+    assert rest(b.receive(sent(from_a), 0.1)) == [Met(hello("a"))]
+    assert a.state is b.state is State.MET
+    welcome = a.admit(0.2)
+    assert rest(welcome) == [Up()]
+    assert b.receive(sent(welcome), 0.3) == [Up()]
+    assert a.state is b.state is State.UP
+
+
+def test_the_higher_name_cannot_welcome():
+    link = opened("a")
+    link.receive(wire(hello("b")), 0.0)
+    (over,) = rest(link.receive(wire(Welcome()), 0.0))
+    assert over.broken
+
+
+def test_hello_and_welcome_may_come_in_one_chunk():
+    link = opened("b")
+    assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Met(hello("a")), Up(), Received([PACKET])]
+
+
+def test_packets_and_messages_keep_their_order():
+    link = up()
+    actions = link.receive(wire(PACKET, PACKET, Peers(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
+    assert actions == [
+        Received([PACKET, PACKET]),
+        Learnt(("tcp://c:1",)),
+        Received([PACKET]),
+        Received([PACKET]),
+    ]
+
+
+def test_blobs_come_whole():
+    assert up().receive(wire(*split(1, "snapshot", b"x" * 100_000)), 1.0) == [ReceivedBlob("snapshot", b"x" * 100_000)]
+
+
+@pytest.mark.parametrize("early", [PACKET, Welcome(), Peers(()), next(split(1, "k", b""))])
+def test_nothing_may_come_before_the_hello(early):
+    link = opened("b")
+    over = link.receive(wire(early), 0.0)[-1]
+    assert isinstance(over, Over) and over.broken
+    assert link.state is State.OVER
+
+
+@pytest.mark.parametrize("early", [PACKET, Peers(()), next(split(1, "k", b"")), hello("a")])
+def test_nothing_but_a_welcome_may_follow_the_hello(early):
+    link = opened("b")
+    over = link.receive(wire(hello("a"), early), 0.0)[-1]
+    assert isinstance(over, Over) and over.broken
+
+
+def test_what_came_before_the_fault_is_delivered_and_the_peer_is_told():
+    received, refuse, over = up().receive(wire(PACKET, hello("b")), 1.0)
+    assert received == Received([PACKET])
+    assert b"protocol" in refuse.message
+    assert over.broken and over.reason == "b broke the protocol: a second hello came"
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "words"),
+    [
+        ({"version": 2}, "version", "version 1 of the protocol and the other side version 2"),
+        ({"fleet": "east"}, "fleet", "'default' and b of 'east'"),
+    ],
+)
+def test_strangers_are_refused_with_a_typed_reason(more, code, words):
+    link = opened("a")
+    refuse, over = link.receive(wire(hello("b", **more)), 0.0)
+    assert (over.refusing, over.broken) == (code, False)
+    assert words in over.reason and words.encode() in refuse.message
+
+
+def test_a_hello_of_another_version_may_have_any_form():
+    link = opened("a")
+    over = link.receive(frame([msgpack.packb([1, 7, {"all": "new"}])]), 0.0)[-1]
+    assert over.refusing == "version"
+
+
+def test_being_refused_is_told_with_its_code():
+    link = opened("a")
+    (over,) = link.receive(wire(Refuse("name", "the name a is taken")), 0.1)
+    assert over.refused == "name" and "the name a is taken" in over.reason
+
+
+def test_goodbye_says_for_how_long():
+    (over,) = up().receive(wire(Goodbye("sleep", 30.0)), 1.0)
+    assert over.goodbye == Goodbye("sleep", 30.0) and over.reason == "b sleeps for 30 s"
+    (over,) = up().receive(wire(Goodbye("stop")), 1.0)
+    assert over.reason == "b stopped"
+
+
+def test_saying_goodbye_ends_the_link():
+    link = up()
+    actions = link.leave(Goodbye("sleep", 5.0), 1.0)
+    assert sent(actions) == wire(Goodbye("sleep", 5.0))
+    assert link.state is State.OVER
+    assert link.receive(wire(PACKET), 1.1) == link.tick(99.0) == link.leave(Goodbye("stop"), 1.2) == []
+
+
+def test_a_heartbeat_is_sent_when_nothing_else_was():
+    link = up()
+    assert link.due_s() == 0.5 and link.tick(0.49) == []
+    assert sent(link.tick(0.5)) == wire(Ping(1))
+    link.sent(0.9)  # a packet went out
+    assert link.due_s() == 1.4 and link.tick(1.0) == []
+    assert sent(link.tick(1.4)) == wire(Ping(2))
+
+
+def test_a_busy_link_is_measured_all_the_same():
+    link = up()
+    now_s, pings = 0.0, 0
+    while now_s < 20.0:
+        now_s += 0.1
+        link.sent(now_s)
+        link.receive(wire(PACKET), now_s)
+        pings += len(link.tick(now_s))
+    assert pings == 3
+
+
+def test_the_round_trip_is_measured_by_the_token():
+    link = up()
+    link.tick(0.5)
+    link.receive(wire(Pong(1)), 0.58)
+    assert link.rtt_s == pytest.approx(0.08)
+    link.receive(wire(Pong(1)), 0.9)
+    link.receive(wire(Pong(77)), 0.9)
+    assert link.rtt_s == pytest.approx(0.08), "what was not asked says nothing"
+    link.tick(1.08)
+    link.receive(wire(Pong(2)), 1.24)
+    assert link.rtt_s == pytest.approx(0.09)
+
+
+def test_a_ping_is_answered():
+    assert sent(up().receive(wire(Ping(5)), 1.0)) == wire(Pong(5))
+
+
+def test_silence_of_two_seconds_ends_the_link_and_any_byte_is_life():
+    link = up()
+    assert rest(link.tick(1.9)) == []
+    link.receive(wire(PACKET)[:1], 1.9)
+    assert rest(link.tick(3.8)) == []
+    assert link.tick(3.9) == [Over("nothing was heard from b for 2 s")]
+
+
+def test_a_hello_is_waited_for_two_seconds_whatever_else_trickles_in():
+    link = opened("a")
+    link.receive(wire(hello("b"))[:3], 1.9)
+    assert rest(link.tick(1.99)) == []
+    assert link.tick(2.0) == [Over("no hello came within 2 s")]
+
+
+def test_a_welcome_is_waited_for_until_an_older_link_may_have_died():
+    link = opened("b")
+    link.receive(wire(hello("a")), 0.0)
+    for now_s in (1.0, 2.0, 3.0):
+        link.receive(wire(Ping(1)), now_s)
+        assert rest(link.tick(now_s)) == []
+    link.receive(wire(Ping(2)), 3.9)
+    assert link.tick(4.0) == [Over("a did not say welcome in 4 s")]
