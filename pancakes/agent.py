@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import secrets
 import threading
 import uuid
@@ -230,7 +229,8 @@ class Agent:
     def _open_transport(self) -> Transport:
         agent = self.config.agent
         address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
-        transport: Transport = self._plugins.get("pancakes.transports", address.partition("://")[0])(self.kernel.host, self.name)
+        make = self._plugins.get("pancakes.transports", address.partition("://")[0])
+        transport: Transport = make(self.kernel.host, self.name)
         return transport
 
     def _services(self) -> list[ServiceSpec]:
@@ -252,8 +252,8 @@ class Agent:
             return None
         arguments: dict[str, Any] = {}
         if config.name == "device":
-            devices = [device for config in self.config.devices.values() if (device := self._device(config)) is not None]
-            arguments = {"devices": tuple(devices)}
+            devices = [self._device(device) for device in self.config.devices.values()]
+            arguments = {"devices": tuple(device for device in devices if device is not None)}
         elif config.name == "network":
             hosting = Hosting(self.config.agent.role, self._task_types, self._costs)
             arguments = {"mesh": self.mesh, "hosting": hosting, "awake": self._awake}

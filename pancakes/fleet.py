@@ -48,11 +48,14 @@ class VirtualFleet:
         Raises:
             PancakesError: its address is in use, a plug-in is missing, ...
         """
-        name = config.agent.name
+        return self.add(config.agent.name, lambda virtual: Agent(config, self._plugins, virtual))
+
+    def add(self, name: str, make: Callable[[Virtual], Agent]) -> Agent:
+        """Starts an agent that `make` makes of what it shares with the fleet; see `start`."""
         disk = self._disks.setdefault(name, {})
         identity = uuid.UUID(int=random.Random(f"journal/{self.seed}/{name}").getrandbits(128), version=4)
         journal = MemoryJournal(disk, str(identity))
-        agent = Agent(config, self._plugins, Virtual(self.dispatcher, self.network.transport(name), journal))
+        agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
         agent.start()
         self.agents[name] = agent
         return agent

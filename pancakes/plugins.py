@@ -7,9 +7,6 @@ A distribution says in its metadata what it offers:
         encirclement.ScanTarget = pancakes_encirclement.scan_target:ScanTarget
 
 Nothing is imported until it is asked for, and one bad plug-in is named and harms no other.
-
-A name that ends in `.*` stands for a family: the driver `network.*` is a function that is given what stands in
-place of the star (`pose` in `network.pose`) and returns the class for it.
 """
 
 from __future__ import annotations
@@ -84,7 +81,7 @@ class Plugins:
         self._broken: dict[tuple[str, str], str] = {}
 
     def names(self, group: str) -> list[str]:
-        """Returns the names of all plug-ins of a group, sorted; of families with their star."""
+        """Returns the names of all plug-ins of a group, sorted."""
         return sorted(self._offers(group))
 
     def get(self, group: str, name: str) -> Any:
@@ -99,13 +96,13 @@ class Plugins:
         if key in self._broken:
             raise PluginError(self._broken[key])
         if key not in self._loaded:
-            entry, offers = self._find(group, name)
             try:
-                found = self._load(group, name, entry, offers)
+                self._loaded.setdefault(key, _load(group, name, self._find(group, name)))
+            except UnknownPlugin:
+                raise
             except PluginError as error:
                 self._broken[key] = str(error)
                 raise
-            self._loaded.setdefault(key, found)
         return self._loaded[key]
 
     def version(self, group: str, name: str) -> Version:
@@ -115,8 +112,7 @@ class Plugins:
             UnknownPlugin: nobody offers it.
             PluginError: two distributions offer it.
         """
-        entry, offers = self._find(group, name)
-        return _only(group, entry, offers).version
+        return self._find(group, name).version
 
     def load_packets(self) -> list[PluginError]:
         """Imports all that registers body types of packets.
@@ -146,24 +142,15 @@ class Plugins:
                 offers[name] = [_Offer(Version("", ""), "", lambda plugin=plugin: plugin)]  # type: ignore[misc]
         return offers
 
-    def _find(self, group: str, name: str) -> tuple[str, list[_Offer]]:
-        """Returns the entry point's own name (a family's has a star) and its offers."""
+    def _find(self, group: str, name: str) -> _Offer:
+        """Returns the one offer of a name."""
         offers = self._offers(group)
-        if name in offers and not name.endswith(".*"):
-            return name, offers[name]
-        head, dot, rest = name.rpartition(".")
-        if dot and rest and rest != "*" and f"{head}.*" in offers:
-            return f"{head}.*", offers[f"{head}.*"]
-        raise _unknown(group, name, list(offers))
-
-    def _load(self, group: str, name: str, entry: str, offers: list[_Offer]) -> Any:
-        offer = _only(group, entry, offers)
-        try:
-            found = offer.load()
-            return found(name.rpartition(".")[2]) if entry.endswith(".*") else found
-        except (Exception, SystemExit) as error:  # an import may raise anything, even SystemExit
-            source = f"of {offer.version.distribution} {offer.version.version} ({offer.value}) " if offer.value else ""
-            raise PluginError(f"the {GROUPS[group]} {name!r} {source}cannot be loaded: {_line(error)}") from None
+        if name not in offers:
+            raise _unknown(group, name, list(offers))
+        if len(offers[name]) > 1:
+            sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in offers[name])
+            raise PluginError(f"the {GROUPS[group]} {name!r} is offered twice, by {sources}: uninstall one of them")
+        return offers[name][0]
 
 
 def _check_group(group: str) -> None:
@@ -171,11 +158,12 @@ def _check_group(group: str) -> None:
         raise ValueError(f"{group!r} is no group of plug-ins; there are {', '.join(GROUPS)}")
 
 
-def _only(group: str, entry: str, offers: list[_Offer]) -> _Offer:
-    if len(offers) > 1:
-        sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in offers)
-        raise PluginError(f"the {GROUPS[group]} {entry!r} is offered twice, by {sources}: uninstall one of them")
-    return offers[0]
+def _load(group: str, name: str, offer: _Offer) -> Any:
+    try:
+        return offer.load()
+    except (Exception, SystemExit) as error:  # an import may raise anything, and a script even ends the process
+        source = f"{offer.version.distribution} {offer.version.version} ({offer.value})"
+        raise PluginError(f"the {GROUPS[group]} {name!r} of {source} cannot be loaded: {_line(error)}") from None
 
 
 def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:

@@ -95,8 +95,8 @@ class ServiceSpec:
 class Service(Component):
     """The base of all services.
 
-    A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point group
-    `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
+    A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point
+    group `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
 
     Attributes:
         settings: an instance of the class's `Settings`.

@@ -119,7 +119,7 @@ class Task(Component):
         super().__init__(kernel, address, mailbox)
         carried = carried or Carried({}, {})
         self.settings = make_settings(self.Settings, carried.settings)
-        self.state = make_settings(self.State, carried.state)
+        self.state = make_settings(self.State, carried.state, allow_nan=True)
         self._periods_s = carried.periods_s
         self._rate_hz = rate_hz
         self._fence = fence

@@ -85,16 +85,17 @@ class _Check:
             self._broken = True
         return None
 
-    def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> type | None:
+    def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
         """Checks that a class exists and that its settings fit; returns it where it can be used."""
         if not name:
             return None  # its absence has been reported
         found = self._get(group, name, (*table, key))
         if found is None:
             return None
-        base: Any = _bases()[group]
-        if not (isinstance(found, type) and issubclass(found, base)):
-            self._fault((*table, key), f"{name!r} is no {base.__name__}: a defect of its distribution")
+        if not _is_class_of(group, found):
+            self._fault(
+                (*table, key), f"{name!r} is no {group.removeprefix('pancakes.')[:-1]}: a defect of its distribution"
+            )
             return None
         for problem in check_settings(found.Settings, settings):
             self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)
@@ -161,13 +162,14 @@ class _Check:
             self._fault(key, problem, suggestion(rule.field, known))
 
 
-def _bases() -> dict[str, Any]:
-    """What a class of each group must be; imported late, for the sake of a quick `--help`."""
-    from pancakes.devices.driver import Driver
+def _is_class_of(group: str, found: Any) -> bool:
+    """Whether a plug-in is a class of the kind that its group promises."""
+    from pancakes.devices.driver import Driver  # late: reading a file alone needs no kernel
     from pancakes.service import Service
     from pancakes.task import Task
 
-    return {DRIVERS: Driver, SERVICES: Service, TASKS: Task}
+    bases: dict[str, type] = {DRIVERS: Driver, SERVICES: Service, TASKS: Task}
+    return isinstance(found, type) and issubclass(found, bases[group])
 
 
 def _strings(value: Any) -> list[str]:

@@ -157,6 +157,6 @@ class Kernel:
     def _hogged(self, address: str, held_s: float) -> None:
         self.log(
             "warning",
-            f"{address} has held a thread of the pool for {held_s * 1000:.0f} ms: a task that waits or computes for long"
-            " should say `blocking = True`",
+            f"{address} has held a thread of the pool for {held_s * 1000:.0f} ms:"
+            " a task that waits or computes for long should say `blocking = True`",
         )

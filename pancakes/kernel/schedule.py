@@ -86,7 +86,7 @@ class Schedule:
         """Takes out what is due at `now_s`, oldest first."""
         out: list[Due | Callable[[], None]] = []
         while self._heap and self._heap[0][0] <= now_s:
-            deadline_s, _, entry = heapq.heappop(self._heap)
+            _, _, entry = heapq.heappop(self._heap)
             if not isinstance(entry, _Group):
                 out.append(entry)
                 continue

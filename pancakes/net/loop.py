@@ -142,5 +142,5 @@ class Loop:
     def _guard(self, function: Callable[..., None], *arguments: int) -> None:
         try:
             function(*arguments)
-        except Exception:  # noqa: BLE001 - a fault in one handler must not silence all the others
+        except Exception:  # a fault in one handler must not silence all the others
             _LOG.exception("a handler of the network failed")

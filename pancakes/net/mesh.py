@@ -15,7 +15,7 @@ from typing import Any, Final
 from pancakes.clock import Clock
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.net.outbox import Counters, Message, PeerBusy
-from pancakes.net.peers import Admit, Decision, Dial, Peers
+from pancakes.net.peers import Admit, Decision, Dial, Peers, reachable
 from pancakes.net.session import Session
 from pancakes.net.transport import Connection, Handler, Scheduled, Transport
 from pancakes.packet import NEIGHBOURS, Packet, agent_of
@@ -178,7 +178,6 @@ class Mesh:
             try:
                 session.offer(packet.channel, key, Message(data, not retry))
             except PeerBusy:
-                session.counters.drop(packet.channel)
                 if destination != NEIGHBOURS:
                     raise
                 continue
@@ -345,10 +344,11 @@ class Mesh:
     def _beacon(self) -> None:
         if self._peers is None:
             return
-        addresses = self._peers.gossip()
+        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
+        addresses = ((own,) if own else ()) + self._peers.gossip()
         for _, session in sorted(self._up.items()):
-            self._gossip(session, addresses)
-            self._tally(1)
+            if self._gossip(session, addresses):
+                self._tally(1)
 
     def _accept(self) -> Handler:
         waiting = sum(not session.is_up and not session.address for session in self._sessions.values())
@@ -533,12 +533,14 @@ class Mesh:
             up[name] for name in sorted(up) if (hello := up[name].hello) is not None and hello.role == "agent"
         )
 
-    def _gossip(self, session: Session, addresses: tuple[str, ...]) -> None:
+    def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
+        """Tells a peer the addresses that are not its own; returns whether there were any."""
         if session.link is None or session.hello is None:
-            return
+            return False
         others = tuple(address for address in addresses if address != session.hello.listen)
         if others:
             self._act(session, session.link.gossip(others, self._now()))
+        return bool(others)
 
     def _report_drops(self, session: Session, now_s: float) -> None:
         dropped = sum(session.counters.dropped.values())
@@ -551,7 +553,7 @@ class Mesh:
         """Calls what was given to us; its failure must not cost a link."""
         try:
             function(*arguments)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it belongs in the log
+        except Exception as error:  # whatever it is, it belongs in the log
             text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
             name = getattr(function, "__qualname__", repr(function))
             self._on_log("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")

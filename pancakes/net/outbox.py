@@ -118,8 +118,8 @@ class Outbox:
     """
 
     def __init__(self, peer: str, counters: Counters) -> None:
-        self._peer = peer
-        self._counters = counters
+        self.peer = peer
+        self.counters = counters
         self._link: deque[bytes] = deque()
         self._lanes: dict[str, _Lane] = {channel: _Lane(channel) for channel in FIRST}
         self._turns: deque[_Lane] = deque()  # the lanes that have something, except the first ones
@@ -145,7 +145,7 @@ class Outbox:
         if lane is None:
             lane = self._lanes[channel] = _Lane(channel)
         was_empty = not lane.waiting
-        lane.put(key, message, self._counters, self._peer)
+        lane.put(key, message, self.counters, self.peer)
         if was_empty and channel not in FIRST:
             self._turns.append(lane)
 
@@ -156,7 +156,7 @@ class Outbox:
             PeerBusy: as many blobs as may be unfinished wait already.
         """
         if len(self._blobs) >= MAX_OPEN_BLOBS:
-            raise PeerBusy(f"{self._peer} is slow: {len(self._blobs)} snapshots wait for it")
+            raise PeerBusy(f"{self.peer} is slow: {len(self._blobs)} snapshots wait for it")
         self._blobs.append(pieces)
 
     def take(self, limit_bytes: int) -> tuple[list[bytes], int, int]:

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox
+from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox, PeerBusy
 from pancakes.net.transport import Connection, Scheduled
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame, split
@@ -88,7 +88,8 @@ class Session:
             counters.bytes_in += self.counters.bytes_in
             counters.bytes_out += self.counters.bytes_out
             self.counters = counters
-            self._outbox = Outbox(self.peer, counters)
+            self._outbox.peer, self._outbox.counters = self.peer, counters
+            self.reported_drops = sum(counters.dropped.values())
             self.is_up = True
 
     # The transport's callbacks
@@ -134,7 +135,11 @@ class Session:
             if self._closed:
                 self.counters.drop(channel)
             elif self._congested:
-                self._outbox.put(channel, key, message)
+                try:
+                    self._outbox.put(channel, key, message)
+                except PeerBusy:
+                    self.counters.drop(channel)
+                    raise
             else:
                 (self._first if channel in FIRST else self._rest).append(message)
                 self._turn_bytes += len(message.data)

@@ -109,8 +109,8 @@ class TaskContext:
 class DeviceTask(Task):
     """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
 
-    An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than the
-    highest it has seen. Without a fresh command it goes to its safe hold.
+    An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
+    the highest it has seen. Without a fresh command it goes to its safe hold.
     """
 
     def __init__(

@@ -1,7 +1,8 @@
 """Services whose tasks outlive a crash and move between agents.
 
-Each task has a durable record, and a hand-off whose core (`pancakes.migration`) decides what may happen to it. This actor
-is the one place where the events of a task come together and where the core's effects are carried out, strictly in order.
+Each task has a durable record, and a hand-off whose core (`pancakes.migration`) decides what may happen to it. This
+actor is the one place where the events of a task come together, and where the core's effects are carried out, strictly
+in order.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from pancakes.migration.effect import (
     StartTask,
     Warn,
 )
-from pancakes.migration.event import Award, Born, Checkpoint, Ended, Event, FreezeFailed, Frozen, Received
+from pancakes.migration.event import Award, Born, Checkpoint, Ended, FreezeFailed, Frozen, Received
 from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.messages import HandOffMessage, Solicit, Transfer
@@ -506,7 +507,7 @@ class DurableService(Service):
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
             spec = self._spec_of(snapshot)
             make_settings(spec.cls.Settings, snapshot.settings)
-            make_settings(spec.cls.State, snapshot.state)
+            make_settings(spec.cls.State, snapshot.state, allow_nan=True)
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)
         slot = self.slots.get(message.task_id.name)

@@ -10,7 +10,7 @@ import msgspec
 from pancakes.errors import PancakesError, RemoteProtocolError
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import reliable
-from pancakes.migration.capability import HOST_ROLE, Capability
+from pancakes.migration.capability import Capability
 from pancakes.migration.cost import Cost, HostLoad
 from pancakes.migration.messages import (
     Abort,

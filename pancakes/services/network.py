@@ -21,8 +21,8 @@ from pancakes.task import Task, TaskSpec
 class NetworkClient(Task):
     """Takes what is bound for other agents and gives it to the mesh (paper §3.3).
 
-    It takes it in the publisher's own thread, so that sending costs no hop; it is the task that decides whether there is
-    a way out at all.
+    It takes it in the publisher's own thread, so that sending costs no hop; it is the task that decides whether there
+    is a way out at all.
     """
 
     def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
@@ -77,7 +77,7 @@ class NetworkService(Service):
 
         Attributes:
             discovery_hz: beacons for each second of mission time.
-            insecure: whether it may listen on an address that others than this machine can reach; links are not encrypted.
+            insecure: whether it may listen where other machines can reach it, although links are not encrypted.
         """
 
         discovery_hz: float = 1.0
@@ -116,7 +116,7 @@ class NetworkService(Service):
         for component in self.kernel.registry.components():
             if isinstance(component, Task) and networked.intersection(component.requires):
                 needed = ", ".join(sorted(networked.intersection(component.requires)))
-                return f"{self.address} must not sleep while {component.address} needs {needed}, which comes from elsewhere"
+                return f"{self.address} must not sleep while {component.address} needs {needed} from elsewhere"
         migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
         if isinstance(migrator, TaskMigrator):
             return migrator.refuse_stop()
@@ -151,7 +151,7 @@ class NetworkService(Service):
             try:
                 self._mesh.send(replace(packet, destination=destination), retry=True)
             except PancakesError:
-                # A follower that is slow or gone misses something; the mesh counts it. To log it would go round in circles.
+                # A follower that is slow or gone misses something; the mesh counts it. To log it would never end.
                 pass
 
         self._unfollow(body.channel, follower)

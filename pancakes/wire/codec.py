@@ -34,6 +34,7 @@ ARRAY_EXTENSION: Final = 1
 _BODY_DEPTH: Final = 3  # within the frame's array and the packet's
 _LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
 _STRINGS: Final = frozenset((str,))
+_FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the dataclasses that were sent: asking for them each time is slow
 _DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
 
 _Text = Annotated[str, msgspec.Meta(max_length=256)]
@@ -104,7 +105,9 @@ class Encoder:
 
 
 def rows_from_payload(payload: bytes) -> list[list[Any]]:
-    """Takes a frame's payload apart into the arrays that are its messages, within all limits.
+    """Takes a frame's payload apart into the arrays that are its messages, within the limits of memory.
+
+    What is in a message is checked when it is made of its array.
 
     Raises:
         RemoteProtocolError: it is not a msgpack array of messages, or breaks a limit.
@@ -125,7 +128,6 @@ def rows_from_payload(payload: bytes) -> list[list[Any]]:
         raise RemoteProtocolError(f"a frame is not valid msgpack: {error or type(error).__name__}") from None
     if type(rows) is not list or not rows:
         raise RemoteProtocolError("a frame holds no array of messages")
-    _check_received(rows, 1)
     for row in rows:
         if type(row) is not list or not row or type(row[0]) not in (str, int):
             raise RemoteProtocolError("a frame holds a message that is neither a packet nor the link's own")
@@ -142,6 +144,8 @@ def packet_from_row(row: list[Any]) -> Packet:
         it = msgspec.convert(row, _PacketRow)
     except msgspec.ValidationError as error:
         raise RemoteProtocolError(f"a packet is malformed: {error}") from None
+    if type(it.body) not in _LEAVES:  # of all the rest msgspec knows the types
+        _check_received(it.body, _BODY_DEPTH)
     body = _typed_body(it.type, it.body, it.source)
     return Packet(it.channel, it.type, it.source, it.destination, it.stamp, it.seq, body, it.cause, it.fence)
 
@@ -151,7 +155,7 @@ def _typed_body(kind: str, body: Any, source: str) -> Any:
         return body_from_plain(kind, body)
     except RemoteProtocolError as error:
         raise RemoteProtocolError(f"{error} (from {source})") from None
-    except Exception as error:  # noqa: BLE001 - a registered class may run code of its own in __post_init__
+    except Exception as error:  # a registered class may run code of its own in __post_init__
         raise RemoteProtocolError(
             f"a packet of the type {kind!r} from {source} has a bad body: {type(error).__name__}: {error}"
         ) from None
@@ -162,6 +166,14 @@ def _plain(value: Any, depth: int, where: str) -> Any:
     kind = type(value)
     if kind in _LEAVES:
         return value
+    names = _FIELDS.get(kind)
+    if names is not None:
+        _check_depth(depth, where)
+        fields = {name: getattr(value, name) for name in names}
+        if not _LEAVES.issuperset(map(type, fields.values())):
+            for name, item in fields.items():
+                fields[name] = _plain(item, depth + 1, f"{where}.{name}")
+        return fields
     if kind is dict:
         _check_depth(depth, where)
         if len(value) > MAX_MAP_LENGTH:
@@ -183,8 +195,8 @@ def _plain(value: Any, depth: int, where: str) -> Any:
 
 def _plain_object(value: Any, depth: int, where: str) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        return _plain(fields, depth, where)
+        _FIELDS[type(value)] = tuple(field.name for field in dataclasses.fields(value))
+        return _plain(value, depth, where)
     if isinstance(value, msgspec.Struct):
         fields = {name: getattr(value, name) for name in value.__struct_fields__}
         return _plain(list(fields.values()) if value.__struct_config__.array_like else fields, depth, where)
@@ -196,7 +208,9 @@ def _plain_object(value: Any, depth: int, where: str) -> Any:
             return _extension_from_array(value, where)
         if isinstance(value, numpy.generic) and value.dtype.kind in "biuf":
             return value.item()
-    if isinstance(value, tuple) and not isinstance(value, msgpack.ExtType):  # a named tuple
+    if isinstance(value, dict):
+        return _plain(dict(value), depth, where)
+    if isinstance(value, (list, tuple)) and not isinstance(value, msgpack.ExtType):  # a named tuple, say
         return _plain(list(value), depth, where)
     if isinstance(value, str):
         return str(value)
@@ -223,21 +237,23 @@ def _check_depth(depth: int, where: str) -> None:
 
 
 def _check_received(value: Any, depth: int) -> None:
-    if depth > MAX_DEPTH:
-        raise RemoteProtocolError(f"a frame is nested deeper than {MAX_DEPTH}")
-    inner = value
-    if type(value) is dict:
+    kind = type(value)
+    if kind is dict:
         if not _STRINGS.issuperset(map(type, value)):
-            raise RemoteProtocolError("a frame holds a map with a key that is no string")
+            raise RemoteProtocolError("a packet holds a map with a key that is no string")
         inner = value.values()
-    if _LEAVES.issuperset(map(type, inner)):
-        return
-    for item in inner:
-        kind = type(item)
-        if kind is list or kind is dict:
-            _check_received(item, depth + 1)
-        elif kind is msgpack.Timestamp:  # msgpack makes these by itself, before it asks for our types
-            raise RemoteProtocolError("a frame holds an extension type that is not ours: -1")
+    elif kind is list:
+        inner = value
+    elif kind is msgpack.Timestamp:  # msgpack makes these by itself, before it asks for our types
+        raise RemoteProtocolError("a packet holds an extension type that is not ours: -1")
+    else:
+        return  # one of our arrays
+    if depth > MAX_DEPTH:
+        raise RemoteProtocolError(f"a packet is nested deeper than {MAX_DEPTH}")
+    if not _LEAVES.issuperset(map(type, inner)):
+        for item in inner:
+            if type(item) not in _LEAVES:
+                _check_received(item, depth + 1)
 
 
 def _extension_from_array(array: Any, where: str) -> msgpack.ExtType:

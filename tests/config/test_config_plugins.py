@@ -200,8 +200,8 @@ class TestDevices:
                 "a.toml:5: [device.a] driver: 'test.untyped' does not say the type of its device:"
                 " a defect of its distribution"
             ),
-            "a.toml:7: [device.b] driver: 'test.function' is no Driver: a defect of its distribution",
-            "a.toml:9: [task.t] type: 'test.Service' is no Task: a defect of its distribution",
+            "a.toml:7: [device.b] driver: 'test.function' is no driver: a defect of its distribution",
+            "a.toml:9: [task.t] type: 'test.Service' is no task: a defect of its distribution",
         ]
 
 

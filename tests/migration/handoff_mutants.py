@@ -82,7 +82,13 @@ MUTANTS = (
     Mutant(
         "abort after commit",
         "the source times out in COMMITTED and takes the task back",
-        ((source, "record.phase is not Phase.FROZEN or record.offer != event.offer", "record.offer != event.offer"),),
+        (
+            (
+                source,
+                "record.phase is not Phase.FROZEN or record.offer != event.offer",
+                "record.phase not in (Phase.FROZEN, Phase.COMMITTED) or record.offer != event.offer",
+            ),
+        ),
     ),
     Mutant(
         "start on transfer",
@@ -103,7 +109,7 @@ MUTANTS = (
     Mutant(
         "offer number reused after a crash",
         "the offered epoch is not written down with the frozen task",
-        ((source, "        seen=event.offer,\n", ""),),
+        ((source, "seen=event.offer, ", ""),),
         {"offers": 2},
     ),
     Mutant(
@@ -163,7 +169,7 @@ MUTANTS = (
     Mutant(
         "freeze not durable",
         "the last checkpoint is sent instead of what the task was when it stopped",
-        ((source, "        snapshot=event.snapshot,\n", ""),),
+        ((source, ", snapshot=event.snapshot", ""),),
         {"durability": "lazy"},
     ),
     Mutant(
@@ -172,8 +178,8 @@ MUTANTS = (
         (
             (
                 source,
-                "        *_transfer(record, 0, times),\n        After(wait_s, give_up),",
-                "        Resume(record.epoch, 0, record.snapshot), *_transfer(record, 0, times),",
+                "*_transfer(record, 0, times), After(wait_s, give_up)",
+                "Resume(record.epoch, 0, record.snapshot), *_transfer(record, 0, times)",
             ),
         ),
     ),

@@ -131,7 +131,7 @@ def test_an_exempt_address_takes_part_in_no_fault(memory_rig):
 
 
 def test_a_closed_transport_is_as_good_as_dead(memory_rig):
-    here, there = join(memory_rig)
+    here, _ = join(memory_rig)
     transport = memory_rig.transport("c")
     fired = []
     transport.call_later(1.0, lambda: fired.append(1))

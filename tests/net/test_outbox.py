@@ -94,7 +94,7 @@ def test_the_other_channels_and_blobs_take_turns():
     outbox.put_blob(Message(b"B%d" % index, True) for index in range(2))
     assert take_all(outbox) == [
         *(b"c0", b"b0", b"l0", b"b1", b"c1", b"b2", b"l1", b"b3"),
-        *(b"c2", b"B0", b"l2", b"B1"),
+        *(b"c2", b"l2", b"B0", b"B1"),
     ]
 
 

@@ -158,40 +158,6 @@ class TestRegisteredInCode:
         assert Plugins(extra={(TASKS, "hidden.X"): int}).get(TASKS, "hidden.X") is int
 
 
-class TestFamilies:
-    """`virtual.*` is a driver for any type of device: a function that makes the class."""
-
-    @staticmethod
-    def make(device_type: str) -> type:
-        if device_type == "nothing":
-            raise ValueError("there is nothing to drive")
-        return type("Virtual", (), {"type": device_type})
-
-    @pytest.fixture
-    def plugins(self) -> Plugins:
-        drivers = {"virtual.*": self.make, "virtual.pose": int}
-        return Plugins(extra={("pancakes.drivers", name): driver for name, driver in drivers.items()})
-
-    def test_it_is_given_what_stands_in_place_of_the_star(self, plugins: Plugins):
-        motors = plugins.get("pancakes.drivers", "virtual.motors")
-
-        assert motors.type == "motors"
-        assert plugins.get("pancakes.drivers", "virtual.motors") is motors, "one class for one name"
-        assert plugins.version("pancakes.drivers", "virtual.motors") == ("", "")
-
-    def test_a_plugin_of_the_very_name_goes_first(self, plugins: Plugins):
-        assert plugins.get("pancakes.drivers", "virtual.pose") is int
-
-    def test_it_may_refuse(self, plugins: Plugins):
-        with pytest.raises(PluginError, match="cannot be loaded: ValueError: there is nothing to drive"):
-            plugins.get("pancakes.drivers", "virtual.nothing")
-
-    @pytest.mark.parametrize("name", ["virtual.*", "virtual.", "virtual", "virtual.a.b"])
-    def test_what_is_no_member(self, plugins: Plugins, name: str):
-        with pytest.raises(UnknownPlugin):
-            plugins.get("pancakes.drivers", name)
-
-
 class TestPackets:
     def test_importing_them_registers_their_types(self, install: Install):
         source = """

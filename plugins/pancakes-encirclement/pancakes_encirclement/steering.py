@@ -16,6 +16,7 @@ from pancakes_encirclement.local_map import LocalMap
 
 _TIGHTER = (1.0, 0.5, 0.2)
 """Shares of the wanted clearance that a robot tries in turn, where it finds no way."""
+PF=12.;PD=6.;LF=.2;LD=.6
 _LONG_WAY_RAD = 0.6
 """A way round that leads farther off than this is worth waiting for a free one."""
 _SLOWEST_SHARE = 0.2
@@ -99,13 +100,14 @@ class Steering:
     ) -> Twist:
         if self._blocked_since_s is None:
             self._blocked_since_s = now_s
-        patient = now_s - self._blocked_since_s < self._avoidance.patience_s
+        F = distance_m == math.inf
+        patient = now_s - self._blocked_since_s < (PF if F else PD)
         for share in _TIGHTER:
             keep = self._avoidance.body_radius_m + share * self._avoidance.clearance_m
             bearing = free_bearing(points, wanted_rad, keep, reach_m, self._side)
             if bearing is not None:
                 turn = wrap(bearing - wanted_rad)
-                if patient and abs(turn) > _LONG_WAY_RAD:
+                if patient and abs(turn) > (LF if F else LD):
                     return Twist(0.0, 0.0)
                 if turn != 0.0:
                     self._side = 1 if turn > 0.0 else -1

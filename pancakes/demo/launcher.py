@@ -1,0 +1,254 @@
+"""Runs a demo: four processes over real sockets, or the same agents in virtual time on one thread."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pancakes.agent import Agent
+from pancakes.config import Config, parse
+from pancakes.demo.conductor import Conductor, Mission
+from pancakes.demo.plan import LAUNCHER, Plan
+from pancakes.errors import PancakesError
+from pancakes.fleet import VirtualFleet
+from pancakes.net.memory import Quality
+from pancakes.plugins import Plugins
+
+READY_S = 30.0
+"""How long, in host time, the agents have to become ready."""
+STOP_S = 1.2
+"""How long a process has to end after SIGTERM before it is killed."""
+LOOK_S = 0.05
+
+
+class Launcher(Agent):
+    """The launcher's own agent: a client of the mesh with one task, the conductor."""
+
+    def __init__(self, plan: Plan, mission: Mission, virtual: Any = None) -> None:
+        self._plan = plan
+        self._mission = mission
+        peers = ", ".join(f'"{address}"' for address in plan.peers())
+        text = f"""
+            schema = 1
+            [agent]
+            name = "{LAUNCHER}"
+            role = "client"
+            seed = {plan.seed}
+            fleet = "{next(iter(plan.configs.values())).agent.fleet}"
+            peers = [{peers}]
+            [clock]
+            speed = {plan.speed!r}
+            hold = true
+            [service.log.settings]
+            console = false
+            [task.Conductor]
+            type = "pancakes.conductor"
+        """
+        super().__init__(parse(text, where="the launcher"), _conducting(), virtual)
+
+    def end(self, reason: str) -> None:
+        """Ends the mission before its time. Any thread."""
+        conductor = self.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
+        if isinstance(conductor, Conductor):
+            conductor.call(lambda: conductor.end(reason))
+
+    def _task(self, config: Any) -> Any:
+        spec = super()._task(config)
+        assert spec is not None
+        return replace(spec, arguments={"mission": self._mission, "events": self._plan.out / "events.jsonl"})
+
+
+def _conducting() -> Plugins:
+    return Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
+
+
+class Processes:
+    """The agents of a live demo, each a process of its own.
+
+    They end with the launcher, whatever becomes of it.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self) -> None:
+        """Starts them all."""
+        logs = self._plan.out / "logs"
+        logs.mkdir(parents=True, exist_ok=True)
+        for agent, path in self._plan.files.items():
+            command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(path), "--die-with-parent"]
+            for change in self._plan.sets[agent]:
+                command += ["--set", change]
+            with (logs / f"{agent}.txt").open("wb") as output:
+                # A session of their own: an interrupt at the terminal reaches the launcher, which stops them in order.
+                self._processes[agent] = subprocess.Popen(
+                    command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+                )
+
+    def gone(self) -> str:
+        """Returns a sentence about an agent that has ended by itself; empty where all run."""
+        for agent, process in self._processes.items():
+            if process.poll() is not None:
+                said = (self._plan.out / "logs" / f"{agent}.txt").read_text(encoding="utf-8", errors="replace").strip()
+                last = said.splitlines()[-1] if said else "it said nothing"
+                return f"the agent {agent} ended with exit code {process.returncode}: {last}"
+        return ""
+
+    def stop(self) -> None:
+        """Stops them all: in good order where they can, by force where they do not in time."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.terminate()
+        deadline_s = time.monotonic() + STOP_S
+        for process in self._processes.values():
+            try:
+                process.wait(max(0.0, deadline_s - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
+    """Runs the agents as processes until the mission is over, or `interrupted` is set.
+
+    Returns:
+        What is the wall's, for `timing.json`.
+
+    Raises:
+        PancakesError: the agents did not become ready.
+    """
+    processes = Processes(plan)
+    began_s = time.monotonic()
+    launcher: Launcher | None = None
+    try:
+        processes.start()
+        launcher = Launcher(plan, mission)
+        launcher.start()
+        running_s = None
+        while mission.phase != "over" and not interrupted.wait(LOOK_S):
+            gone = processes.gone()
+            if gone and mission.phase == "connecting":
+                raise PancakesError(gone)
+            if gone:
+                launcher.end(gone)
+            if mission.phase == "running" and running_s is None:
+                running_s = time.monotonic()
+            if mission.phase == "connecting" and time.monotonic() - began_s > READY_S:
+                waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
+                raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+        ended_s = time.monotonic()
+    finally:
+        processes.stop()
+        if launcher is not None:
+            launcher.stop()
+    return {
+        "mode": "live",
+        "speed": plan.speed,
+        "start_s": (running_s or ended_s) - began_s,
+        "wall_s": ended_s - (running_s or ended_s),
+        "behind_max_s": mission.behind_max_s,
+        "behind_end_s": mission.behind_s,
+    }
+
+
+def run_virtual(
+    plan: Plan, mission: Mission, interrupted: threading.Event, faults: Faults | None = None
+) -> dict[str, Any]:
+    """Runs the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
+
+    Returns:
+        What is the wall's, for `timing.json`.
+
+    Raises:
+        PancakesError: the agents did not become ready.
+    """
+    began_s = time.monotonic()
+    fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
+    for address in plan.buses():
+        fleet.network.exempt(address)
+    try:
+        for config in plan.configs.values():
+            fleet.start(config)
+        launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
+        if not fleet.run_while(lambda: mission.phase == "connecting" and not interrupted.is_set(), READY_S):
+            waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
+            raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+        running_s = time.monotonic()
+        if faults is not None:
+            faults.arrange(fleet, launcher)
+        fleet.run_while(lambda: mission.phase != "over" and not interrupted.is_set(), plan.duration_s * 2 + READY_S)
+        ended_s = time.monotonic()
+    finally:
+        fleet.close()
+    return {
+        "mode": "virtual",
+        "start_s": running_s - began_s,
+        "wall_s": ended_s - running_s,
+        "times_real_time": mission.now_s / max(ended_s - running_s, 1e-9),
+    }
+
+
+class Faults:
+    """What goes wrong with the network of a virtual run, drawn from a seed.
+
+    Latency and jitter all the time; and now and then a link between two agents breaks and is made anew.
+
+    Args:
+        seed: draws when and where.
+        breaks: how many links break in the course of the mission.
+        latency_s: how long a packet travels.
+        jitter_s: how much longer it may travel.
+    """
+
+    def __init__(self, seed: int, breaks: int = 6, latency_s: float = 0.02, jitter_s: float = 0.02) -> None:
+        self._random = random.Random(f"faults/{seed}")
+        self._breaks = breaks
+        self.quality = Quality(latency_s=latency_s, jitter_s=jitter_s)
+
+    def arrange(self, fleet: VirtualFleet, launcher: Agent) -> None:
+        """Draws the breaks of one mission."""
+        names = [name for name in fleet.agents if name != launcher.name]
+        for _ in range(self._breaks):
+            at_s = fleet.now() + self._random.uniform(5.0, 290.0)
+            one, other = self._random.sample(names, 2)
+            fleet.dispatcher.call_at(at_s, lambda one=one, other=other: fleet.network.break_links(one, other))  # type: ignore[misc]
+
+
+def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
+    """Returns the agents' configurations as plain mappings, for a demo's judge."""
+
+    def plain(config: Config) -> dict[str, Any]:
+        return {
+            "agent": msgspec.to_builtins(config.agent),
+            "devices": {name: dict(device.settings) for name, device in config.devices.items()},
+            "services": {name: dict(service.settings) for name, service in config.services.items()},
+            "tasks": {
+                name: {"type": task.type, "start": task.start, "settings": dict(task.settings)}
+                for name, task in config.tasks.items()
+            },
+        }
+
+    return {agent: plain(config) for agent, config in plan.configs.items()}
+
+
+def fresh(out: Path) -> None:
+    """Makes the output folder, without the state and the results of an earlier run."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in ("state", "logs"):
+            shutil.rmtree(out / name, ignore_errors=True)
+        for name in ("events.jsonl", "trajectory.csv", "summary.json", "timing.json", "paths.png"):
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise PancakesError(f"the output folder {out} cannot be used: {error.strerror}") from None

@@ -1,0 +1,268 @@
+"""`paths.png`: a mission as the paper shows it (Figures 4 to 6), with who ran what and the batteries below."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pancakes.errors import PancakesError
+from pancakes_encirclement.holding import holders
+from pancakes_encirclement.record import Record, Row, read_record
+from pancakes_encirclement.scenario import Scenario, read_scenario
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+"""Of the robots, in order: colours that colour-blind people can tell apart (Okabe and Ito)."""
+_MARKERS = ("^", "s", "D", "v")
+_INK, _FAINT = "#333333", "#b0b0b0"
+_STYLE = {
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8,
+    "legend.fontsize": 7.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": _INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "font.family": "DejaVu Sans",
+}
+_ARROW_EVERY_M = 0.9
+_HAND_OVER_S = 40.0
+"""How much of the mission the middle panel shows, from the hand-over on."""
+
+
+def draw_encirclement(out_dir: Path, run: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+    """Draws a mission in which `ScanTarget` was handed over: before, at and after that.
+
+    Args:
+        out_dir: where the mission left its files; `paths.png` is written there.
+        run: see `judge_encirclement`.
+        summary: what the verdict returned.
+
+    Returns:
+        The figure's path.
+
+    Raises:
+        PancakesError: matplotlib is missing, or the mission's files cannot be read.
+    """
+    end_s = float(run["duration_s"])
+    held = summary["holders"]
+    moved_s = held[1]["start_s"] if len(held) > 1 else end_s
+    settled_s = min(moved_s + _HAND_OVER_S, end_s)
+    panels = [("before the hand-over", 0.0, moved_s)]
+    if moved_s < end_s:
+        panels += [("at the hand-over", moved_s, settled_s), ("after it", settled_s, end_s)]
+    return _draw(out_dir, run, summary, panels, follows=False)
+
+
+def draw_intruder(out_dir: Path, run: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+    """Draws a mission in which the circle follows an intruder; see `draw_encirclement`."""
+    end_s = float(run["duration_s"])
+    start_s = summary["holders"][0]["start_s"] if summary["holders"] else 0.0
+    third_s = (end_s - start_s) / 3.0
+    names = ("motion is sensed", "the intruder walks on", "the circle follows")
+    panels = [
+        (name, start_s + index * third_s if index else 0.0, start_s + (index + 1) * third_s)
+        for index, name in enumerate(names)
+    ]
+    return _draw(out_dir, run, summary, panels, follows=True)
+
+
+def _draw(
+    out_dir: Path,
+    run: Mapping[str, Any],
+    summary: Mapping[str, Any],
+    panels: Sequence[tuple[str, float, float]],
+    follows: bool,
+) -> Path:
+    try:
+        import matplotlib
+    except ImportError:
+        raise PancakesError("the figure needs matplotlib: pip install 'pancakes-agents[demo]'") from None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    record, scenario = read_record(out_dir), read_scenario(run["configs"])
+    end_s = float(run["duration_s"])
+    lanes = _lanes(record, end_s)
+    with matplotlib.rc_context(_STYLE):
+        height = 2.95 + 0.16 * len(lanes) + 1.3
+        figure = Figure(figsize=(7.2, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        ratios = (2.35, 0.35 + 0.16 * len(lanes), 1.0)
+        grid = figure.add_gridspec(3, len(panels), height_ratios=ratios)
+        maps = []
+        for index, (name, from_s, to_s) in enumerate(panels):
+            axes = figure.add_subplot(grid[0, index], sharey=maps[0] if maps else None)
+            _map(axes, record, scenario, summary, from_s, to_s, follows)
+            axes.set_title(f"({'abcdef'[index]}) {name}, {from_s:.0f}–{to_s:.0f} s")
+            if index:
+                axes.tick_params(labelleft=False)
+            else:
+                axes.set_ylabel("y [m]")
+            maps.append(axes)
+        handles, labels = _legend(scenario, follows)
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(handles), frameon=False, handlelength=1.6)
+        gantt = figure.add_subplot(grid[1, :])
+        _gantt(gantt, lanes, scenario, panels, end_s)
+        _batteries(figure.add_subplot(grid[2, :], sharex=gantt), record, scenario, panels, end_s)
+        path = out_dir / "paths.png"
+        figure.savefig(path, dpi=200, metadata={"Software": None})
+    return path
+
+
+def _map(
+    axes: Axes,
+    record: Record,
+    scenario: Scenario,
+    summary: Mapping[str, Any],
+    from_s: float,
+    to_s: float,
+    follows: bool,
+) -> None:
+    """Draws where everybody went in a part of the mission."""
+    from matplotlib.patches import Circle
+
+    axes.set_aspect("equal")
+    axes.set_xlim(-scenario.half_width_m, scenario.half_width_m)
+    axes.set_ylim(-scenario.half_height_m, scenario.half_height_m)
+    axes.set_xlabel("x [m]")
+    for mover in scenario.movers:
+        part = _between(record.paths.get(mover, ()), from_s, to_s)
+        faint = {"color": "#666666", "lw": 0.8} if follows else {"color": _FAINT, "lw": 0.5}
+        axes.plot([row.x_m for row in part], [row.y_m for row in part], ls=(0, (2, 1.5)), zorder=1, **faint)
+        if follows and part:
+            axes.plot(part[-1].x_m, part[-1].y_m, "o", ms=5, color="#666666", zorder=3)
+    for centre in _centres(record, summary, from_s, to_s, follows):
+        axes.add_patch(Circle(centre, scenario.radius_m, fill=False, ls="--", lw=0.7, ec=_INK, zorder=1.5))
+    sensor = record.paths.get(scenario.sensor)
+    if sensor:
+        axes.plot(sensor[0].x_m, sensor[0].y_m, "D", ms=5, mfc="white", mec=_INK, mew=1.0, zorder=4)
+    for index, robot in enumerate(scenario.robots):
+        path = record.paths.get(robot)
+        if path:
+            _path(axes, path, from_s, to_s, index)
+
+
+def _path(axes: Axes, path: Sequence[Row], from_s: float, to_s: float, index: int) -> None:
+    """Draws a robot's way: its home, its line with directions, and where it is at the end."""
+    colour, marker = COLOURS[index % len(COLOURS)], _MARKERS[index % len(_MARKERS)]
+    axes.plot(path[0].x_m, path[0].y_m, "+", ms=8, mew=1.2, color=colour, zorder=2)
+    part = _between(path, from_s, to_s)
+    if not part:
+        return
+    axes.plot([row.x_m for row in part], [row.y_m for row in part], lw=0.9, color=colour, zorder=2.5)
+    gone_m = 0.5 * _ARROW_EVERY_M
+    for before, row in zip(part, part[1:], strict=False):
+        gone_m += math.hypot(row.x_m - before.x_m, row.y_m - before.y_m)
+        if gone_m >= _ARROW_EVERY_M:
+            gone_m = 0.0
+            axes.annotate(
+                "",
+                xy=(row.x_m + 0.01 * math.cos(row.theta_rad), row.y_m + 0.01 * math.sin(row.theta_rad)),
+                xytext=(row.x_m, row.y_m),
+                arrowprops={"arrowstyle": "-|>,head_width=0.16,head_length=0.32", "color": colour, "lw": 0},
+                zorder=2.6,
+            )
+    axes.plot(part[-1].x_m, part[-1].y_m, marker, ms=5.5, mfc=colour, mec="white", mew=0.6, zorder=5)
+
+
+def _centres(
+    record: Record, summary: Mapping[str, Any], from_s: float, to_s: float, follows: bool
+) -> list[tuple[float, float]]:
+    if not follows:
+        circle = summary["circle"]
+        return [] if circle["x_m"] is None else [(circle["x_m"], circle["y_m"])]
+    told = [event for kind in ("alarm", "new_centre") for event in record.told(kind) if event.t_s <= to_s]
+    told.sort(key=lambda event: event.t_s)
+    return [(event.fields["x_m"], event.fields["y_m"]) for event in told[-1:] if to_s > from_s]
+
+
+def _legend(scenario: Scenario, follows: bool) -> tuple[list[Any], list[str]]:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=COLOURS[i % len(COLOURS)], marker=_MARKERS[i % len(_MARKERS)], ms=5, lw=0.9, mec="white")
+        for i in range(len(scenario.robots))
+    ]
+    labels = list(scenario.robots)
+    handles.append(Line2D([], [], marker="D", ms=5, mfc="white", mec=_INK, lw=0))
+    labels.append(f"{scenario.sensor} node" if scenario.sensor == "sensor" else scenario.sensor)
+    handles += [Line2D([], [], color=_INK, ls="--", lw=0.7), Line2D([], [], marker="+", ms=7, color=_INK, lw=0)]
+    labels += [f"circle, R = {scenario.radius_m:g} m", "start"]
+    for mover in scenario.movers[:1]:
+        handles.append(Line2D([], [], color="#666666" if follows else _FAINT, ls=(0, (2, 1.5)), lw=0.8))
+        labels.append(mover)
+    return handles, labels
+
+
+def _lanes(record: Record, end_s: float) -> list[tuple[str, str, list[tuple[float, float]]]]:
+    """Returns (agent, task, spans) for each of the users' tasks that ran on an agent of the mission."""
+    seen: dict[tuple[str, str], None] = {}
+    for event in record.told("task_started"):
+        if str(event.fields.get("type", "")).startswith("encirclement."):
+            seen.setdefault((event.agent, event.fields["task"]))
+    lanes = []
+    for agent, task in sorted(seen):
+        spans = [(held.start_s, held.end_s) for held in holders(record, task, end_s) if held.agent == agent]
+        lanes.append((agent, task, spans))
+    return lanes
+
+
+def _gantt(
+    axes: Axes,
+    lanes: Sequence[tuple[str, str, list[tuple[float, float]]]],
+    scenario: Scenario,
+    panels: Sequence[tuple[str, float, float]],
+    end_s: float,
+) -> None:
+    """Draws who ran what."""
+    for place, (agent, task, spans) in enumerate(lanes):
+        known = agent in scenario.robots
+        colour = COLOURS[scenario.robots.index(agent) % len(COLOURS)] if known else "#777777"
+        drives = task in (scenario.scan, scenario.home)
+        bars = [(start, max(stop - start, 0.002 * end_s)) for start, stop in spans]
+        axes.broken_barh(bars, (place - 0.36, 0.72), color=colour, alpha=1.0 if drives else 0.4, lw=0)
+    axes.set_yticks(range(len(lanes)), [f"{agent}  {task}" for agent, task, _ in lanes])
+    axes.set_ylim(len(lanes) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.tick_params(axis="x", labelbottom=False)
+    _time_axis(axes, panels, end_s)
+
+
+def _batteries(
+    axes: Axes, record: Record, scenario: Scenario, panels: Sequence[tuple[str, float, float]], end_s: float
+) -> None:
+    """Draws the robots' batteries, as a share of their range, and the levels at which something happens."""
+    for index, robot in enumerate(scenario.robots):
+        full_v, empty_v = scenario.battery_v.get(robot, (1.0, 0.0))
+        rows = [row for row in record.paths.get(robot, ()) if row.battery_v is not None]
+        levels = [100.0 * ((row.battery_v or 0.0) - empty_v) / (full_v - empty_v) for row in rows]
+        axes.plot([row.t_s for row in rows], levels, color=COLOURS[index % len(COLOURS)], lw=1.1)
+    for level in scenario.watched_levels:
+        axes.axhline(100.0 * level, color=_INK, lw=0.5, ls=":")
+        axes.annotate(
+            f"{100.0 * level:.0f} %", (1.005, 100.0 * level), xycoords=("axes fraction", "data"), va="center", fontsize=6.5
+        )
+    axes.set_ylabel("battery [%]")
+    axes.set_xlabel("mission time [s]")
+    axes.margins(y=0.12)
+    _time_axis(axes, panels, end_s)
+
+
+def _time_axis(axes: Axes, panels: Sequence[tuple[str, float, float]], end_s: float) -> None:
+    axes.set_xlim(0.0, end_s)
+    for _, from_s, _ in panels[1:]:
+        axes.axvline(from_s, color=_FAINT, lw=0.7, zorder=0)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _between(path: Sequence[Row], from_s: float, to_s: float) -> list[Row]:
+    return [row for row in path if from_s <= row.t_s <= to_s]

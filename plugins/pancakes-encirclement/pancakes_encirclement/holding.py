@@ -1,0 +1,124 @@
+"""Who ran a task, and when: from what the agents said, and from what the wheels did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pancakes_encirclement.record import Record, Row
+
+_ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
+_CLOCKS_AGREE_S = 0.05
+"""How well the agents' mission clocks agree: they begin by a packet, each on its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """An agent that ran a task for some time.
+
+    Attributes:
+        agent: who.
+        start_s: mission time.
+        end_s: mission time; the mission's end where the task still ran then.
+    """
+
+    agent: str
+    start_s: float
+    end_s: float
+
+
+def holders(record: Record, task: str, end_s: float) -> list[Holder]:
+    """Returns who ran a task, in the order of time. A task that is frozen for a move runs no more."""
+    found = []
+    since: dict[str, float] = {}
+    for event in record.events:
+        if event.fields.get("task") != task:
+            continue
+        if event.kind in ("task_started", "task_resumed"):
+            since.setdefault(event.agent, event.t_s)
+        elif event.kind in _ENDS and event.agent in since:
+            found.append(Holder(event.agent, since.pop(event.agent), event.t_s))
+    found += [Holder(agent, start_s, max(start_s, end_s)) for agent, start_s in since.items()]
+    return sorted(_joined(found), key=lambda holder: holder.start_s)
+
+
+def _joined(found: list[Holder]) -> list[Holder]:
+    """Makes one of what a restart, or a move that was called off, broke in two."""
+    joined: list[Holder] = []
+    for holder in sorted(found, key=lambda holder: (holder.start_s, holder.end_s)):
+        last = joined[-1] if joined else None
+        if last is not None and last.agent == holder.agent:
+            joined[-1] = Holder(last.agent, last.start_s, max(last.end_s, holder.end_s))
+        else:
+            joined.append(holder)
+    return joined
+
+
+def driven(path: Sequence[Row], task: str) -> list[Row]:
+    """Returns the rows in which the wheels of a robot followed a task."""
+    return [row for row in path if row.driven_by == task]
+
+
+def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> float | None:
+    """Returns the time from the old holder's last motor command that the wheels followed to the new one's first.
+
+    Returns:
+        Seconds, to the precision of the trajectory's rows; None where one of them never drove.
+    """
+    before, after = driven(paths.get(old, ()), task), driven(paths.get(new, ()), task)
+    if not before or not after:
+        return None
+    return max(0.0, after[0].t_s - before[-1].t_s)
+
+
+def overlap_s(paths: Mapping[str, list[Row]], robots: Sequence[str], task: str, held: Sequence[Holder]) -> float:
+    """Returns for how long two agents ran a task at once: as their wheels show it, or as they said, the longer."""
+    together = 0.0
+    count: dict[float, int] = {}
+    for robot in robots:
+        for row in driven(paths.get(robot, ()), task):
+            count[row.t_s] = count.get(row.t_s, 0) + 1
+    times = sorted({row.t_s for robot in robots for row in paths.get(robot, ())})
+    step_s = min((later - earlier for earlier, later in zip(times, times[1:], strict=False)), default=0.0)
+    together = step_s * sum(1 for robots_driven in count.values() if robots_driven > 1)
+    said = 0.0
+    for earlier, later in zip(held, held[1:], strict=False):
+        both_s = min(earlier.end_s, later.end_s) - later.start_s
+        if both_s > _CLOCKS_AGREE_S:
+            said += both_s
+    return max(together, said)
+
+
+@dataclass(frozen=True, slots=True)
+class RadiusError:
+    """How far from a circle a robot drove, once it was on it."""
+
+    mean: float
+    max: float
+
+
+def radius_error(
+    path: Sequence[Row], centre_m: tuple[float, float], radius_m: float, arrived_share: float, settling_s: float
+) -> RadiusError | None:
+    """Returns how far from a circle a robot drove.
+
+    Args:
+        path: where it was, while it held the task.
+        centre_m: the centre of the circle.
+        radius_m: its radius.
+        arrived_share: it arrives where its distance from the centre is first within this share of the radius.
+        settling_s: only what comes this long after that counts.
+
+    Returns:
+        The errors; None where it never arrived, or had no time left to settle.
+    """
+    arrived_s = math.inf
+    errors = []
+    for row in path:
+        error = abs(math.hypot(row.x_m - centre_m[0], row.y_m - centre_m[1]) - radius_m)
+        if arrived_s == math.inf and error <= arrived_share * radius_m:
+            arrived_s = row.t_s
+        if row.t_s >= arrived_s + settling_s:
+            errors.append(error)
+    return RadiusError(sum(errors) / len(errors), max(errors)) if errors else None

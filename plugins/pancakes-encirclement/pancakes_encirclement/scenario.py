@@ -1,0 +1,99 @@
+"""What a mission was meant to be: the part of its configurations that a verdict and a figure need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pancakes.errors import PancakesError
+from pancakes.sim.models import robot_model
+
+Table = Mapping[str, Any]
+
+SCAN = "encirclement.ScanTarget"
+WORLD = "sim.world"
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A mission's cast and stage.
+
+    Attributes:
+        first: the agent that holds `ScanTarget` at first.
+        robots: all robots, by the world's order.
+        sensor: the sensor node.
+        movers: who walks through the arena.
+        scan: the name of the task that goes round.
+        home: the name of the task that goes home; empty where there is none.
+        radius_m: the radius of the circle.
+        half_width_m: the arena reaches from minus this to this along x.
+        half_height_m: the same along y.
+        battery_v: each robot's voltage when its battery is full, and when it is empty.
+        watched_levels: levels of the battery at which something happens, from the highest.
+    """
+
+    first: str
+    robots: tuple[str, ...]
+    sensor: str
+    movers: tuple[str, ...]
+    scan: str
+    home: str
+    radius_m: float
+    half_width_m: float
+    half_height_m: float
+    battery_v: Mapping[str, tuple[float, float]]
+    watched_levels: tuple[float, ...] = ()
+
+    @property
+    def second(self) -> str:
+        """The robot in reserve; empty where there is none."""
+        return next((robot for robot in self.robots if robot != self.first), "")
+
+
+def read_scenario(configs: Mapping[str, Table]) -> Scenario:
+    """Reads it out of the configurations of all agents.
+
+    Args:
+        configs: the tables of each agent's file, overrides included, by the agent's name.
+
+    Raises:
+        PancakesError: no agent simulates a world, or none has a `ScanTarget`.
+    """
+    world = _find_task(configs, WORLD, "simulates a world")[2].get("settings", {})
+    first, scan, task = _find_task(configs, SCAN, "has a task that goes round")
+    arena = world.get("arena", {})
+    return Scenario(
+        first=first,
+        robots=tuple(world.get("robots", {})),
+        sensor=next(iter(world.get("sensors", {})), ""),
+        movers=tuple(world.get("movers", {})),
+        scan=scan,
+        home=str(task.get("migrate", {}).get("then", "")),
+        radius_m=float(task.get("settings", {}).get("radius_m", 0.55)),
+        half_width_m=0.5 * float(arena.get("width_m", 5.0)),
+        half_height_m=0.5 * float(arena.get("height_m", 4.0)),
+        battery_v={name: _voltages(robot) for name, robot in world.get("robots", {}).items()},
+        watched_levels=_levels(configs[first], task),
+    )
+
+
+def _find_task(configs: Mapping[str, Table], kind: str, does: str) -> tuple[str, str, Table]:
+    for agent, config in configs.items():
+        for name, task in config.get("task", {}).items():
+            if task.get("type") == kind:
+                return agent, name, task
+    raise PancakesError(f"none of the agents {', '.join(configs)} {does}: no task is of the type {kind!r}")
+
+
+def _voltages(robot: Table) -> tuple[float, float]:
+    model = robot_model(robot.get("model", "khepera3"))
+    return model.full_v, model.empty_v
+
+
+def _levels(config: Table, scan: Table) -> tuple[float, ...]:
+    levels = [scan.get("migrate", {}).get("below")]
+    for task in config.get("task", {}).values():
+        if task.get("type") == "encirclement.BatteryWatchdog":
+            levels.append(task.get("settings", {}).get("below", 0.90))
+    return tuple(sorted((float(level) for level in levels if level is not None), reverse=True))

@@ -1,0 +1,94 @@
+"""Whether an agent can take a task at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pancakes.migration.capability import Capability, compatible
+from pancakes.migration.cost import ActiveTasks, HostLoad
+from pancakes.migration.messages import Solicit
+from pancakes.migration.record import Epoch, TaskId
+from pancakes.migration.slots import Slot, Slots
+
+SCAN = TaskId("agent1", "ScanTarget")
+REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", ("pose", "motors"), moves_on_below=0.65)
+ROBOT = Capability(
+    devices=("battery", "ir", "motors", "pose", "sonar"),
+    types={"encirclement.ScanTarget": "0.1.0"},
+    battery_level=0.99,
+)
+
+
+def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
+    assert ROBOT.refusal_of(REQUEST) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"devices": ("motion", "pose")}, "lacks the device type motors"),
+        ({"devices": ()}, "lacks the device types pose, motors"),
+        ({"types": {}}, "knows no task type 'encirclement.ScanTarget'"),
+        ({"types": {"encirclement.ScanTarget": "0.2.0"}}, "has encirclement.ScanTarget in version 0.2.0, not 0.1.2"),
+        ({"names": {"ScanTarget": TaskId("agent2", "ScanTarget")}}, "has a task named ScanTarget already"),
+        ({"battery_level": 0.74}, "has 74% of its battery"),
+        ({"role": "environment"}, "is no host of tasks but in the role 'environment'"),
+        ({"costs": ()}, "knows no cost function 'tasks'"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
+)
+def test_what_is_lacking_is_said(changes: dict[str, object], reason: str) -> None:
+    assert reason in replace(ROBOT, **changes).refusal_of(REQUEST)  # type: ignore[arg-type]
+
+
+def test_all_reasons_are_given_at_once() -> None:
+    assert Capability().refusal_of(REQUEST) == (
+        "lacks the device types pose, motors; knows no task type 'encirclement.ScanTarget'"
+    )
+
+
+def test_the_name_of_the_task_itself_is_no_hindrance() -> None:
+    assert replace(ROBOT, names={"ScanTarget": SCAN}).refusal_of(REQUEST) == ""
+
+
+def test_a_task_without_a_battery_rule_may_go_anywhere() -> None:
+    assert replace(ROBOT, battery_level=0.01).refusal_of(replace(REQUEST, moves_on_below=None)) == ""
+    assert replace(ROBOT, battery_level=None).refusal_of(REQUEST) == ""
+    assert replace(ROBOT, battery_level=0.75).refusal_of(REQUEST) == ""
+
+
+def test_a_snapshot_that_is_too_large_is_refused() -> None:
+    assert "17000000 bytes" in ROBOT.refusal_of(replace(REQUEST, size_bytes=17_000_000))
+
+
+@pytest.mark.parametrize(
+    ("offered", "here", "may"),
+    [
+        ("1.4.0", "1.9", True),
+        ("1.4.0", "2.0.0", False),
+        ("0.1.2", "0.1.9", True),
+        ("0.1", "0.2", False),
+        ("", "", True),
+    ],
+)
+def test_versions(offered: str, here: str, may: bool) -> None:
+    assert compatible(offered, here) is may
+
+
+def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
+    home = TaskId("agent1", "GoHome")
+    slots = Slots()
+    slots.keep(SCAN, Slot("agent1", Epoch(1, "agent1"), until_s=105.0))
+    slots.keep(home, Slot("agent1", Epoch(1, "agent1"), until_s=106.0))
+    assert slots.kept(104.9) == (home, SCAN)
+    assert slots.kept(105.0) == (home,)
+    slots.free(home)
+    assert slots.kept(105.0) == ()
+
+
+def test_the_paper_s_cost_is_the_number_of_active_tasks() -> None:
+    cost = ActiveTasks()
+    assert cost.terms(HostLoad(active_tasks=3)) == {"active tasks": 3.0}
+    assert cost(HostLoad(active_tasks=3)) == 3.0

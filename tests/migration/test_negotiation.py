@@ -1,0 +1,146 @@
+"""Bidding: whom to ask, how long to wait, whom to choose, and the account of it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pancakes.migration.ledger import Line
+from pancakes.migration.messages import Solicit
+from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation
+from pancakes.migration.record import TaskId
+
+REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", ("pose", "motors"))
+
+
+def negotiation(*neighbours: str, to: str = "", dry_run: bool = False) -> Negotiation:
+    return Negotiation(REQUEST, "agent1", "rule", neighbours, 100.0, to=to, dry_run=dry_run)
+
+
+def message_of(outcome: object) -> str:
+    assert isinstance(outcome, Exhausted) and outcome.error is not None
+    return str(outcome.error)
+
+
+def test_the_paper_s_move_the_sensor_refuses_and_the_reserve_robot_wins() -> None:
+    bidding = negotiation("sensor", "agent2")
+    assert bidding.asked == ("agent2", "sensor")
+    assert bidding.begin(100.0) is None
+
+    assert bidding.refuse("sensor", "lacks the device type motors", 100.01) is None
+    # All have answered: nobody waits for the end of the window.
+    assert bidding.bid("agent2", 0.0, {"active tasks": 0.0}, 100.02) == Awarded("agent2")
+    bidding.moved("agent2", 100.4)
+
+    ledger = bidding.ledger(200.0)
+    assert (ledger.task_id, ledger.source, ledger.outcome, ledger.winner) == (
+        "agent1/ScanTarget",
+        "agent1",
+        "moved",
+        "agent2",
+    )
+    assert ledger.duration_s == pytest.approx(0.4)
+    assert ledger.lines == (
+        Line("agent2", "bid", "won", 0.0, {"active tasks": 0.0}),
+        Line("sensor", "refused", "refused", reason="lacks the device type motors"),
+    )
+
+
+def test_the_cheapest_wins_and_ties_go_by_name() -> None:
+    bidding = negotiation("c", "b", "a")
+    bidding.bid("c", 1.0, {}, 100.1)
+    bidding.bid("b", 1.0, {}, 100.1)
+    assert bidding.bid("a", 2.0, {}, 100.1) == Awarded("b")
+
+    assert [(line.peer, line.fate, line.reason) for line in bidding.ledger(101.0).lines] == [
+        ("a", "lost", "b is cheaper"),
+        ("b", "won", ""),
+        ("c", "lost", "b has the same cost and a lower name"),
+    ]
+
+
+def test_nobody_waits_for_a_silent_neighbour() -> None:
+    bidding = negotiation("a", "b")
+    bidding.bid("b", 3.0, {}, 100.1)
+    assert bidding.deadline_s == 100.5
+    assert bidding.tick(100.4) is None
+    assert bidding.tick(100.5) == Awarded("b")
+    assert bidding.ledger(101.0).lines[0] == Line("a", "silent", "silent", reason="did not answer within 0.5 s")
+
+
+@pytest.mark.parametrize(
+    ("cost", "terms", "why"),
+    [
+        (math.nan, {}, "its cost is nan"),
+        (math.inf, {}, "its cost is inf"),
+        (-1.0, {}, "its cost is negative (-1)"),
+        (1.0, {"load": math.nan}, "its load is nan"),
+    ],
+)
+def test_a_bid_that_cannot_be_compared_is_a_refusal(cost: float, terms: dict[str, float], why: str) -> None:
+    assert message_of(negotiation("a").bid("a", cost, terms, 100.1)) == (
+        f"no neighbour can take ScanTarget: a: its bid does not count: {why}"
+    )
+
+
+def test_a_late_bid_is_a_refusal() -> None:
+    bidding = negotiation("a", "b")
+    bidding.bid("b", 3.0, {}, 100.1)
+    # The bid itself shows that the window is over.
+    assert bidding.bid("a", 1.0, {}, 100.6) == Awarded("b")
+    assert bidding.ledger(101.0).lines[0] == Line("a", "refused", "refused", 1.0, {}, "answered later than 0.5 s")
+
+
+def test_a_bid_after_the_decision_changes_nothing() -> None:
+    bidding = negotiation("a", "b")
+    bidding.bid("b", 3.0, {}, 100.1)
+    bidding.tick(100.5)
+    assert bidding.bid("a", 1.0, {}, 100.6) is None
+    assert bidding.chosen == "b"
+    assert message_of(bidding.failed("b", "the link broke", 101.0)).endswith(
+        "a: answered later than 0.5 s; b: the link broke"
+    )
+
+
+def test_the_first_answer_counts() -> None:
+    bidding = negotiation("a", "b")
+    bidding.bid("a", 1.0, {}, 100.1)
+    bidding.refuse("a", "changed its mind", 100.2)
+    assert bidding.bid("b", 2.0, {}, 100.3) == Awarded("a")
+
+
+def test_answers_of_those_who_were_not_asked_are_ignored() -> None:
+    bidding = negotiation("a", "b", to="b")
+    assert bidding.bid("a", 0.0, {}, 100.1) is None
+    assert bidding.bid("b", 9.0, {}, 100.1) == Awarded("b")
+
+
+def test_where_the_hand_off_fails_the_next_bidder_is_tried_until_there_is_none() -> None:
+    bidding = negotiation("a", "b")
+    bidding.bid("a", 1.0, {}, 100.1)
+    assert bidding.bid("b", 2.0, {}, 100.1) == Awarded("a")
+
+    assert bidding.failed("b", "not yet its turn", 100.2) is None
+    assert bidding.failed("a", "did not answer the reservation in time", 101.1) == Awarded("b")
+    text = message_of(bidding.failed("b", "its plug-in fails to load", 101.2))
+
+    assert text == (
+        "no neighbour can take ScanTarget: a: did not answer the reservation in time; b: its plug-in fails to load"
+    )
+    ledger = bidding.ledger(200.0)
+    assert (ledger.outcome, ledger.winner) == ("stayed", "")
+    assert [line.fate for line in ledger.lines] == ["failed", "failed"]
+
+
+def test_without_neighbours_it_is_decided_at_once() -> None:
+    assert "there is no neighbour that hosts tasks" in message_of(negotiation().begin(100.0))
+    assert "agent9 is no neighbour" in message_of(negotiation("a", to="agent9").begin(100.0))
+
+
+def test_a_dry_run_compares_and_moves_nothing() -> None:
+    bidding = negotiation("a", "b", dry_run=True)
+    bidding.refuse("a", "lacks the device type motors", 100.1)
+    assert bidding.bid("b", 2.0, {"active tasks": 2.0}, 100.1) == Exhausted(None)
+    ledger = bidding.ledger(101.0)
+    assert (ledger.outcome, ledger.winner) == ("dry run", "b")

@@ -1,0 +1,168 @@
+"""Records and snapshots as bytes, messages as packets, snapshots in pieces."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import msgpack
+import msgspec
+import pytest
+
+from pancakes.errors import MigrationError, RemoteProtocolError
+from pancakes.migration import messages
+from pancakes.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
+from pancakes.migration.pieces import PIECE_BYTES, Assembly, cut
+from pancakes.migration.record import Epoch, Phase, Record, TaskId, Wanted
+from pancakes.migration.snapshot import LIMIT_BYTES, Heard, HeldPacket, Snapshot, TimerPhase
+from pancakes.packet import body_from_plain, known_types, type_name
+
+SCAN = TaskId("agent1", "ScanTarget")
+OFFER = Epoch(1, "agent1")
+SNAPSHOT = Snapshot(
+    SCAN,
+    "encirclement.ScanTarget",
+    "0.1.0",
+    "client",
+    requires=("pose", "motors"),
+    settings={"radius_m": 0.55},
+    state={"centre_m": [0.0, 0.1], "revolutions": 1.5},
+    timers=(TimerPhase("report", 0.5, 0.2),),
+    held=(HeldPacket("agent3/client/Scout", 8, b"packet"),),
+    heard={"agent3/client/Scout": Heard(6, (8,))},
+    sent={"ctrl": 41},
+    restart={"policy": "permanent"},
+    migrate={"when": "battery", "below": 0.65},
+)
+
+
+def test_a_record_comes_back_as_it_was_written() -> None:
+    record = Record(SCAN, Phase.FROZEN, Epoch(0, "agent1"), OFFER, OFFER, "agent2", Wanted.RUNNING, 2, b"snapshot")
+    assert Record.decode(record.encode()) == record
+
+
+def test_a_snapshot_comes_back_as_it_was_written() -> None:
+    assert Snapshot.decode(SNAPSHOT.encode()) == SNAPSHOT
+
+
+@pytest.mark.parametrize("data", [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"task_id": ["agent1", 3]})])
+def test_what_is_no_record_or_snapshot_is_refused_with_a_sentence(data: bytes) -> None:
+    with pytest.raises(MigrationError, match="no record"):
+        Record.decode(data)
+    with pytest.raises(MigrationError, match="no snapshot"):
+        Snapshot.decode(data)
+
+
+def test_a_snapshot_that_is_too_large_or_not_plain_is_refused() -> None:
+    with pytest.raises(MigrationError, match="16777216 may travel"):
+        msgspec.structs.replace(SNAPSHOT, state={"map": bytes(LIMIT_BYTES)}).encode()
+    with pytest.raises(MigrationError, match="16777216 may travel"):
+        Snapshot.decode(bytes(LIMIT_BYTES + 1))
+    with pytest.raises(MigrationError, match="agent1/ScanTarget cannot be written"):
+        msgspec.structs.replace(SNAPSHOT, state={"odd": object()}).encode()
+
+
+@pytest.mark.parametrize("text", ["ScanTarget", "agent1/", "/ScanTarget", "agent1/client/ScanTarget", ""])
+def test_a_task_id_reads_birthplace_and_name(text: str) -> None:
+    assert TaskId.parse(str(SCAN)) == SCAN
+    with pytest.raises(MigrationError, match="birthplace/name"):
+        TaskId.parse(text)
+
+
+def test_epochs_are_ordered_by_number_and_then_by_minter() -> None:
+    epochs = [Epoch(2, "a"), Epoch(1, "b"), Epoch(1, "a")]
+    assert sorted(epochs) == [Epoch(1, "a"), Epoch(1, "b"), Epoch(2, "a")]
+
+
+def test_every_message_travels_as_a_packet() -> None:
+    request = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", ("pose",), 900, "tasks", 0.65)
+    samples = [
+        request,
+        messages.Bid(SCAN, 1, 2.0, {"active tasks": 2.0}),
+        messages.Refuse(SCAN, 1, "lacks the device type motors"),
+        Reserve(SCAN, OFFER, request),
+        *cut(Transfer(SCAN, OFFER, b"snapshot")),
+        messages.Nak(SCAN, OFFER, "no"),
+        messages.Moved(SCAN, "agent2", OFFER),
+        *(
+            kind(SCAN, OFFER)
+            for kind in (
+                messages.Reserved,
+                messages.Prepared,
+                messages.Commit,
+                messages.Activated,
+                Abort,
+                messages.Unknown,
+            )
+        ),
+    ]
+    kinds = [name for name in known_types() if name.startswith("migration.") and name != "migration.ledger"]
+    assert sorted(type_name(sample) for sample in samples) == kinds
+    for sample in samples:
+        plain = msgpack.unpackb(msgspec.msgpack.encode(sample))
+        assert body_from_plain(type_name(sample), plain) == sample
+
+
+def test_a_message_is_believed_by_the_journal_that_it_was_meant_for_alone() -> None:
+    message = addressed(Abort(SCAN, OFFER), "uuid-1")
+    assert is_for(message, "uuid-1")
+    assert not is_for(message, "uuid-2")
+    assert not is_for(Abort(SCAN, OFFER), "uuid-1")
+
+
+@pytest.mark.parametrize("size", [0, 1, PIECE_BYTES, PIECE_BYTES + 1, 5 * PIECE_BYTES])
+def test_pieces_come_together_in_any_order_and_more_than_once(size: int) -> None:
+    transfer = Transfer(SCAN, OFFER, random.Random(size).randbytes(size))
+    pieces = cut(transfer)
+    assert max(len(piece.data) for piece in pieces) <= PIECE_BYTES
+    random.Random(1).shuffle(pieces)
+    assembly = Assembly()
+    wholes = [assembly.add("agent1", piece) for piece in [*pieces[:-1], *pieces[:-1], pieces[-1]]]
+    assert wholes[-1] == transfer
+    if len(pieces) > 1:
+        assert wholes[:-1] == [None] * (len(wholes) - 1)
+
+
+def test_a_damaged_snapshot_is_refused() -> None:
+    (piece,) = cut(Transfer(SCAN, OFFER, b"snapshot"))
+    with pytest.raises(RemoteProtocolError, match="damaged"):
+        Assembly().add("agent1", replace(piece, data=b"snapshoT"))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"size_bytes": LIMIT_BYTES + 1}, {"size_bytes": -1}, {"index": 3}, {"index": -1}, {"count": 9}, {"data": b"x"}],
+    ids=str,
+)
+def test_an_impossible_piece_is_refused(changes: dict[str, object]) -> None:
+    piece = cut(Transfer(SCAN, OFFER, bytes(3 * PIECE_BYTES)))[1]
+    with pytest.raises(RemoteProtocolError):
+        Assembly().add("agent1", replace(piece, **changes))  # type: ignore[arg-type]
+
+
+def test_a_newer_offer_replaces_an_unfinished_one_and_an_older_is_ignored() -> None:
+    old = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
+    new = cut(Transfer(SCAN, Epoch(2, "agent1"), bytes(2 * PIECE_BYTES)))
+    assembly = Assembly()
+    assert assembly.add("agent1", old[0]) is None
+    assert assembly.add("agent1", new[0]) is None
+    assert assembly.add("agent1", old[1]) is None
+    whole = assembly.add("agent1", new[1])
+    assert whole is not None and whole.offer == Epoch(2, "agent1")
+
+
+def test_pieces_of_a_peer_that_is_gone_are_dropped() -> None:
+    first, second = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
+    assembly = Assembly()
+    assembly.add("agent1", first)
+    assembly.drop("agent1")
+    assert assembly.add("agent1", second) is None
+
+
+def test_a_piece_of_another_whole_does_not_fit() -> None:
+    first: Piece = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))[0]
+    other = cut(Transfer(SCAN, OFFER, b"\x01" * 2 * PIECE_BYTES))[1]
+    assembly = Assembly()
+    assembly.add("agent1", first)
+    with pytest.raises(RemoteProtocolError, match="does not fit"):
+        assembly.add("agent1", other)
