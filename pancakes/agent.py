@@ -90,7 +90,6 @@ class Agent:
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
         self._root: Root | None = None
-        self._awake = [True]
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -163,6 +162,7 @@ class Agent:
         if self.stopping.is_set():
             return
         self.stopping.set()
+        self.kernel.stopping = True
         ended = threading.Event()
         root = self._root
         if root is not None and root.actor_ref.is_alive():
@@ -256,7 +256,7 @@ class Agent:
             arguments = {"devices": tuple(device for device in devices if device is not None)}
         elif config.name == "network":
             hosting = Hosting(self.config.agent.role, self._task_types, self._costs)
-            arguments = {"mesh": self.mesh, "hosting": hosting, "awake": self._awake}
+            arguments = {"mesh": self.mesh, "hosting": hosting}
         if issubclass(cls, DurableService):
             arguments = {**arguments, "records": self.records, "catalogue": self}
         return ServiceSpec(config.name, cls, config.settings, tasks, config.restart, arguments)

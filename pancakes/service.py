@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
 
 
+STUCK_S = 2.0
+"""A task that has not ended so long after it was asked to, in host time, is stuck."""
+
+
 class TaskState(Enum):
     """What a task does now, as its service sees it."""
 
@@ -28,6 +32,8 @@ class TaskState(Enum):
     STARTING = "starting"
     RUNNING = "running"
     STOPPING = "stopping"
+    STUCK = "stuck"
+    """It was asked to stop and does not come back from what it is doing. Python cannot end its thread."""
     RESTARTING = "restarting"
     FAILED = "failed"
     """It failed too often, and its service gave up on it."""
@@ -64,6 +70,7 @@ class Slot:
     reason: str = ""
     on_running: list[Callable[[str], None]] = field(default_factory=list)
     on_ended: list[Callable[[], None]] = field(default_factory=list)
+    on_stuck: list[Callable[[str], None]] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -101,6 +108,8 @@ class Service(Component):
     Attributes:
         settings: an instance of the class's `Settings`.
         slots: its tasks, by name.
+        stopped_for_s: while it stops: after how many seconds of mission time it will be started again; None: it
+            will not by itself.
     """
 
     Settings: ClassVar[type] = Nothing
@@ -125,6 +134,7 @@ class Service(Component):
         self._told_ready = False
         self.closing = False
         self.slots: dict[str, Slot] = {}
+        self.stopped_for_s: float | None = None
 
     # For subclasses --------------------------------------------------------------------------------------------
 
@@ -194,14 +204,24 @@ class Service(Component):
         assert isinstance(component, Task)
         slot.task = component
 
-    def halt(self, slot: Slot, then: Callable[[], None] | None = None, reason: str = "asked for") -> None:
+    def halt(
+        self,
+        slot: Slot,
+        then: Callable[[], None] | None = None,
+        reason: str = "asked for",
+        stuck: Callable[[str], None] | None = None,
+    ) -> None:
         """Stops the task of a slot once it has finished the message in hand; a stop that was meant restarts nothing.
 
         Args:
             slot: the slot.
             then: called in this actor once the task has ended.
             reason: why, for the log.
+            stuck: called in this actor, with a sentence, where it does not end in time; `then` still comes if it ever
+                ends.
         """
+        if slot.state is TaskState.STUCK and stuck is not None:
+            stuck(f"{slot.address} is stuck")
         if slot.state in (TaskState.STOPPED, TaskState.FAILED, TaskState.RESTARTING):
             slot.state = TaskState.STOPPED if slot.state is TaskState.RESTARTING else slot.state
             self._let_go(slot)
@@ -210,10 +230,30 @@ class Service(Component):
             return
         if then is not None:
             slot.on_ended.append(then)
+        if slot.state in (TaskState.STOPPING, TaskState.STUCK):
+            return
+        if stuck is not None:
+            slot.on_stuck.append(stuck)
         slot.state = TaskState.STOPPING
         slot.reason = reason
-        if slot.task is not None and slot.task.actor_ref.is_alive():
-            slot.task.stop()
+        task = slot.task
+        if task is not None and task.actor_ref.is_alive():
+            task.stop()
+            self.after_host(STUCK_S, lambda: self._look_for_end(slot, task))
+
+    def _look_for_end(self, slot: Slot, task: Task) -> None:
+        """A task should have ended by now. One that has not may say nothing more; no second copy starts beside it."""
+        if slot.task is not task or slot.state is not TaskState.STOPPING:
+            return
+        slot.state = TaskState.STUCK
+        task.revoke()
+        self.hold_actuators(slot, f"{slot.name} is stuck")
+        text = f"{slot.address} is stuck: {STUCK_S:g} s after it was asked to stop it is still busy"
+        self.log("error", text)
+        self.event("task_stuck", task=slot.name)
+        waiting, slot.on_stuck = slot.on_stuck, []
+        for stuck in waiting:
+            stuck(text)
 
     def close(self, then: Callable[[], None]) -> None:
         """Stops all tasks, last first, then the service itself; `then` is called in its actor just before that."""
@@ -327,13 +367,15 @@ class Service(Component):
         slot.task = None
         if task.last is not None:
             slot.carried = task.last
-        if error is not None and slot.state is not TaskState.STOPPING:
+        asked = slot.state in (TaskState.STOPPING, TaskState.STUCK)
+        slot.on_stuck = []
+        if error is not None and not asked:
             text = str(error) if isinstance(error, PancakesError) else describe(error)
             self._task_failed(slot, text)
             return
         if error is not None:
             self.log("warning", f"{slot.address} failed while it stopped: {describe(error)}")
-        if slot.state is TaskState.STOPPING:
+        if asked:
             self._rest(slot, slot.reason)
         else:
             self._decide(slot, failed=False, text="it stopped itself")
@@ -466,26 +508,49 @@ class Service(Component):
             slot.carried = replace(carried, settings=settings)
         slot.supervision.forget()
         self.tell_asked("start", slot, request)
-        self.launch(slot, lambda reason: self.reply(request, reason))
+        self.start_anew(slot, lambda reason: self.reply(request, reason))
 
     def stop_asked(self, slot: Slot, request: Request) -> None:
         """Stops a task; the answer comes once it has ended."""
         if slot.state is TaskState.STOPPED:
             raise ControlRefused(f"{slot.address} is stopped already")
         self.tell_asked("stop", slot, request)
-        self.halt(slot, lambda: self.reply(request), f"asked for by {request.by}")
+        answer = self._answer_once(request)
+        self.halt(slot, lambda: answer(""), f"asked for by {request.by}", answer)
+
+    def _answer_once(self, request: Request) -> Callable[[str], None]:
+        """Returns what answers a request at its first call only: a stuck task may end after all."""
+        answered = False
+
+        def answer(reason: str) -> None:
+            nonlocal answered
+            if not answered:
+                answered = True
+                self.reply(request, reason)
+
+        return answer
 
     def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
         """Stops a task, if it runs, and starts it; the answer comes once it runs."""
 
+        answer = self._answer_once(request)
+
         def again() -> None:
             if not body.keep_state:
-                slot.carried = None
+                self.drop_state(slot)
             slot.supervision.forget()
-            self.launch(slot, lambda reason: self.reply(request, reason))
+            self.start_anew(slot, answer)
 
         self.tell_asked("restart", slot, request)
-        self.halt(slot, again, f"restart asked for by {request.by}")
+        self.halt(slot, again, f"restart asked for by {request.by}", answer)
+
+    def drop_state(self, slot: Slot) -> None:
+        """Forgets what a task carried: it begins as the configuration says."""
+        slot.carried = None
+
+    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
+        """Starts a task because somebody asked for it; `then` is told an empty string, or why not."""
+        self.launch(slot, then)
 
     def reschedule_asked(self, slot: Slot, body: Reschedule, request: Request) -> None:
         """Changes a task's rate; the answer comes once it has taken effect."""

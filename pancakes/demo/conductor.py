@@ -173,6 +173,8 @@ class Conductor(Task):
         if agent == self.agent:
             self._on_own_log(packet)
             return
+        if self._mission.phase == "over":
+            return
         if isinstance(packet.body, LogLine) and packet.body.level == "debug":
             return
         record = record_of(packet)

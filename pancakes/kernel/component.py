@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pykka
 from pykka._envelope import Envelope
 
-from pancakes.errors import UnknownChannel
+from pancakes.errors import ControlRefused, UnknownChannel
 from pancakes.events import Event, LogLine
 from pancakes.kernel.handlers import Period, Subscription, Tick, period_of, periods_of, subscriptions_of
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
@@ -269,6 +269,14 @@ class Component(pykka.Actor):
             raise ValueError(f"{self.address} has no timer {name!r}, only {', '.join(self.timers)}")
         self.timers[name].period_s = period_s
         self._tick(self.timers[name])
+
+    def revoke(self) -> None:
+        """Takes the right to publish away from an actor that cannot be ended. Any thread."""
+
+        def refuse(channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
+            raise ControlRefused(f"{self.address} was stopped and may publish nothing more")
+
+        self.publish = refuse  # type: ignore[method-assign]
 
     def pause(self) -> None:
         """Stands still: no tick, no packet, until `resume`. What comes meanwhile waits. In the actor."""

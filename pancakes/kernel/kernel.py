@@ -44,6 +44,7 @@ class Kernel:
         letters: packets whose handlers failed.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.net.transport.Transport`).
+        stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
     """
 
@@ -65,6 +66,7 @@ class Kernel:
         self.registry = Registry()
         self.letters = DeadLetters(self.log)
         self.transport: Any = None
+        self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self._seqs: dict[str, Counter] = {}
         self._seqs_lock = threading.Lock()

@@ -64,8 +64,8 @@ class _Sender(threading.local):
 class Mesh:
     """The links of one agent.
 
-    All callbacks run in the transport's thread and must not block. `send`, `send_blob`, `announce`, `sleep`,
-    `wake`, `stop` and everything that only asks may be called from any thread.
+    All callbacks run in the transport's thread and must not block. `send`, `send_blob`, `announce`, `learn`,
+    `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
 
     Args:
         identity: who this agent is.
@@ -205,6 +205,11 @@ class Mesh:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
         self._transport.call_later(0.0, self._beacon)
 
+    def learn(self, addresses: Sequence[str]) -> None:
+        """Dials these addresses as well, as if a peer had named them."""
+        named = tuple(addresses)
+        self._transport.call_later(0.0, lambda: self._learn(named))
+
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
@@ -309,6 +314,10 @@ class Mesh:
         self._state = "running"
         self._peers = Peers(self._own, self._static, self._random, self._times, self._now())
         self._run_peers()
+
+    def _learn(self, addresses: tuple[str, ...]) -> None:
+        if self._peers is not None and self._state == "running":
+            self._carry_out(self._peers.learnt(addresses, self._now()))
 
     def _sleep(self, for_s: float | None) -> None:
         if self._state == "running":

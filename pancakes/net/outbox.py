@@ -3,7 +3,7 @@
 Pure. As long as a link is not congested nothing waits here: its messages go out in the order in which they
 were sent. When the peer, or the network, does not keep up:
 
-* messages of the link itself, then `sysctrl` and `network` (migration) go first;
+* `sysctrl` and `network` (migration) go first;
 * of `system` the newest waits, for each (source, type, destination): readings grow stale;
 * of `log` the oldest fall out;
 * every other channel has a window; where it is full the publisher is told so, and nothing is lost in silence;
@@ -120,15 +120,10 @@ class Outbox:
     def __init__(self, peer: str, counters: Counters) -> None:
         self.peer = peer
         self.counters = counters
-        self._link: deque[bytes] = deque()
         self._lanes: dict[str, _Lane] = {channel: _Lane(channel) for channel in FIRST}
         self._turns: deque[_Lane] = deque()  # the lanes that have something, except the first ones
         self._blobs: deque[Iterator[Message]] = deque()
         self._blob_is_next = False
-
-    def put_link(self, message: bytes) -> None:
-        """Adds a message of the link itself."""
-        self._link.append(message)
 
     def put(self, channel: str, key: Key, message: Message) -> None:
         """Adds a packet.
@@ -159,26 +154,22 @@ class Outbox:
             raise PeerBusy(f"{self.peer} is slow: {len(self._blobs)} snapshots wait for it")
         self._blobs.append(pieces)
 
-    def take(self, limit_bytes: int) -> tuple[list[bytes], int, int]:
+    def take(self, limit_bytes: int) -> tuple[list[bytes], int]:
         """Takes what is to be sent next, at least one message if any waits.
 
         Returns:
-            The messages; how many of them are packets or pieces; how many of these are mission packets.
+            The messages, and how many of them are mission packets.
         """
         messages: list[bytes] = []
-        size = packets = counted = 0
-        while self._link and size < limit_bytes:
-            messages.append(self._link.popleft())
-            size += len(messages[-1])
+        size = counted = 0
         while size < limit_bytes:
             message = self._next()
             if message is None:
                 break
             messages.append(message.data)
             size += len(message.data)
-            packets += 1
             counted += message.counts
-        return messages, packets, counted
+        return messages, counted
 
     def _next(self) -> Message | None:
         for channel in FIRST:

@@ -118,11 +118,8 @@ class Session:
     # Sending
 
     def send_link(self, message: bytes) -> None:
-        """Sends a message of the link itself, before all that waits."""
+        """Sends a message of the link itself, before all that waits in the outbox."""
         with self._lock:
-            if self._congested:
-                self._outbox.put_link(message)
-                return
             self._write([message])
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
@@ -205,11 +202,11 @@ class Session:
     def _pump(self) -> None:
         self._congested = True  # keeps the order: what is offered now goes behind what waits
         while True:
-            messages, packets, counted = self._outbox.take(BATCH_BYTES)
+            messages, counted = self._outbox.take(BATCH_BYTES)
             if not messages:
                 self._congested = False
                 return
-            self._write(messages, packets, counted)
+            self._write(messages, len(messages), counted)
             if self._unsent():
                 return
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import msgspec
 
-from pancakes.control import Migrate, Restart, Start
+from pancakes.control import Migrate, Start
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.mailbox import LATEST
 from pancakes.migration.effect import (
@@ -38,7 +38,7 @@ from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 from pancakes.migration.rule import ASK_AGAIN_S, MigrationRule
 from pancakes.migration.snapshot import Snapshot, TimerPhase
 from pancakes.packet import SYSTEM, Fence, Packet, agent_of, join
-from pancakes.service import Request, Service, Slot, TaskState
+from pancakes.service import STUCK_S, Request, Service, Slot, TaskState
 from pancakes.services.records import Records
 from pancakes.settings import make_settings
 from pancakes.supervision import RestartSpec
@@ -128,7 +128,11 @@ class DurableService(Service):
 
     def _is_ours(self, record: Record) -> bool:
         if record.snapshot:
-            return Snapshot.decode(record.snapshot).service == self.name
+            try:
+                return Snapshot.decode(record.snapshot).service == self.name
+            except PancakesError as error:
+                self.log("error", f"the snapshot of {record.task_id} in the journal is not used: {error}")
+                return False
         return self.name == "client" or record.task_id.name in {spec.name for spec in self._configured}
 
     def id_of(self, slot: Slot) -> TaskId:
@@ -216,6 +220,10 @@ class DurableService(Service):
             then(reason)
             return
         hand_off = self.hand_off(self.id_of(slot))
+        lost = self._records.lost(hand_off.record.task_id)
+        if lost and hand_off.record.phase is Phase.ABSENT:
+            then(f"it may run elsewhere, and what this agent knew of it is lost: {lost}")
+            return
         self._starting.setdefault(hand_off.record.task_id, []).append(then)
         record = hand_off.record
         if record.phase is Phase.ABSENT and record.seen == NO_EPOCH:
@@ -255,15 +263,11 @@ class DurableService(Service):
         snapshot = Snapshot.decode(record.snapshot)
         return Carried(snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers})
 
-    def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
-        def again() -> None:
-            if not body.keep_state:
-                slot.carried = Carried(slot.spec.settings, {})
-            slot.supervision.forget()
-            self.begin(slot, lambda reason: self.reply(request, reason))
+    def drop_state(self, slot: Slot) -> None:
+        slot.carried = Carried(slot.spec.settings, {})
 
-        self.tell_asked("restart", slot, request)
-        self.halt(slot, again, f"restart asked for by {request.by}")
+    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
+        self.begin(slot, then)
 
     def task_ended(self, slot: Slot) -> None:
         if slot.name in self._leaving:
@@ -400,7 +404,12 @@ class DurableService(Service):
             self._frozen_or_not(slot, effect, None, "it does not run")
             return
 
+        answered: list[bool] = []
+
         def stand_still() -> None:
+            if answered:
+                return
+            answered.append(True)
             task.pause()
             try:
                 carried, reason = task.carry(), ""
@@ -410,6 +419,13 @@ class DurableService(Service):
             self.call(lambda: self._frozen_or_not(slot, effect, carried, reason))
 
         task.call(stand_still)
+        self.after_host(STUCK_S, lambda: self._give_up_freezing(slot, effect, answered))
+
+    def _give_up_freezing(self, slot: Slot, effect: Freeze, answered: list[bool]) -> None:
+        """A task that does not come back from what it is doing cannot be moved."""
+        if not answered:
+            answered.append(False)
+            self._frozen_or_not(slot, effect, None, "it is stuck")
 
     def _frozen_or_not(self, slot: Slot | None, effect: Freeze, carried: Carried | None, reason: str) -> None:
         if slot is None:
@@ -417,6 +433,11 @@ class DurableService(Service):
         hand_off = self.hand_off(self.id_of(slot))
         if carried is None or slot.task is None:
             hand_off.feed(FreezeFailed(effect.offer, reason or "it ended meanwhile"))
+            return
+        if not hand_off.volatile.freezing:
+            # The hand-off was broken off while the task was busy: it goes on.
+            late = slot.task
+            late.call(late.resume)
             return
         slot.carried = carried
         self.hold_actuators(slot, "its task is handed over")
@@ -446,6 +467,9 @@ class DurableService(Service):
         if slot is not None and slot.task is not None:
             peer = self.hand_off(task_id).record.peer
             self._leaving.add(slot.name)
+            # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
+            self.hold_actuators(slot, "its task was handed over")
+            self.kernel.registry.release(slot.address)
             self.halt(slot, None, f"handed over to {peer}")
 
     def _declined(self, task_id: TaskId, reason: str) -> None:
@@ -529,6 +553,11 @@ class DurableService(Service):
         if reason and not move.dry_run:
             self._ask_again_s[task_id] = self.kernel.host.now() + ASK_AGAIN_S
             self.log("warning", f"{task_id} stays on {self.agent}: {reason}")
+
+    def migrator_began(self) -> None:
+        """The migrator has started anew and knows of no negotiation: those that wait are told. In this actor."""
+        for task_id in list(self._moves):
+            self.finish(task_id, "the Task Migrator was started anew", None)
 
     # Asking for a move -----------------------------------------------------------------------------------------
 

@@ -85,6 +85,10 @@ class TaskMigrator(Task):
         self._slots = Slots()
         self._battery_level: float | None = None
 
+    def on_start(self) -> None:
+        for service in self._durable_services():
+            service.call(service.migrator_began)
+
     # For the service that owns the task ------------------------------------------------------------------------
 
     def negotiate(self, service: DurableService, request: Solicit, asked_by: str, to: str, dry_run: bool) -> None:

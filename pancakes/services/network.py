@@ -83,13 +83,11 @@ class NetworkService(Service):
         discovery_hz: float = 1.0
         insecure: bool = False
 
-    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, awake: list[bool], **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._hosting = hosting
-        self._awake = awake
         self._followers: dict[tuple[str, str], Callable[[Packet], None]] = {}
-        self.sleep_s: float | None = None
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         mesh = {"mesh": self._mesh}
@@ -100,16 +98,15 @@ class NetworkService(Service):
         ]
 
     def on_start(self) -> None:
-        if self._awake[0]:
-            return
-        self._awake[0] = True
+        # The mesh outlives the service, so that a port that was taken stays taken while the network sleeps.
         self._mesh.wake()
 
     def on_stop(self) -> None:
         for channel, follower in list(self._followers):
             self._unfollow(channel, follower)
-        self._awake[0] = False
-        self._mesh.sleep(self.sleep_s)
+        if not self.kernel.stopping:
+            for_s = self.stopped_for_s
+            self._mesh.sleep(for_s / self.kernel.mission.speed if for_s is not None else None)
 
     def refuse_stop(self) -> str:
         networked = {device.type for device in self.kernel.registry.devices() if device.networked}

@@ -23,6 +23,7 @@ class Records:
     def __init__(self, journal: Journal, store: RecordStore, log: Callable[[str, str], None]) -> None:
         self._store = store
         self._records: dict[TaskId, Record] = {}
+        self._aside = {aside.key: str(aside) for aside in journal.set_aside if aside.kind == KIND}
         for entry in journal.entries(KIND):
             try:
                 record = Record.decode(entry.data)
@@ -34,6 +35,13 @@ class Records:
     def all(self) -> dict[TaskId, Record]:
         """Returns the records as they are on disk."""
         return dict(self._records)
+
+    def lost(self, task_id: TaskId) -> str:
+        """Returns how a task's record was lost; empty where it was not.
+
+        Such a task may run elsewhere, for all that this agent knows, so it must not be born here a second time.
+        """
+        return self._aside.get(str(task_id), "")
 
     def persist(self, record: Record, then: Callable[[], None], failed: Callable[[str], None]) -> None:
         """Writes a record.

@@ -316,6 +316,7 @@ class Root(Component):
         reason = place.service.refuse_stop()
         if reason:
             raise ControlRefused(reason)
+        place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
         if place.spec.name == NETWORK:
             # The answer has to leave before the way out is closed.

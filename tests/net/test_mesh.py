@@ -15,7 +15,7 @@ from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Hello
+from pancakes.wire.messages import Hello, Welcome
 
 
 def pair(rig, agent, **more):
@@ -62,6 +62,23 @@ def test_a_third_agent_is_found_through_the_second(rig, agent):
     rig.until(lambda: a.packets and b.packets)
     assert bodies(a) == bodies(b) == ["to all"]
     assert c.packets == []
+
+
+def test_an_address_can_be_named_while_the_mesh_runs(rig, agent):
+    a, b = agent("a"), agent("b")
+    b.mesh.learn([a.mesh.listen])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+
+
+def test_those_who_are_there_are_told_of_a_newcomer(rig, agent):
+    a = agent("a")
+    ear = rig.ear()
+    rig.transport("old").dial(a.mesh.listen, ear)
+    rig.until(lambda: ear.connection)
+    ear.connection.send(raw_hello("old"))
+    rig.until(lambda: a.knows("old"))
+    newcomer = agent("new", [a.mesh.listen])
+    rig.until(lambda: newcomer.mesh.listen.encode() in ear.data)
 
 
 def test_only_agents_are_neighbours_and_clients_are_not_spread(rig, agent):
@@ -168,6 +185,22 @@ def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
     assert "name b" in impostor.refusals[0] and "another name" in impostor.refusals[0]
     rig.until(lambda: "name b" in a.log("warning"))
     assert b.refusals == [] and a.knows("b") and b.knows("a")
+
+
+def test_an_impostor_gets_nothing_through_behind_its_hello(rig, agent, caplog):
+    """All in one chunk: the hello, a welcome that is its to give, and an order."""
+    a, ears = agent("a"), [rig.ear(), rig.ear()]
+    order = Packet("sysctrl", "order", "0/x/y", "a", 0.0, 1, "stop")
+    for ear, journal in zip(ears, ["the true one", "another"], strict=True):
+        rig.transport("0").dial(a.mesh.listen, ear)
+        rig.until(lambda ear=ear: ear.connection)
+        encoder = Encoder()
+        rest = frame([encoder.link_message(Welcome()), encoder.packet(order)])
+        ear.connection.send(raw_hello("0", journal=journal) + rest)
+        rig.until(lambda: len(a.packets) == 1)
+    rig.until(lambda: ears[1].closed_for)
+    assert len(a.packets) == 1 and a.ups == ["0"] and a.downs == []
+    assert caplog.text == ""
 
 
 def test_two_agents_of_one_name_refuse_each_other(rig, agent):
@@ -330,6 +363,17 @@ def test_who_dials_a_sleeper_is_told_for_how_long(memory_rig):
     assert a.knows("b") and b.knows("a")
 
 
+def test_waking_up_does_not_wait_for_the_next_retry(memory_rig):
+    a = memory_rig.agent("a", ["tcp://late:1"])
+    memory_rig.timeline.run_until(100.0)
+    a.mesh.sleep()
+    memory_rig.timeline.run_until(100.1)
+    memory_rig.agent("late", listen="tcp://late:1")
+    a.mesh.wake()
+    memory_rig.timeline.run_until(100.2)
+    assert a.knows("late")
+
+
 def test_stopping_says_goodbye(rig, agent):
     a, b = pair(rig, agent)
     b.mesh.stop()
@@ -418,6 +462,11 @@ def test_a_slow_peer_slows_nobody_else(memory_rig):
     memory_rig.timeline.run_until(start_s + 1.5)
     orders = [packet.body for packet in slow.packets if packet.channel == "sysctrl"]
     assert orders == list(range(300)), "a lane of its own, before all others"
+    a.say("slow", "urgent", channel="sysctrl", kind="order")
+    memory_rig.timeline.run_until(start_s + 3.0)
+    assert slow.packets[-1].body != "urgent" and "urgent" in bodies(slow), "it overtook what waits"
+    (of_slow,) = [it for it in a.mesh.describe()["peers"] if it["name"] == "slow"]
+    assert of_slow["waiting"]["log"] > 100
     memory_rig.timeline.run_until(start_s + 60.0)
     words = [packet.body for packet in slow.packets if packet.channel == "chat"]
     assert words == list(range(300)), "within its window a channel loses nothing"

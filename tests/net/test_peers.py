@@ -263,6 +263,16 @@ def test_who_sleeps_without_an_end_or_stops_is_asked_seldom():
         assert it.asleep(1e6) == ({"z": math.inf} if goodbye.why == "sleep" else {})
 
 
+def test_after_waking_up_all_are_dialled_at_once():
+    it, now_s = peers("tcp://a:1", "tcp://b:1"), 0.0
+    for _ in range(10):
+        for dial in it.tick(now_s):
+            it.over(dial.link, now_s)
+        now_s += 10.0
+    it.redial(now_s)
+    assert len(dials(it.tick(now_s))) == 2
+
+
 def test_a_mesh_has_its_bounds():
     it = peers(own="a")
     for number in range(MAX_AGENTS - 1):

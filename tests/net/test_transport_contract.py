@@ -82,6 +82,14 @@ def test_last_words_arrive_even_where_the_other_side_talks_on(rig, ear):
     assert there.data == b"farewell"
 
 
+def test_what_was_sent_before_closing_arrives(rig, ear):
+    here, there = joined(rig, ear)
+    here.connection.send(b"x" * 20_000_000)
+    here.connection.close("enough")
+    rig.until(lambda: there.closed_for)
+    assert len(there.data) == 20_000_000
+
+
 def test_nothing_is_sent_after_closing(rig, ear):
     here, there = joined(rig, ear)
     here.connection.close()

@@ -186,6 +186,8 @@ def test_the_longest_packet_that_is_let_pass_is_taken():
         (b"\x91" * 3000 + b"\xc0", "msgpack"),
         (payload(ROW) + b"\xc0", "msgpack"),
         (body({1: 2}), "msgpack"),
+        (body([0] * (MAX_ARRAY_LENGTH + 1)), "max_array_len"),
+        (body({str(number): 0 for number in range(MAX_MAP_LENGTH + 1)}), "max_map_len"),
         (body({b"k": 2}), "key that is no string"),
         (body(msgpack.ExtType(2, b"abc")), "not ours: 2"),
         (body(EPOCH), "not ours: -1"),

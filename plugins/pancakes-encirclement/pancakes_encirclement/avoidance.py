@@ -36,7 +36,7 @@ class Avoidance:
         look_ahead_m: how far from its edge it begins to mind what it sees.
         memory_s: how long it remembers what it no longer sees.
         turn_radps: how fast it turns towards a free bearing.
-        patience_s: how long it waits for what may move on by itself, before a long way round.
+        patience_s: how long a robot on a circle waits for what may move on by itself.
         reaction_s: it drives no faster than to reach what stands in its way in this time.
     """
 
@@ -45,7 +45,7 @@ class Avoidance:
     look_ahead_m: Positive = 0.33
     memory_s: NotNegative = 4.0
     turn_radps: Positive = 0.8
-    patience_s: NotNegative = 6.0
+    patience_s: NotNegative = 12.0
     reaction_s: Positive = 1.0
 
 

@@ -16,13 +16,14 @@ from pancakes_encirclement.local_map import LocalMap
 
 _TIGHTER = (1.0, 0.5, 0.2)
 """Shares of the wanted clearance that a robot tries in turn, where it finds no way."""
-PF=12.;PD=6.;LF=.2;LD=.6
-_LONG_WAY_RAD = 0.6
-"""A way round that leads farther off than this is worth waiting for a free one."""
-_SLOWEST_SHARE = 0.2
-"""The share of its speed that a robot keeps however far its way leads from where it would like to go."""
 _STOP_SHARE = 0.3
 """The share of the clearance that a robot never drives into."""
+_SLOWEST_SHARE = 0.2
+"""The share of its speed that a robot keeps however far its way leads from where it would like to go."""
+_WORTH_WAITING_RAD = 0.2
+"""A way round that leads farther off than this is worth waiting for a free one."""
+
+_Points = list[tuple[float, float]]
 
 
 class Steering:
@@ -41,7 +42,9 @@ class Steering:
         self._side = 0
         self._blocked_since_s: float | None = None
 
-    def sweep(self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float) -> None:
+    def sweep(
+        self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float
+    ) -> None:
         """Takes a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
         if self._pose is not None:
             self._map.sweep(self._pose, bearings_rad, ranges_m, max_range_m, now_s)
@@ -51,19 +54,25 @@ class Steering:
         self._pose = pose
 
     def follow(self, wanted: Twist, now_s: float) -> Twist:
-        """Returns the wanted twist where its way is free, and one round what stands in it elsewhere."""
+        """Returns the wanted twist where its way is free.
+
+        Elsewhere the robot waits a while for what may move on by itself, such as another robot that leaves the
+        circle, and then takes a way round. Robots that did not wait would push each other off the circle.
+        """
         points = self._points(now_s)
-        if not points or wanted.v_mps <= 0.0:
-            self._way_is_free()
-            return wanted
-        keep = self._avoidance.body_radius_m + self._avoidance.clearance_m
         # The chord of the arc, as far ahead as the robot looks, is the direction that the law wants to take.
-        turn = max(-math.pi / 2, min(math.pi / 2, wanted.omega_radps / wanted.v_mps * self._reach_m / 2.0))
-        if not blocked(points, turn, keep, self._reach_m):
-            self._way_is_free()
+        chord = wanted.omega_radps / wanted.v_mps * self._reach_m / 2.0 if wanted.v_mps > 0.0 else 0.0
+        chord = max(-math.pi / 2, min(math.pi / 2, chord))
+        if wanted.v_mps <= 0.0 or not blocked(points, chord, self._keep_m(1.0), self._reach_m):
+            self._side, self._blocked_since_s = 0, None
             return self._slowed(wanted, points)
-        homing = Homing(wanted.v_mps, self._avoidance.turn_radps)
-        return self._detour(points, turn, self._reach_m, math.inf, homing, now_s)
+        if self._blocked_since_s is None:
+            self._blocked_since_s = now_s
+        bearing = self._way_round(points, chord, self._reach_m)
+        patient = now_s - self._blocked_since_s < self._avoidance.patience_s
+        if bearing is None or (patient and abs(wrap(bearing - chord)) > _WORTH_WAITING_RAD):
+            return Twist(0.0, 0.0)
+        return self._detour(points, chord, bearing, math.inf, Homing(wanted.v_mps, self._avoidance.turn_radps))
 
     def drive_to(self, bearing_rad: float, distance_m: float, homing: Homing, now_s: float) -> Twist:
         """Returns the twist that brings the robot to a goal, round what stands between.
@@ -75,48 +84,39 @@ class Steering:
             now_s: mission time.
         """
         points = self._points(now_s)
-        keep = self._avoidance.body_radius_m + self._avoidance.clearance_m
-        reach = min(self._reach_m, distance_m + keep)
-        if not points or not blocked(points, bearing_rad, keep, reach):
-            self._way_is_free()
+        reach = min(self._reach_m, distance_m + self._keep_m(1.0))
+        if not blocked(points, bearing_rad, self._keep_m(1.0), reach):
+            self._side = 0
             return self._slowed(homing.towards(bearing_rad, distance_m), points)
-        return self._detour(points, bearing_rad, reach, distance_m, homing, now_s)
+        bearing = self._way_round(points, bearing_rad, reach)
+        if bearing is None:  # shut in: it waits, and what moves will move on
+            return Twist(0.0, 0.0)
+        return self._detour(points, bearing_rad, bearing, distance_m, homing)
 
-    def _points(self, now_s: float) -> list[tuple[float, float]]:
+    def _points(self, now_s: float) -> _Points:
         return [] if self._pose is None else self._map.around(self._pose, now_s)
 
-    def _way_is_free(self) -> None:
-        self._side = 0
-        self._blocked_since_s = None
+    def _keep_m(self, share: float) -> float:
+        return self._avoidance.body_radius_m + share * self._avoidance.clearance_m
+
+    def _way_round(self, points: _Points, wanted_rad: float, reach_m: float) -> float | None:
+        for share in _TIGHTER:
+            bearing = free_bearing(points, wanted_rad, self._keep_m(share), reach_m, self._side)
+            if bearing is not None:
+                return bearing
+        return None
 
     def _detour(
-        self,
-        points: list[tuple[float, float]],
-        wanted_rad: float,
-        reach_m: float,
-        distance_m: float,
-        homing: Homing,
-        now_s: float,
+        self, points: _Points, wanted_rad: float, bearing_rad: float, distance_m: float, homing: Homing
     ) -> Twist:
-        if self._blocked_since_s is None:
-            self._blocked_since_s = now_s
-        F = distance_m == math.inf
-        patient = now_s - self._blocked_since_s < (PF if F else PD)
-        for share in _TIGHTER:
-            keep = self._avoidance.body_radius_m + share * self._avoidance.clearance_m
-            bearing = free_bearing(points, wanted_rad, keep, reach_m, self._side)
-            if bearing is not None:
-                turn = wrap(bearing - wanted_rad)
-                if patient and abs(turn) > (LF if F else LD):
-                    return Twist(0.0, 0.0)
-                if turn != 0.0:
-                    self._side = 1 if turn > 0.0 else -1
-                twist = homing.towards(bearing, distance_m)
-                # Slower, the farther off: else two robots side by side keep each other from turning for ever.
-                share_of_speed = max(_SLOWEST_SHARE, 1.0 - abs(turn) / (math.pi / 2))
-                return self._slowed(Twist(twist.v_mps * share_of_speed, twist.omega_radps), points)
-        return Twist(0.0, 0.0)  # shut in: it waits, and what moves will move on
+        turn = wrap(bearing_rad - wanted_rad)
+        if turn != 0.0:
+            self._side = 1 if turn > 0.0 else -1
+        twist = homing.towards(bearing_rad, distance_m)
+        # Slower, the farther off: else two robots side by side keep each other from turning for ever.
+        share = max(_SLOWEST_SHARE, 1.0 - abs(turn) / (math.pi / 2))
+        return self._slowed(Twist(twist.v_mps * share, twist.omega_radps), points)
 
-    def _slowed(self, twist: Twist, points: list[tuple[float, float]]) -> Twist:
-        room = room_ahead(points, self._avoidance.body_radius_m + _STOP_SHARE * self._avoidance.clearance_m)
+    def _slowed(self, twist: Twist, points: _Points) -> Twist:
+        room = room_ahead(points, self._keep_m(_STOP_SHARE))
         return Twist(min(twist.v_mps, room / self._avoidance.reaction_s), twist.omega_radps)

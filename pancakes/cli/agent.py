@@ -1,0 +1,190 @@
+"""`pancakes-agent`: runs one agent from its configuration file, until it is told to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from queue import SimpleQueue
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes import __version__
+from pancakes.cli.errors import OK, REFUSED, sentences
+
+if TYPE_CHECKING:
+    from pancakes.agent import Agent
+    from pancakes.config import Config
+    from pancakes.plugins import Plugins
+    from pancakes.runtime_dir import Registration
+
+STOP_S: Final = 1.9
+"""An agent that has not stopped in good order by then is ended all the same, in seconds."""
+
+
+@click.command()
+@click.option("--config", "path", metavar="FILE", required=True, help="The agent's configuration, a TOML file.")
+@click.option(
+    "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says. Repeatable."
+)
+@click.option("--check", is_flag=True, help="Only check the configuration and the plug-ins; run nothing.")
+@click.option(
+    "--die-with-parent",
+    "parent_pid",
+    metavar="[PID]",
+    type=click.IntRange(min=0),
+    is_flag=False,
+    flag_value=0,
+    help="Stop when the process that launched this one ends; PID says which that was.",
+)
+@click.version_option(__version__, prog_name="pancakes-agent")
+@sentences
+def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None) -> None:
+    """Run an agent.
+
+    SIGINT or SIGTERM stops it in good order; the same signal a second time ends it at once.
+    The exit code is 0 where it was stopped, 1 where it cannot run, 4 where its configuration is bad.
+
+    \b
+    Example:
+        pancakes-agent --config configs/single.toml --set clock.speed=5
+    """
+    orders = None if check else Orders()
+    if parent_pid is not None:
+        from pancakes.cli.parent import die_with_parent
+
+        die_with_parent(parent_pid)
+    from pancakes.config import load
+    from pancakes.plugins import Plugins
+
+    plugins = Plugins()
+    config = load(path, sets, plugins)
+    if orders is None:
+        _check(config, plugins)
+    else:
+        sys.exit(_run(config, plugins, orders))
+
+
+class Orders:
+    """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
+
+    From then on it has `STOP_S` to end: one that a stuck task or driver holds up is ended all the same.
+    """
+
+    def __init__(self) -> None:
+        # Of all that wakes a thread, only this queue may be used from within a signal handler.
+        self._queue: SimpleQueue[str] = SimpleQueue()
+        self._seen: list[int] = []
+        signal.signal(signal.SIGALRM, self._too_late)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
+                signal.signal(number, self._heard)
+
+    def give_up(self, reason: str) -> None:
+        """Ends the wait with a reason. From any thread."""
+        self._queue.put(reason)
+
+    def wait(self) -> str:
+        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to."""
+        reason = self._queue.get()
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        return reason
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
+        if number in self._seen:
+            os._exit(REFUSED)
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        self._seen.append(number)
+        self._queue.put("")
+
+    def _too_late(self, number: int, frame: FrameType | None) -> None:
+        os.write(2, f"the agent did not stop within {STOP_S:g} s and was ended\n".encode())
+        os._exit(REFUSED)
+
+
+def _run(config: Config, plugins: Plugins, orders: Orders) -> int:
+    from pancakes.agent import Agent
+
+    running = Agent(config, plugins)
+    _listen_to_libraries(running)
+    running.on_fatal(orders.give_up)
+    running.start()
+    registration = _register(running)
+    reason = orders.wait()
+    # Whoever looks from now on shall not find what is about to go.
+    if registration is not None:
+        registration.remove()
+    running.stop()
+    if reason:
+        click.echo(f"{running.name} cannot run: {reason}", err=True)
+    return REFUSED if reason else OK
+
+
+def _check(config: Config, plugins: Plugins) -> None:
+    """Says that a configuration is sound, and which plug-ins of this environment are not."""
+    from pancakes.errors import PluginError
+    from pancakes.plugins import GROUPS
+
+    for group in GROUPS:
+        for name in plugins.names(group):
+            try:
+                if not name.endswith(".*"):
+                    plugins.get(group, name)
+            except PluginError:
+                continue  # `problems` has it
+    for problem in plugins.problems():
+        click.echo(f"warning: {problem}", err=True)
+    click.echo(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
+
+
+def _register(running: Agent) -> Registration | None:
+    """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
+    from pancakes.errors import PancakesError
+    from pancakes.net.peers import reachable
+    from pancakes.runtime_dir import Entry, register
+
+    agent = running.config.agent
+    listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
+    try:
+        return register(Entry(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+    except PancakesError as error:
+        click.echo(f"warning: `pancakes` will find {agent.name} only with --at: {error}", err=True)
+        return None
+
+
+def _listen_to_libraries(running: Agent) -> None:
+    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, never as a traceback."""
+    import logging
+    import threading
+
+    from pancakes.kernel.component import describe
+
+    levels = {"DEBUG": "debug", "INFO": "info", "WARNING": "warning"}
+
+    class ToLog(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            error = record.exc_info[1] if record.exc_info else None
+            text = f"{record.name}: {record.getMessage()}" + (f": {describe(error)}" if error is not None else "")
+            running.kernel.log(levels.get(record.levelname, "error"), text)
+
+    def died(args: Any) -> None:
+        if args.exc_value is not None:
+            name = args.thread.name if args.thread is not None else "a thread"
+            running.kernel.log("error", f"the thread {name} died: {describe(args.exc_value)}")
+
+    logging.getLogger().addHandler(ToLog(logging.WARNING))
+    threading.excepthook = died
+
+
+def main() -> None:
+    """The console script."""
+    agent()
+
+
+if __name__ == "__main__":
+    main()

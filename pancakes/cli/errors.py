@@ -1,0 +1,71 @@
+"""The one place where an error becomes a sentence for a person and an exit code for a script."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable
+from typing import Final, NoReturn, ParamSpec, TypeVar
+
+import click
+
+from pancakes.errors import ConfigError, PancakesError
+
+OK: Final = 0
+REFUSED: Final = 1
+"""It was understood and is not done: an agent refused it, a port is in use, ..."""
+USAGE: Final = 2
+"""The command line itself is wrong; click says so."""
+UNREACHABLE: Final = 3
+"""Nobody answered."""
+BAD_CONFIGURATION: Final = 4
+
+TRACEBACK: Final = "PANCAKES_TRACEBACK"
+"""The environment variable with which a defect shows its traceback, for whoever mends it."""
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+class Unreachable(PancakesError):
+    """An agent that was asked for something did not answer."""
+
+
+def exit_code(error: PancakesError) -> int:
+    """Returns the exit code that an error stands for."""
+    if isinstance(error, ConfigError):
+        return BAD_CONFIGURATION
+    if isinstance(error, Unreachable):
+        return UNREACHABLE
+    return REFUSED
+
+
+def fail(error: Exception) -> NoReturn:
+    """Says what is wrong on standard error, and exits."""
+    if isinstance(error, PancakesError):
+        click.echo(str(error), err=True)
+        sys.exit(exit_code(error))
+    if os.environ.get(TRACEBACK):
+        raise error
+    text = " ".join(str(error).split())
+    click.echo(
+        f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {text} (set {TRACEBACK}=1 to see where)",
+        err=True,
+    )
+    sys.exit(REFUSED)
+
+
+def sentences(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Decorates the function of a click command: its errors become sentences, its user sees no traceback."""
+
+    @functools.wraps(function)
+    def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        try:
+            return function(*args, **kwargs)
+        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
+            raise  # click has sentences of its own for these
+        except Exception as error:
+            fail(error)
+
+    return guarded

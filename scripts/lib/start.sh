@@ -1,0 +1,23 @@
+# Sourced by the scripts: goes to the project's root, finds a Python that is new enough, and keeps the environment.
+# shellcheck shell=sh
+
+root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd) || exit 1
+cd "$root" || exit 1
+
+# Prints a Python that is new enough; $PYTHON goes first where it is set.
+find_python() {
+    for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3 python; do
+        if [ -n "$name" ] && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' </dev/null >/dev/null 2>&1; then
+            printf '%s\n' "$name"
+            return 0
+        fi
+    done
+    echo "Pancakes needs Python 3.11 or newer, and there is none here: install python3.11 or set PYTHON to one." >&2
+    return 1
+}
+
+# Makes .venv with the extras that are named, unless it is there and up to date, and sets $python to its Python.
+use_environment() {
+    found=$(find_python) || exit 1
+    python=$("$found" scripts/lib/environment.py "$@" </dev/null) || exit 1
+}
