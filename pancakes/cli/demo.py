@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -107,9 +106,9 @@ def _run(
     headless: bool,
     faults: bool,
 ) -> int:
-    from pancakes.demo import Demo, Run
+    from pancakes.demo import Demo
     from pancakes.demo.conductor import Mission
-    from pancakes.demo.launcher import Faults, configs_of, fresh, run_live, run_virtual
+    from pancakes.demo.launcher import Faults, fresh, judge, run_live, run_of, run_virtual
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
@@ -130,13 +129,11 @@ def _run(
             timing = run_virtual(plan, mission, interrupted, Faults(seed) if faults else None)
         else:
             timing = run_live(plan, mission, interrupted)
-    (out / "timing.json").write_text(json.dumps(timing, indent=2) + "\n", encoding="utf-8")
     if interrupted.is_set() and mission.phase != "over":
         click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
         return INTERRUPTED
-    run = Run(out, seed, duration_s, mission.now_s, mission.ended_because, configs_of(plan))
-    summary = found.judge(run)
-    (out / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    run = run_of(plan, mission)
+    summary = judge(plan, run, timing)
     found.draw(run, summary)
     return _verdict(summary, timing, out)
 

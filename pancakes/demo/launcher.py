@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ import msgspec
 from pancakes.agent import Agent
 from pancakes.config import Config, parse
 from pancakes.demo.conductor import Conductor, Mission
+from pancakes.demo.demo import Run
 from pancakes.demo.plan import LAUNCHER, Plan
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
@@ -223,6 +225,19 @@ class Faults:
             at_s = fleet.now() + self._random.uniform(5.0, 290.0)
             one, other = self._random.sample(names, 2)
             fleet.dispatcher.call_at(at_s, lambda one=one, other=other: fleet.network.break_links(one, other))  # type: ignore[misc]
+
+
+def run_of(plan: Plan, mission: Mission) -> Run:
+    """Returns what a mission that is over was, for its judge."""
+    return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
+
+
+def judge(plan: Plan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
+    """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
+    summary = plan.demo.judge(run)
+    for name, content in (("summary.json", summary), ("timing.json", timing)):
+        (plan.out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return summary
 
 
 def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:

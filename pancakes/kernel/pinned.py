@@ -58,4 +58,4 @@ class PinnedDispatcher(Dispatcher):
             for wake in self._wakes.values():
                 wake.put(False)
         for thread in threads:
-            thread.join(timeout=1.0)
+            thread.join(timeout=0.2)

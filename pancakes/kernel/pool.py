@@ -23,6 +23,8 @@ WATCH_S = 0.02
 HOGGED_S = 0.05
 """A handler that holds its thread longer than this is named."""
 MOST_WORKERS = 64
+STOP_S = 0.3
+"""How long, in all, a stop waits for workers that are held."""
 
 
 class _Worker(threading.Thread):
@@ -101,9 +103,11 @@ class PoolDispatcher(Dispatcher):
     def retire(self, worker: _Worker) -> bool:
         """Lays an idle worker down until it is wanted. Returns whether its thread shall end."""
         with self._lock:
-            if self.work and not self._stopping.is_set():
-                return False
+            # First the count, then the look: who puts work in reads the count only after that.
             self._active -= 1
+            if self.work and not self._stopping.is_set():
+                self._active += 1
+                return False
             # Two are kept: one for work, one to stand by. Those lent beyond that end here.
             if self._stopping.is_set() or len(self._idle) >= 2:
                 self._workers.remove(worker)
@@ -141,6 +145,7 @@ class PoolDispatcher(Dispatcher):
             self._idle.clear()
             workers = list(self._workers)
         self._watchdog.join()
+        until_s = self.clock.now() + STOP_S
         for worker in workers:
             # A worker that is held by a stuck handler is a daemon thread: it must not hold up the rest.
-            worker.join(timeout=1.0)
+            worker.join(timeout=max(0.0, until_s - self.clock.now()))

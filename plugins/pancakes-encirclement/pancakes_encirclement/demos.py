@@ -1,3 +1,62 @@
 """The demos of this distribution, as the launcher finds them by entry point (`pancakes.demos`)."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, Final
+
+from pancakes.demo import Demo, Run
+from pancakes_encirclement.intruder_verdict import judge_intruder
+from pancakes_encirclement.verdict import Limits, judge_encirclement
+
+AGENTS: Final = ("world", "agent1", "agent2", "sensor")
+
+
+def _draw_encirclement(run: Run, summary: Mapping[str, Any]) -> None:
+    from pancakes_encirclement.figure import draw_encirclement
+
+    draw_encirclement(run, summary)
+
+
+def _draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
+    from pancakes_encirclement.figure import draw_intruder
+
+    draw_intruder(run, summary)
+
+
+ENCIRCLEMENT: Final = Demo(
+    name="encirclement",
+    title="the experiment of the paper: two Khepera III circle a sensor node, and hand that over",
+    agents=AGENTS,
+    duration_s=300.0,
+    judge=judge_encirclement,
+    draw=_draw_encirclement,
+    circled="sensor",
+    radius_m=0.55,
+)
+"""Figures 4 to 6 of the paper."""
+
+PIONEER: Final = Demo(
+    name="pioneer",
+    title="the same tasks on two Pioneers 3-DX, larger and faster",
+    agents=AGENTS,
+    duration_s=300.0,
+    judge=partial(judge_encirclement, limits=Limits(radius_error_m=0.03)),
+    draw=_draw_encirclement,
+    circled="sensor",
+    radius_m=1.2,
+)
+"""The encirclement on other robots, by configuration alone."""
+
+INTRUDER: Final = Demo(
+    name="intruder",
+    title="motion starts the encirclement, and the circle follows the intruder",
+    agents=AGENTS,
+    duration_s=240.0,
+    judge=judge_intruder,
+    draw=_draw_intruder,
+    circled="intruder",
+    radius_m=0.55,
+)
+"""Figure 1 of the paper."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pancakes.demo import Run
 from pancakes.errors import PancakesError
 from pancakes_encirclement.holding import holders
 from pancakes_encirclement.record import Record, Row, read_record
@@ -37,33 +37,29 @@ _HAND_OVER_S = 40.0
 """How much of the mission the middle panel shows, from the hand-over on."""
 
 
-def draw_encirclement(out_dir: Path, run: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+def draw_encirclement(run: Run, summary: Mapping[str, Any]) -> None:
     """Draws a mission in which `ScanTarget` was handed over: before, at and after that.
 
     Args:
-        out_dir: where the mission left its files; `paths.png` is written there.
-        run: see `judge_encirclement`.
+        run: the mission; `paths.png` is written to its folder.
         summary: what the verdict returned.
-
-    Returns:
-        The figure's path.
 
     Raises:
         PancakesError: matplotlib is missing, or the mission's files cannot be read.
     """
-    end_s = float(run["duration_s"])
+    end_s = run.ended_s
     held = summary["holders"]
     moved_s = held[1]["start_s"] if len(held) > 1 else end_s
     settled_s = min(moved_s + _HAND_OVER_S, end_s)
     panels = [("before the hand-over", 0.0, moved_s)]
     if moved_s < end_s:
         panels += [("at the hand-over", moved_s, settled_s), ("after it", settled_s, end_s)]
-    return _draw(out_dir, run, summary, panels, follows=False)
+    _draw(run, summary, panels, follows=False)
 
 
-def draw_intruder(out_dir: Path, run: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+def draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
     """Draws a mission in which the circle follows an intruder; see `draw_encirclement`."""
-    end_s = float(run["duration_s"])
+    end_s = run.ended_s
     start_s = summary["holders"][0]["start_s"] if summary["holders"] else 0.0
     third_s = (end_s - start_s) / 3.0
     names = ("motion is sensed", "the intruder walks on", "the circle follows")
@@ -71,16 +67,10 @@ def draw_intruder(out_dir: Path, run: Mapping[str, Any], summary: Mapping[str, A
         (name, start_s + index * third_s if index else 0.0, start_s + (index + 1) * third_s)
         for index, name in enumerate(names)
     ]
-    return _draw(out_dir, run, summary, panels, follows=True)
+    _draw(run, summary, panels, follows=True)
 
 
-def _draw(
-    out_dir: Path,
-    run: Mapping[str, Any],
-    summary: Mapping[str, Any],
-    panels: Sequence[tuple[str, float, float]],
-    follows: bool,
-) -> Path:
+def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, float, float]], follows: bool) -> None:
     try:
         import matplotlib
     except ImportError:
@@ -88,9 +78,9 @@ def _draw(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    record, scenario = read_record(out_dir), read_scenario(run["configs"])
-    end_s = float(run["duration_s"])
-    lanes = _lanes(record, end_s)
+    record, scenario = read_record(run.out), read_scenario(run.configs)
+    end_s = run.ended_s
+    lanes = _lanes(record, run.configs, end_s)
     with matplotlib.rc_context(_STYLE):
         height = 2.95 + 0.16 * len(lanes) + 1.3
         figure = Figure(figsize=(7.2, height), layout="constrained")
@@ -112,9 +102,7 @@ def _draw(
         gantt = figure.add_subplot(grid[1, :])
         _gantt(gantt, lanes, scenario, panels, end_s)
         _batteries(figure.add_subplot(grid[2, :], sharex=gantt), record, scenario, panels, end_s)
-        path = out_dir / "paths.png"
-        figure.savefig(path, dpi=200, metadata={"Software": None})
-    return path
+        figure.savefig(run.out / "paths.png", dpi=200)
 
 
 def _map(
@@ -202,16 +190,23 @@ def _legend(scenario: Scenario, follows: bool) -> tuple[list[Any], list[str]]:
     return handles, labels
 
 
-def _lanes(record: Record, end_s: float) -> list[tuple[str, str, list[tuple[float, float]]]]:
-    """Returns (agent, task, spans) for each of the users' tasks that ran on an agent of the mission."""
-    seen: dict[tuple[str, str], None] = {}
-    for event in record.told("task_started"):
-        if str(event.fields.get("type", "")).startswith("encirclement."):
-            seen.setdefault((event.agent, event.fields["task"]))
+def _lanes(
+    record: Record, configs: Mapping[str, Any], end_s: float
+) -> list[tuple[str, str, list[tuple[float, float]]]]:
+    """Returns (agent, task, spans) for each task of this distribution that ran on an agent."""
+    names = [
+        name
+        for config in configs.values()
+        for name, task in config["tasks"].items()
+        if str(task["type"]).startswith("encirclement.")
+    ]
+    held = {name: holders(record, name, end_s) for name in dict.fromkeys(names)}
     lanes = []
-    for agent, task in sorted(seen):
-        spans = [(held.start_s, held.end_s) for held in holders(record, task, end_s) if held.agent == agent]
-        lanes.append((agent, task, spans))
+    for agent in configs:
+        for name, all_spans in held.items():
+            spans = [(span.start_s, span.end_s) for span in all_spans if span.agent == agent]
+            if spans:
+                lanes.append((agent, name, spans))
     return lanes
 
 
@@ -248,7 +243,11 @@ def _batteries(
     for level in scenario.watched_levels:
         axes.axhline(100.0 * level, color=_INK, lw=0.5, ls=":")
         axes.annotate(
-            f"{100.0 * level:.0f} %", (1.005, 100.0 * level), xycoords=("axes fraction", "data"), va="center", fontsize=6.5
+            f"{100.0 * level:.0f} %",
+            (1.005, 100.0 * level),
+            xycoords=("axes fraction", "data"),
+            va="center",
+            fontsize=6.5,
         )
     axes.set_ylabel("battery [%]")
     axes.set_xlabel("mission time [s]")

@@ -31,7 +31,7 @@ class Holder:
 def holders(record: Record, task: str, end_s: float) -> list[Holder]:
     """Returns who ran a task, in the order of time. A task that is frozen for a move runs no more."""
     found = []
-    since: dict[str, float] = {}
+    since: dict[str, float] = dict.fromkeys(record.running_at_first(task), 0.0)
     for event in record.events:
         if event.fields.get("task") != task:
             continue

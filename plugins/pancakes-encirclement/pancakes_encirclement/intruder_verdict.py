@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
+from pancakes.demo import Run
 from pancakes_encirclement.holding import driven, holders
 from pancakes_encirclement.record import Record, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario
@@ -33,14 +33,11 @@ class IntruderLimits:
     revolutions: int = 2
 
 
-def judge_intruder(
-    out_dir: Path, run: Mapping[str, Any], limits: IntruderLimits = IntruderLimits()
-) -> dict[str, Any]:
+def judge_intruder(run: Run, limits: IntruderLimits = IntruderLimits()) -> dict[str, Any]:
     """Judges the mission in which motion starts `ScanTarget` on an idle robot, and the intruder walks on.
 
     Args:
-        out_dir: where the mission left `trajectory.csv` and `events.jsonl`.
-        run: see `judge_encirclement`.
+        run: the mission; it left `trajectory.csv` and `events.jsonl`.
         limits: what it must keep to.
 
     Returns:
@@ -49,13 +46,12 @@ def judge_intruder(
     Raises:
         PancakesError: the files or the configurations cannot be read.
     """
-    return judge(read_record(out_dir), read_scenario(run["configs"]), run, limits)
+    return judge(read_record(run.out), read_scenario(run.configs), run, limits)
 
 
-def judge(record: Record, scenario: Scenario, run: Mapping[str, Any], limits: IntruderLimits) -> dict[str, Any]:
+def judge(record: Record, scenario: Scenario, run: Run, limits: IntruderLimits) -> dict[str, Any]:
     """Judges what has been read; see `judge_intruder`."""
-    duration_s = float(run["duration_s"])
-    held = holders(record, scenario.scan, duration_s)
+    held = holders(record, scenario.scan, run.ended_s)
     detected_s = first_time(record, "motion_detected")
     robot = held[0].agent if held else scenario.first
     driven_rows = driven(record.paths.get(robot, ()), scenario.scan)
@@ -64,8 +60,8 @@ def judge(record: Record, scenario: Scenario, run: Mapping[str, Any], limits: In
     from_s = held[0].start_s + SETTLING_S if held else math.inf
     sensor = place(record, scenario.sensor)
     summary: dict[str, Any] = {
-        "seed": run.get("seed"),
-        "duration_s": duration_s,
+        "seed": run.seed,
+        "duration_s": run.duration_s,
         "circle": {"radius_m": scenario.radius_m},
         "sensor": {"x_m": sensor[0], "y_m": sensor[1]} if sensor else None,
         "holders": [asdict(holder) for holder in held],
@@ -103,9 +99,7 @@ def _following(
     }
 
 
-def _reasons_to_fail(
-    summary: Mapping[str, Any], scenario: Scenario, limits: IntruderLimits, robot: str
-) -> list[str]:
+def _reasons_to_fail(summary: Mapping[str, Any], scenario: Scenario, limits: IntruderLimits, robot: str) -> list[str]:
     if summary["detected_s"] is None:
         return [f"{scenario.sensor} never sensed any motion"]
     if not summary["holders"]:

@@ -54,6 +54,10 @@ class Record:
     paths: Mapping[str, list[Row]]
     events: list[Occurrence]
 
+    def running_at_first(self, task: str) -> list[str]:
+        """Returns the agents that ran a task already when the mission began: so the launcher's `roster` says."""
+        return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
+
     def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[Occurrence]:
         """Yields the events of a kind, of one agent and about one task where these are given."""
         for event in self.events:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,8 @@ from pancakes.sim.models import robot_model
 Table = Mapping[str, Any]
 
 SCAN = "encirclement.ScanTarget"
+HOME = "encirclement.GoHome"
+WATCHDOG = "encirclement.BatteryWatchdog"
 WORLD = "sim.world"
 
 
@@ -55,7 +57,7 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
     """Reads it out of the configurations of all agents.
 
     Args:
-        configs: the tables of each agent's file, overrides included, by the agent's name.
+        configs: the agents' configurations, overrides included, by the agent's name (`pancakes.demo.Run.configs`).
 
     Raises:
         PancakesError: no agent simulates a world, or none has a `ScanTarget`.
@@ -69,7 +71,7 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
         sensor=next(iter(world.get("sensors", {})), ""),
         movers=tuple(world.get("movers", {})),
         scan=scan,
-        home=str(task.get("migrate", {}).get("then", "")),
+        home=next((name for name, other in _tasks(configs[first]) if other.get("type") == HOME), ""),
         radius_m=float(task.get("settings", {}).get("radius_m", 0.55)),
         half_width_m=0.5 * float(arena.get("width_m", 5.0)),
         half_height_m=0.5 * float(arena.get("height_m", 4.0)),
@@ -80,10 +82,14 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
 
 def _find_task(configs: Mapping[str, Table], kind: str, does: str) -> tuple[str, str, Table]:
     for agent, config in configs.items():
-        for name, task in config.get("task", {}).items():
+        for name, task in _tasks(config):
             if task.get("type") == kind:
                 return agent, name, task
     raise PancakesError(f"none of the agents {', '.join(configs)} {does}: no task is of the type {kind!r}")
+
+
+def _tasks(config: Table) -> Iterator[tuple[str, Table]]:
+    yield from config.get("tasks", {}).items()
 
 
 def _voltages(robot: Table) -> tuple[float, float]:
@@ -92,8 +98,8 @@ def _voltages(robot: Table) -> tuple[float, float]:
 
 
 def _levels(config: Table, scan: Table) -> tuple[float, ...]:
-    levels = [scan.get("migrate", {}).get("below")]
-    for task in config.get("task", {}).values():
-        if task.get("type") == "encirclement.BatteryWatchdog":
+    levels = [(scan.get("migrate") or {}).get("below")]
+    for _, task in _tasks(config):
+        if task.get("type") == WATCHDOG:
             levels.append(task.get("settings", {}).get("below", 0.90))
     return tuple(sorted((float(level) for level in levels if level is not None), reverse=True))

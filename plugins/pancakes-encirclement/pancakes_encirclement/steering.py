@@ -42,9 +42,7 @@ class Steering:
         self._side = 0
         self._blocked_since_s: float | None = None
 
-    def sweep(
-        self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float
-    ) -> None:
+    def sweep(self, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float) -> None:
         """Takes a sweep of a ring of sensors; without a pose yet, it says nothing about the world."""
         if self._pose is not None:
             self._map.sweep(self._pose, bearings_rad, ranges_m, max_range_m, now_s)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
+from pancakes.demo import Run
 from pancakes_encirclement.holding import Holder, gap_s, holders, overlap_s, radius_error
 from pancakes_encirclement.laps import ON_CIRCLE_SHARE
 from pancakes_encirclement.record import Record, Row, read_record
@@ -34,13 +34,11 @@ class Limits:
     centre_error_m: float = 0.15
 
 
-def judge_encirclement(out_dir: Path, run: Mapping[str, Any], limits: Limits = Limits()) -> dict[str, Any]:
+def judge_encirclement(run: Run, limits: Limits = Limits()) -> dict[str, Any]:
     """Judges the mission in which `ScanTarget` moves from the first robot to the second.
 
     Args:
-        out_dir: where the mission left `trajectory.csv` and `events.jsonl`.
-        run: `seed`, `duration_s`, `configs` (the tables of each agent's configuration by its name), and where the
-            mission broke off, `broken_off`: why.
+        run: the mission; it left `trajectory.csv` and `events.jsonl`.
         limits: what it must keep to.
 
     Returns:
@@ -49,13 +47,12 @@ def judge_encirclement(out_dir: Path, run: Mapping[str, Any], limits: Limits = L
     Raises:
         PancakesError: the files or the configurations cannot be read.
     """
-    return judge(read_record(out_dir), read_scenario(run["configs"]), run, limits)
+    return judge(read_record(run.out), read_scenario(run.configs), run, limits)
 
 
-def judge(record: Record, scenario: Scenario, run: Mapping[str, Any], limits: Limits) -> dict[str, Any]:
+def judge(record: Record, scenario: Scenario, run: Run, limits: Limits) -> dict[str, Any]:
     """Judges what has been read; see `judge_encirclement`."""
-    duration_s = float(run["duration_s"])
-    held = holders(record, scenario.scan, duration_s)
+    held = holders(record, scenario.scan, run.ended_s)
     old, new = (held[0].agent, held[1].agent) if len(held) > 1 else (scenario.first, "")
     centre = place(record, scenario.sensor)
     homes = {robot: position for robot in scenario.robots if (position := place(record, robot)) is not None}
@@ -68,8 +65,8 @@ def judge(record: Record, scenario: Scenario, run: Mapping[str, Any], limits: Li
     asked = [line for event in record.told("migration", task=scenario.scan) for line in event.fields.get("lines", ())]
     arrived = next(record.told("task_arrived", agent=new, task=scenario.scan), None)
     summary: dict[str, Any] = {
-        "seed": run.get("seed"),
-        "duration_s": duration_s,
+        "seed": run.seed,
+        "duration_s": run.duration_s,
         "circle": {**_named(centre), "radius_m": scenario.radius_m},
         "homes": {robot: _named(home) for robot, home in homes.items()},
         "holders": [asdict(holder) for holder in held],
@@ -92,9 +89,9 @@ def judge(record: Record, scenario: Scenario, run: Mapping[str, Any], limits: Li
     return finish(summary, reasons)
 
 
-def common_reasons(summary: Mapping[str, Any], run: Mapping[str, Any]) -> list[str]:
+def common_reasons(summary: Mapping[str, Any], run: Run) -> list[str]:
     """Returns why no mission of any kind could pass: it broke off, or something was run into."""
-    reasons = [f"the mission broke off: {run['broken_off']}"] if run.get("broken_off") else []
+    reasons = [f"the mission broke off: {run.ended_because}"] if run.ended_because else []
     if summary["collisions"]:
         reasons.append(f"there were {summary['collisions']} collisions: {', '.join(summary['collided'])}")
     if summary["out_of_bounds"]:
@@ -102,9 +99,7 @@ def common_reasons(summary: Mapping[str, Any], run: Mapping[str, Any]) -> list[s
     return reasons
 
 
-def _reasons_to_fail(
-    summary: Mapping[str, Any], scenario: Scenario, limits: Limits, old: str, new: str
-) -> list[str]:
+def _reasons_to_fail(summary: Mapping[str, Any], scenario: Scenario, limits: Limits, old: str, new: str) -> list[str]:
     reasons = []
     scan = scenario.scan
     if not summary["holders"]:
@@ -143,9 +138,7 @@ def _radius_reasons(summary: Mapping[str, Any], limits: Limits) -> list[str]:
     return reasons
 
 
-def _state_reasons(
-    summary: Mapping[str, Any], scenario: Scenario, limits: Limits, old: str, new: str
-) -> list[str]:
+def _state_reasons(summary: Mapping[str, Any], scenario: Scenario, limits: Limits, old: str, new: str) -> list[str]:
     if not new:
         return []
     state, circle = summary["state_moved"], summary["circle"]

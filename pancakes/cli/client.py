@@ -1,0 +1,309 @@
+"""How the command line reaches running agents: it finds them, asks them, and waits for their own answers.
+
+Threads are only here: the terminal may wait, agents may not.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pancakes.cli.door import Door
+from pancakes.cli.errors import Unreachable
+from pancakes.cli.greeting import Greeting
+from pancakes.clock import MonotonicClock
+from pancakes.control import Describe, Reply
+from pancakes.errors import ControlRefused, PluginError
+from pancakes.net.transport import Transport
+from pancakes.plugins import Plugins
+from pancakes.runtime_dir import entries, runtime_dir
+from pancakes.suggestion import suggestion
+from pancakes.wire.messages import Hello
+
+LOOK_S: Final = 0.1
+"""How often it is looked again at what nobody announces, such as an agent that says it sleeps."""
+
+
+@dataclass
+class Lead:
+    """An agent that is known to be somewhere.
+
+    Attributes:
+        address: where; empty where it cannot be dialled.
+        fleet: its fleet; empty while that is not known.
+        name: its name, likewise.
+        failed: why it cannot be asked; empty while it can.
+    """
+
+    address: str
+    fleet: str = ""
+    name: str = ""
+    failed: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
+
+
+@dataclass
+class Survey:
+    """What the agents say about themselves.
+
+    Attributes:
+        agents: the result of `Describe` of each that answered, by fleet and name.
+        silent: a sentence for each that did not.
+    """
+
+    agents: list[dict[str, Any]] = field(default_factory=list)
+    silent: list[str] = field(default_factory=list)
+
+
+class Client:
+    """Speaks to the agents of this machine, or to those at given addresses, and through any of them to their fleets.
+
+    It is used in one thread, as a context manager:
+
+        with Client(timeout_s=3.0) as client:
+            reply = client.request("agent1", Stop("client/ScanTarget"))
+
+    Args:
+        at: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
+        timeout_s: the time limit of each call.
+
+    Raises:
+        PancakesError: the runtime directory cannot be used.
+    """
+
+    def __init__(self, at: Sequence[str] = (), timeout_s: float = 3.0) -> None:
+        self.timeout_s = timeout_s
+        self.name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
+        self._clock = MonotonicClock()
+        self._plugins = Plugins()
+        self._transports: dict[str, Transport] = {}
+        self._condition = threading.Condition(threading.RLock())
+        self._doors: dict[tuple[str, str], Door] = {}
+        self._leads: list[Lead] = []
+        self._where = "at " + ", ".join(at) if at else f"on this machine ({runtime_dir()} names none)"
+        if at:
+            known = [Lead(address) for address in dict.fromkeys(at)]
+        else:
+            known = [Lead(it.listen, it.fleet, it.name) for it in entries() if it.role != "client"]
+        for lead in known:
+            self._follow(lead)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leaves all fleets."""
+        with self._condition:
+            doors = list(self._doors.values())
+        for door in doors:
+            door.close()
+        for transport in self._transports.values():
+            transport.close()
+
+    def request(self, agent: str, body: Any, timeout_s: float | None = None) -> Reply:
+        """Asks one agent for something, and waits for its answer.
+
+        Args:
+            agent: its name.
+            body: a control packet's body, such as `Stop("client/ScanTarget")`.
+            timeout_s: the time limit; None: that of the client.
+
+        Returns:
+            Its reply; where `ok` is False, its `reason` says why not.
+
+        Raises:
+            Unreachable: there is no such agent, or it does not answer in time.
+            ControlRefused: agents of two fleets bear this name.
+        """
+        until_s = self._until_s(timeout_s)
+        door = self._door_of(agent, until_s)
+        number = door.ask(agent, body)
+        self._wait(until_s, lambda: door.answer(number) is not None)
+        answer = door.answer(number)
+        if isinstance(answer, Reply):
+            return answer
+        raise Unreachable(f"{agent} did not answer: {answer or self._late(timeout_s)}")
+
+    def survey(self, agent: str = "", timeout_s: float | None = None) -> Survey:
+        """Asks all agents what they are and run; those that agents know of are asked as well.
+
+        Args:
+            agent: only this one.
+            timeout_s: the time limit; None: that of the client.
+
+        Raises:
+            Unreachable: there is no such agent, or nobody answers in time.
+        """
+        until_s = self._until_s(timeout_s)
+        if agent:
+            reply = self.request(agent, Describe(), timeout_s)
+            if not reply.ok:
+                raise ControlRefused(f"{agent} refused: {reply.reason}")
+            return Survey([reply.result])
+        answers, silent = self._ask_all(until_s, lambda answers: False)
+        sentences = [f"{lead} did not answer: {why or self._late(timeout_s)}" for lead, why in silent]
+        if not answers:
+            raise Unreachable("\n".join(sentences) or f"no agent runs {self._where}: start one, or name one with --at")
+        return Survey([answers[key] for key in sorted(answers)], sentences)
+
+    # Finding them ----------------------------------------------------------------------------------------------
+
+    def _follow(self, lead: Lead) -> None:
+        """Finds out who is there, and goes through its fleet's door."""
+        self._leads.append(lead)
+        if not lead.address:
+            lead.failed = "it listens at no address, so it cannot be asked from here"
+            return
+        scheme = lead.address.partition("://")[0]
+        try:
+            transport = self._transport(scheme)
+        except PluginError as error:
+            lead.failed = str(error)
+            return
+
+        def told(what: Hello | str) -> None:
+            with self._condition:
+                self._met(lead, scheme, transport, what)
+                self._condition.notify_all()
+
+        Greeting(transport, lead.address, self._clock, told)
+
+    def _met(self, lead: Lead, scheme: str, transport: Transport, what: Hello | str) -> None:
+        if isinstance(what, str):
+            lead.failed = what
+        elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
+            lead.failed = f"at its address is {what.name} of the fleet {what.fleet}"
+        else:
+            lead.name, lead.fleet = what.name, what.fleet
+            door = self._doors.get((scheme, what.fleet))
+            if door is None:
+                door = self._doors[scheme, what.fleet] = Door(
+                    self.name, what.fleet, transport, self._clock, self._changed
+                )
+            door.learn(lead.address)
+
+    def _transport(self, scheme: str) -> Transport:
+        if scheme not in self._transports:
+            make = self._plugins.get("pancakes.transports", scheme)
+            self._transports[scheme] = make(self._clock, self.name)
+        return self._transports[scheme]
+
+    def _learn(self, fleet: str, description: dict[str, Any]) -> None:
+        """Follows the agents that one of them is connected to."""
+        for peer in description["mesh"]["peers"]:
+            if peer["role"] == "client" or any((it.fleet, it.name) == (fleet, peer["name"]) for it in self._leads):
+                continue
+            unmet = next((it for it in self._leads if not it.name and it.address == peer["address"]), None)
+            if unmet is not None:
+                unmet.fleet, unmet.name = fleet, peer["name"]
+            else:
+                self._follow(Lead(peer["address"], fleet, peer["name"]))
+
+    # Waiting ---------------------------------------------------------------------------------------------------
+
+    def _ask_all(
+        self, until_s: float, enough: Callable[[dict[tuple[str, str], dict[str, Any]]], bool]
+    ) -> tuple[dict[tuple[str, str], dict[str, Any]], list[tuple[Lead, str]]]:
+        """Asks everybody who can be found to describe itself.
+
+        Args:
+            until_s: when to give up.
+            enough: whether the answers so far, by (fleet, name), will do.
+
+        Returns:
+            The answers, and those who have given none, with the reason where one is known.
+        """
+        asked: dict[tuple[str, str], tuple[Door, int]] = {}
+        answers: dict[tuple[str, str], dict[str, Any]] = {}
+        failed: dict[tuple[str, str], str] = {}
+
+        def silent() -> Iterator[tuple[Lead, str]]:
+            for lead in self._leads:
+                key = (lead.fleet, lead.name)
+                if key not in answers:
+                    yield lead, lead.failed or failed.get(key, "")
+
+        def done() -> bool:
+            for door in list(self._doors.values()):
+                for hello in door.agents():
+                    key = (door.fleet, hello.name)
+                    if key not in asked:
+                        asked[key] = door, door.ask(hello.name, Describe())
+                for name, for_s in door.asleep().items():
+                    failed[door.fleet, name] = "its network sleeps" + ("" if for_s is None else f" for {for_s:.1f} s")
+            for key, (door, number) in asked.items():
+                answer = door.answer(number)
+                if isinstance(answer, str):
+                    failed[key] = answer
+                elif answer is not None and key not in answers:
+                    answers[key] = answer.result
+                    self._learn(key[0], answer.result)
+            return enough(answers) or all(why for _, why in silent())
+
+        self._wait(until_s, done)
+        with self._condition:
+            return answers, list(silent())
+
+    def _door_of(self, agent: str, until_s: float) -> Door:
+        """Returns the door through which an agent is reached, once it is."""
+
+        def doors() -> list[Door]:
+            return [door for door in self._doors.values() if door.connected(agent)]
+
+        def there() -> bool:
+            # Who is known to be there by that name is waited for, so that two of one name are seen.
+            named = {lead.fleet for lead in self._leads if lead.name == agent and not lead.failed}
+            found = {door.fleet for door in doors()}
+            return bool(found) and named <= found
+
+        answers, silent = self._ask_all(until_s, lambda answers: there())
+        with self._condition:
+            found = doors()
+        if len(found) > 1:
+            fleets = " and ".join(door.fleet for door in found)
+            raise ControlRefused(f"the fleets {fleets} both have an agent {agent}: name one of them with --at")
+        if found:
+            return found[0]
+        why = next((why or "it did not answer in time" for lead, why in silent if lead.name == agent), "")
+        if why:
+            raise Unreachable(f"{agent} cannot be reached: {why}")
+        raise Unreachable(self._nobody(agent, sorted({name for _, name in answers}), silent))
+
+    def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
+        lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
+        near = suggestion(agent, names)
+        there = f"there is no agent {agent!r}" + (f", did you mean {near!r}?" if near else "")
+        if not names:
+            there = f"no agent runs {self._where}" if not lines else f"nobody knows an agent {agent!r}"
+        elif not near:
+            there += f", only {', '.join(names)}"
+        return "\n".join([*lines, there])
+
+    def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:
+        """Waits until the condition holds, or the time is up."""
+        with self._condition:
+            while not condition():
+                left_s = until_s - self._clock.now()
+                if left_s <= 0:
+                    return
+                self._condition.wait(min(left_s, LOOK_S))
+
+    def _changed(self) -> None:
+        with self._condition:
+            self._condition.notify_all()
+
+    def _until_s(self, timeout_s: float | None) -> float:
+        return self._clock.now() + (self.timeout_s if timeout_s is None else timeout_s)
+
+    def _late(self, timeout_s: float | None) -> str:
+        return f"nothing came within {self.timeout_s if timeout_s is None else timeout_s:g} s"
+

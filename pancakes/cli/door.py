@@ -1,0 +1,107 @@
+"""A terminal's place in one fleet: a client of its mesh, which asks agents by control packets and gets replies."""
+
+from __future__ import annotations
+
+import random
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+from pancakes.clock import Clock
+from pancakes.control import Reply
+from pancakes.errors import PancakesError
+from pancakes.net.mesh import Mesh
+from pancakes.net.transport import Transport
+from pancakes.packet import SYSCTRL, Packet, type_name
+from pancakes.wire.messages import Hello, Identity
+
+Answer = Reply | str
+"""What became of a request: the agent's reply, or the reason why there will be none."""
+
+
+class Door:
+    """One mesh of one fleet. It listens nowhere, is nobody's neighbour, and is never asked to take a task.
+
+    Args:
+        name: the client's name; unique, as an agent's is.
+        fleet: the fleet.
+        transport: how bytes travel.
+        clock: the host clock.
+        changed: called in the transport's thread after an agent came or went, or answered.
+    """
+
+    def __init__(
+        self, name: str, fleet: str, transport: Transport, clock: Clock, changed: Callable[[], None]
+    ) -> None:
+        self.name = name
+        self.fleet = fleet
+        self._changed = changed
+        self._seq = 0
+        self._asked: dict[int, str] = {}
+        self._answers: dict[int, Answer] = {}
+        self._mesh = Mesh(
+            Identity(name, str(uuid.uuid4()), 0, fleet, "client"),
+            transport,
+            "",
+            (),
+            random.Random(),
+            clock,
+            on_packet=self._on_packet,
+            on_peer_up=lambda hello: changed(),
+            on_peer_down=self._on_peer_down,
+        )
+        self._mesh.start()
+
+    def learn(self, address: str) -> None:
+        """Connects to the agent at an address; those that it is connected to follow."""
+        self._mesh.learn((address,))
+
+    def agents(self) -> list[Hello]:
+        """Returns what the connected agents said about themselves, by name; other clients are none."""
+        return [hello for hello in self._mesh.connected() if hello.role != "client"]
+
+    def connected(self, agent: str) -> bool:
+        """Returns whether an agent can be asked."""
+        return any(hello.name == agent for hello in self.agents())
+
+    def asleep(self) -> dict[str, float | None]:
+        """Returns the agents that said they sleep, and for how many more seconds (None: they did not say)."""
+        return {peer["name"]: peer["for_s"] for peer in self._mesh.describe()["asleep"]}
+
+    def ask(self, agent: str, body: Any) -> int:
+        """Sends a control packet to a connected agent.
+
+        Returns:
+            The number of the request, for `answer`.
+        """
+        self._seq += 1
+        number = self._seq
+        self._asked[number] = agent
+        try:
+            self._mesh.send(Packet(SYSCTRL, type_name(body), self.name, agent, 0.0, number, body))
+        except PancakesError as error:
+            self._settle(number, str(error))
+        return number
+
+    def answer(self, number: int) -> Answer | None:
+        """Returns what became of a request; None where that is not known yet."""
+        return self._answers.get(number)
+
+    def close(self) -> None:
+        """Says goodbye. The transport is closed by whoever made it."""
+        self._mesh.stop()
+
+    def _settle(self, number: int, answer: Answer) -> None:
+        if self._asked.pop(number, None) is not None:
+            self._answers[number] = answer
+
+    def _on_packet(self, peer: str, packet: Packet) -> None:
+        if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
+            self._settle(packet.cause[1], packet.body)
+            self._changed()
+
+    def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
+        for number, agent in list(self._asked.items()):
+            if agent == name:
+                self._settle(number, f"the link to it ended before it answered: {reason}")
+        self._changed()

@@ -1,0 +1,48 @@
+"""An agent in this process, with the tasks of a benchmark, as its user would configure it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from pancakes.agent import Agent
+from pancakes.config import parse
+from pancakes.plugins import Plugins
+from pancakes.task import Task
+
+READY_S = 30.0
+
+
+@contextmanager
+def local_agent(
+    classes: Mapping[str, type[Task]], tasks: Mapping[str, str], channels: Sequence[str] = ()
+) -> Iterator[Agent]:
+    """Runs an agent.
+
+    Args:
+        classes: the task classes, by the name of their type.
+        tasks: the tables of the tasks, as TOML, by their names.
+        channels: channels of its own.
+    """
+    with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as directory:
+        lines = [
+            "schema = 1",
+            "[agent]",
+            'name = "bench"',
+            'listen = "tcp://127.0.0.1:0"',
+            f'state_dir = "{directory}/state"',
+            "[service.log]",
+            "settings = { console = false }",
+            *(f"[channel.{channel}]" for channel in channels),
+            *(f"[task.{name}]\n{table}" for name, table in tasks.items()),
+        ]
+        plugins = Plugins({("pancakes.tasks", name): cls for name, cls in classes.items()})
+        agent = Agent(parse("\n".join(lines), "bench.toml"), plugins)
+        agent.start()
+        try:
+            if not agent.ready.wait(READY_S):
+                raise TimeoutError(f"the agent was not ready within {READY_S:g} s")
+            yield agent
+        finally:
+            agent.stop()
