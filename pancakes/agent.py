@@ -255,7 +255,7 @@ class Agent:
             devices = [self._device(device) for device in self.config.devices.values()]
             arguments = {"devices": tuple(device for device in devices if device is not None)}
         elif config.name == "network":
-            hosting = Hosting(self.config.agent.role, self._task_types, self._costs)
+            hosting = Hosting(self.config.agent.role, self._has_type, self._costs)
             arguments = {"mesh": self.mesh, "hosting": hosting}
         if issubclass(cls, DurableService):
             arguments = {**arguments, "records": self.records, "catalogue": self}
@@ -303,14 +303,12 @@ class Agent:
         cls = self._plugins.get("pancakes.tasks", type_name)
         return cls, self._plugins.version("pancakes.tasks", type_name).version
 
-    def _task_types(self) -> dict[str, str]:
-        types = {}
-        for name in self._plugins.names("pancakes.tasks"):
-            try:
-                types[name] = self.find(name)[1]
-            except PluginError:
-                continue
-        return types
+    def _has_type(self, name: str) -> str | None:
+        """Returns the version in which a task type is installed and can be imported; None where it is not."""
+        try:
+            return self.find(name)[1]
+        except PluginError:
+            return None
 
     def _costs(self) -> Mapping[str, Cost]:
         costs: dict[str, Cost] = {}

@@ -249,7 +249,12 @@ def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
             "devices": {name: dict(device.settings) for name, device in config.devices.items()},
             "services": {name: dict(service.settings) for name, service in config.services.items()},
             "tasks": {
-                name: {"type": task.type, "start": task.start, "settings": dict(task.settings)}
+                name: {
+                    "type": task.type,
+                    "start": task.start,
+                    "settings": dict(task.settings),
+                    "migrate": msgspec.to_builtins(task.migrate),
+                }
                 for name, task in config.tasks.items()
             },
         }

@@ -54,18 +54,18 @@ class Hosting:
 
     Args:
         role: the agent's role.
-        types: returns the task types that are installed, with the versions of their distributions.
+        version: returns the version in which a task type is installed and can be imported; None where it is not.
         costs: returns the cost functions, by name.
     """
 
     def __init__(
         self,
         role: str,
-        types: Callable[[], Mapping[str, str]],
+        version: Callable[[str], str | None],
         costs: Callable[[], Mapping[str, Cost]],
     ) -> None:
         self.role = role
-        self.types = types
+        self.version = version
         self.costs = costs
 
 
@@ -234,10 +234,11 @@ class TaskMigrator(Task):
                 names[slot.name] = service.id_of(slot)
         for task_id in self._slots.kept(self.kernel.host.now()):
             names.setdefault(task_id.name, task_id)
+        version = self._hosting.version(request.type)
         capability = Capability(
             role=self._hosting.role,
             devices=tuple(registry.device_types()),
-            types=self._hosting.types(),
+            types={request.type: version} if version is not None else {},
             names=names,
             costs=tuple(self._hosting.costs()),
             battery_level=self._battery_level,

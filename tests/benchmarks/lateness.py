@@ -51,7 +51,7 @@ def pancakes(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
         before = [len(task.late_s) for task in found]
         time.sleep(duration_s)
         late_s = [late for task, start in zip(found, before, strict=True) for late in task.late_s[start:]]
-    if len(late_s) < 0.9 * tasks * rate_hz * duration_s:
+    if len(late_s) < tasks * (0.9 * rate_hz * duration_s - 1):
         raise RuntimeError(f"only {len(late_s)} of {tasks * rate_hz * duration_s:.0f} ticks came")
     return _percentiles_us(late_s)
 
@@ -85,7 +85,7 @@ def bare_thread(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
 
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
-    duration_s = max(0.5, DURATION_S * plan.scale)
+    duration_s = max(1.0, DURATION_S * plan.scale)
     for tasks, rate_hz in CASES:
         name = f"{tasks} at {rate_hz:g} Hz"
         yield from in_turns(

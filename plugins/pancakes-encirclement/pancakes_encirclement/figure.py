@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from pancakes.demo import Run
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 """Of the robots, in order: colours that colour-blind people can tell apart (Okabe and Ito)."""
 _MARKERS = ("^", "s", "D", "v")
-_INK, _FAINT = "#333333", "#b0b0b0"
+_INK, _GREY, _FAINT = "#333333", "#666666", "#b0b0b0"
+_DASHES = (0, (2, 1.5))
 _STYLE = {
     "font.size": 8,
     "axes.titlesize": 9,
@@ -82,16 +84,16 @@ def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, floa
     end_s = run.ended_s
     lanes = _lanes(record, run.configs, end_s)
     with matplotlib.rc_context(_STYLE):
-        height = 2.95 + 0.16 * len(lanes) + 1.3
-        figure = Figure(figsize=(7.2, height), layout="constrained")
+        map_height = 2.05 * scenario.half_height_m / scenario.half_width_m
+        heights = (map_height, 0.17 * len(lanes), 0.95)
+        figure = Figure(figsize=(7.2, sum(heights) + 1.75), layout="constrained")
         FigureCanvasAgg(figure)
-        ratios = (2.35, 0.35 + 0.16 * len(lanes), 1.0)
-        grid = figure.add_gridspec(3, len(panels), height_ratios=ratios)
-        maps = []
+        grid = figure.add_gridspec(3, len(panels), height_ratios=heights)
+        maps: list[Axes] = []
         for index, (name, from_s, to_s) in enumerate(panels):
             axes = figure.add_subplot(grid[0, index], sharey=maps[0] if maps else None)
             _map(axes, record, scenario, summary, from_s, to_s, follows)
-            axes.set_title(f"({'abcdef'[index]}) {name}, {from_s:.0f}–{to_s:.0f} s")
+            axes.set_title(f"({'abcdef'[index]}) {name}\n{from_s:.0f} to {to_s:.0f} s")
             if index:
                 axes.tick_params(labelleft=False)
             else:
@@ -123,12 +125,12 @@ def _map(
     axes.set_xlabel("x [m]")
     for mover in scenario.movers:
         part = _between(record.paths.get(mover, ()), from_s, to_s)
-        faint = {"color": "#666666", "lw": 0.8} if follows else {"color": _FAINT, "lw": 0.5}
-        axes.plot([row.x_m for row in part], [row.y_m for row in part], ls=(0, (2, 1.5)), zorder=1, **faint)
+        colour, width = (_GREY, 0.8) if follows else (_FAINT, 0.5)
+        axes.plot([row.x_m for row in part], [row.y_m for row in part], ls=_DASHES, lw=width, color=colour, zorder=1)
         if follows and part:
-            axes.plot(part[-1].x_m, part[-1].y_m, "o", ms=5, color="#666666", zorder=3)
+            axes.plot(part[-1].x_m, part[-1].y_m, "o", ms=5, color=_GREY, zorder=3)
     for centre in _centres(record, summary, from_s, to_s, follows):
-        axes.add_patch(Circle(centre, scenario.radius_m, fill=False, ls="--", lw=0.7, ec=_INK, zorder=1.5))
+        axes.add_patch(Circle(centre, scenario.radius_m, fill=False, ls="--", lw=0.7, ec=_INK, zorder=2.8))
     sensor = record.paths.get(scenario.sensor)
     if sensor:
         axes.plot(sensor[0].x_m, sensor[0].y_m, "D", ms=5, mfc="white", mec=_INK, mew=1.0, zorder=4)
@@ -147,7 +149,7 @@ def _path(axes: Axes, path: Sequence[Row], from_s: float, to_s: float, index: in
         return
     axes.plot([row.x_m for row in part], [row.y_m for row in part], lw=0.9, color=colour, zorder=2.5)
     gone_m = 0.5 * _ARROW_EVERY_M
-    for before, row in zip(part, part[1:], strict=False):
+    for before, row in pairwise(part):
         gone_m += math.hypot(row.x_m - before.x_m, row.y_m - before.y_m)
         if gone_m >= _ARROW_EVERY_M:
             gone_m = 0.0
@@ -155,7 +157,7 @@ def _path(axes: Axes, path: Sequence[Row], from_s: float, to_s: float, index: in
                 "",
                 xy=(row.x_m + 0.01 * math.cos(row.theta_rad), row.y_m + 0.01 * math.sin(row.theta_rad)),
                 xytext=(row.x_m, row.y_m),
-                arrowprops={"arrowstyle": "-|>,head_width=0.16,head_length=0.32", "color": colour, "lw": 0},
+                arrowprops={"arrowstyle": "-|>,head_width=0.22,head_length=0.44", "color": colour, "lw": 0},
                 zorder=2.6,
             )
     axes.plot(part[-1].x_m, part[-1].y_m, marker, ms=5.5, mfc=colour, mec="white", mew=0.6, zorder=5)
@@ -185,7 +187,7 @@ def _legend(scenario: Scenario, follows: bool) -> tuple[list[Any], list[str]]:
     handles += [Line2D([], [], color=_INK, ls="--", lw=0.7), Line2D([], [], marker="+", ms=7, color=_INK, lw=0)]
     labels += [f"circle, R = {scenario.radius_m:g} m", "start"]
     for mover in scenario.movers[:1]:
-        handles.append(Line2D([], [], color="#666666" if follows else _FAINT, ls=(0, (2, 1.5)), lw=0.8))
+        handles.append(Line2D([], [], color=_GREY if follows else _FAINT, ls=_DASHES, lw=0.8))
         labels.append(mover)
     return handles, labels
 

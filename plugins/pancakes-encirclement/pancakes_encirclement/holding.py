@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from pancakes_encirclement.record import Record, Row
 
@@ -74,16 +75,15 @@ def gap_s(paths: Mapping[str, list[Row]], task: str, old: str, new: str) -> floa
 
 def overlap_s(paths: Mapping[str, list[Row]], robots: Sequence[str], task: str, held: Sequence[Holder]) -> float:
     """Returns for how long two agents ran a task at once: as their wheels show it, or as they said, the longer."""
-    together = 0.0
     count: dict[float, int] = {}
     for robot in robots:
         for row in driven(paths.get(robot, ()), task):
             count[row.t_s] = count.get(row.t_s, 0) + 1
     times = sorted({row.t_s for robot in robots for row in paths.get(robot, ())})
-    step_s = min((later - earlier for earlier, later in zip(times, times[1:], strict=False)), default=0.0)
+    step_s = min((later - earlier for earlier, later in pairwise(times)), default=0.0)
     together = step_s * sum(1 for robots_driven in count.values() if robots_driven > 1)
     said = 0.0
-    for earlier, later in zip(held, held[1:], strict=False):
+    for earlier, later in pairwise(held):
         both_s = min(earlier.end_s, later.end_s) - later.start_s
         if both_s > _CLOCKS_AGREE_S:
             said += both_s

@@ -24,8 +24,15 @@ def place_of(motion: Motion, pose: Pose) -> tuple[float, float] | None:
     return pose.x_m + motion.range_m * math.cos(direction), pose.y_m + motion.range_m * math.sin(direction)
 
 
+QUIET_S = 10.0
+"""After so long without any motion, new motion is news."""
+
+
 class MotionDetection(Task):
-    """Sends a place to the neighbours when the motion sensor senses something: its own, as in the paper."""
+    """Sends a place to the neighbours when the motion sensor senses something: its own, as in the paper.
+
+    Event: `motion_detected`, when motion begins; not for each report.
+    """
 
     requires = ("motion", "pose")
 
@@ -46,6 +53,7 @@ class MotionDetection(Task):
     def on_start(self) -> None:
         self._pose: Pose | None = None
         self._next_s = -math.inf
+        self._last_s = -math.inf
 
     @on(SYSTEM, Pose, keep="latest")
     def moved(self, packet: Packet) -> None:
@@ -57,11 +65,15 @@ class MotionDetection(Task):
     def sensed(self, packet: Packet) -> None:
         """Takes a reading of the motion sensor."""
         motion: Motion = packet.body
-        if not motion.detected or self._pose is None or self.now() < self._next_s:
+        if not motion.detected or self._pose is None:
+            return
+        news, self._last_s = self.now() - self._last_s > QUIET_S, self.now()
+        if self.now() < self._next_s:
             return
         place = place_of(motion, self._pose) if self.settings.locate else (self._pose.x_m, self._pose.y_m)
         if place is None:
             return
         self._next_s = self.now() + self.settings.period_s
         self.publish(SYSTEM, MotionDetected(*place), to=NEIGHBOURS)
-        self.event("motion_detected", x_m=place[0], y_m=place[1])
+        if news:
+            self.event("motion_detected", x_m=place[0], y_m=place[1])

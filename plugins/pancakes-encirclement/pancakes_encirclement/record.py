@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO, TypeVar
 
 from pancakes.errors import PancakesError
+
+_T = TypeVar("_T")
 
 
 class Row(NamedTuple):
@@ -76,41 +78,40 @@ def read_record(out_dir: Path) -> Record:
 
 def _read_paths(path: Path) -> dict[str, list[Row]]:
     paths: dict[str, list[Row]] = {}
-    line = 1
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            for line, cells in enumerate(csv.DictReader(file), start=2):
-                battery = cells["battery_v"]
-                row = Row(
-                    float(cells["t_s"]),
-                    float(cells["x_m"]),
-                    float(cells["y_m"]),
-                    float(cells["theta_rad"]),
-                    float(cells["v_mps"]),
-                    float(cells["omega_radps"]),
-                    float(battery) if battery else None,
-                    cells["driven_by"] or "",
-                )
-                paths.setdefault(cells["name"], []).append(row)
-    except OSError as error:
-        raise PancakesError(f"the mission's {path.name} cannot be read: {error.strerror}") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise PancakesError(f"{path}:{line} is no row of a trajectory: {error}") from None
+    for number, cells in _lines(path, csv.DictReader):
+        try:
+            battery = cells["battery_v"]
+            row = Row(
+                float(cells["t_s"]),
+                float(cells["x_m"]),
+                float(cells["y_m"]),
+                float(cells["theta_rad"]),
+                float(cells["v_mps"]),
+                float(cells["omega_radps"]),
+                float(battery) if battery else None,
+                cells["driven_by"] or "",
+            )
+            paths.setdefault(cells["name"], []).append(row)
+        except (KeyError, TypeError, ValueError) as error:
+            raise PancakesError(f"{path}: row {number} is no row of a trajectory: {error}") from None
     return paths
 
 
 def _read_events(path: Path) -> list[Occurrence]:
     events = []
-    line = 0
+    for number, text in _lines(path, iter):
+        try:
+            fields = json.loads(text)
+            event = Occurrence(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
+            events.append(event)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise PancakesError(f"{path}: line {number} is no event: {error}") from None
+    return sorted(events, key=lambda event: event.t_s)
+
+
+def _lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[tuple[int, _T]]:
     try:
-        with path.open(encoding="utf-8") as file:
-            for line, text in enumerate(file, start=1):
-                fields = json.loads(text)
-                events.append(
-                    Occurrence(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
-                )
+        with path.open(encoding="utf-8", newline="") as file:
+            yield from enumerate(split(file), start=1)
     except OSError as error:
         raise PancakesError(f"the mission's {path.name} cannot be read: {error.strerror}") from None
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise PancakesError(f"{path}:{line} is no event: {error}") from None
-    return sorted(events, key=lambda event: event.t_s)

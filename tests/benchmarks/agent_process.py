@@ -1,0 +1,97 @@
+"""Agents as processes of their own: `pancakes-agent` with a file, as anybody starts it.
+
+The tasks of the benchmarks come by entry point, like everybody's: a distribution of a few lines is put where the
+agents' Python looks for distributions.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
+         "bench.Started": "benchmarks.mesh_tasks:Started"}  # fmt: skip
+PACKETS = {"bench": "benchmarks.mesh_tasks"}
+PATIENCE_S = 60.0
+
+
+def offer_tasks(directory: Path) -> Mapping[str, str]:
+    """Makes the distribution in `directory`; returns the environment of a process that finds it."""
+    info = directory / "pancakes_bench-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pancakes-bench\nVersion: 1\n")
+    lines = ["[pancakes.tasks]", *(f"{name} = {value}" for name, value in TASKS.items())]
+    lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in PACKETS.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
+    path = [str(directory), str(Path(__file__).resolve().parents[1])]
+    runtime = directory / "run"
+    runtime.mkdir(mode=0o700)
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+
+
+@contextmanager
+def agent_process(
+    config: str, directory: Path, environment: Mapping[str, str], core: int | None = None, pass_fds: tuple[int, ...] = ()
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Runs `pancakes-agent`.
+
+    Args:
+        config: its configuration, as TOML.
+        directory: where the file is written to.
+        environment: see `offer_tasks`.
+        core: the processor core that it is bound to, if any.
+        pass_fds: file descriptors that it inherits.
+    """
+    path = directory / f"agent{time.monotonic_ns()}.toml"
+    path.write_text(config)
+    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path)]
+    with process(command, environment, core, pass_fds) as started:
+        yield started
+
+
+@contextmanager
+def process(
+    command: list[str], environment: Mapping[str, str], core: int | None = None, pass_fds: tuple[int, ...] = ()
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Runs a process, and ends it."""
+    bind = None if core is None else lambda: os.sched_setaffinity(0, {core})
+    started = subprocess.Popen(
+        command, env=dict(environment), stdin=subprocess.PIPE, pass_fds=pass_fds, preexec_fn=bind
+    )
+    try:
+        yield started
+    finally:
+        started.terminate()
+        started.communicate()
+
+
+def two_cores() -> tuple[int, int] | tuple[None, None]:
+    """Returns two cores to bind two processes to; none where there are no two."""
+    if not hasattr(os, "sched_getaffinity"):
+        return None, None
+    cores = sorted(os.sched_getaffinity(0))
+    return (cores[0], cores[1]) if len(cores) > 1 else (None, None)
+
+
+def read_report(reader: int) -> dict[str, Any]:
+    """Waits for the line of JSON that a process writes into a pipe."""
+    import select
+
+    text = b""
+    until_s = time.monotonic() + PATIENCE_S
+    while not text.endswith(b"\n"):
+        if not select.select([reader], [], [], max(0.0, until_s - time.monotonic()))[0]:
+            raise TimeoutError(f"nothing was reported within {PATIENCE_S:g} s")
+        part = os.read(reader, 65_536)
+        if not part:
+            raise RuntimeError("a process ended before it had reported anything")
+        text += part
+    report: dict[str, Any] = json.loads(text)
+    return report

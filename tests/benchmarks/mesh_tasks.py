@@ -1,0 +1,159 @@
+"""The tasks of the benchmarks that run in agents of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import dataclass
+
+from pancakes.errors import MailboxFull
+from pancakes.packet import Packet, packet_type
+from pancakes.task import Task, Tick, every, on, queue
+
+WINDOW = 4096
+"""Most packets on their way one way; the receiver acknowledges each quarter of that."""
+BURST = 64
+"""Packets published in one turn."""
+FAR = "far/client/Far"
+
+
+@packet_type("bench.ping")
+@dataclass(frozen=True, slots=True)
+class Ping:
+    """Asks for a `Pong`."""
+
+    number: int
+    data: bytes
+
+
+@packet_type("bench.pong")
+@dataclass(frozen=True, slots=True)
+class Pong:
+    """Answers a `Ping`."""
+
+    number: int
+    data: bytes
+
+
+@packet_type("bench.load")
+@dataclass(frozen=True, slots=True)
+class Load:
+    """One of many that go one way."""
+
+    number: int
+    data: bytes
+
+
+@packet_type("bench.got")
+@dataclass(frozen=True, slots=True)
+class Got:
+    """How many have arrived."""
+
+    count: int
+
+
+class Far(Task):
+    """Answers each ping, and counts what comes one way."""
+
+    def on_start(self) -> None:
+        self.count = 0
+
+    @on("bench", Ping)
+    def answer(self, packet: Packet) -> None:
+        """Sends a ping back."""
+        self.count = 0
+        self.publish("bench", Pong(packet.body.number, packet.body.data), to=packet.source)
+
+    @on("bench", Load, keep=queue(2 * WINDOW))
+    def take(self, packet: Packet) -> None:
+        """Counts one packet."""
+        self.count += 1
+        if self.count % (WINDOW // 4) == 0 or packet.body.number < 0:
+            self.publish("bench", Got(self.count), to=packet.source)
+
+
+class Near(Task):
+    """Measures round trips, then packets one way; reports on a file descriptor."""
+
+    @dataclass
+    class Settings:
+        report_fd: int
+        round_trips: int
+        packets: int
+        size: int = 64
+
+    def on_start(self) -> None:
+        self.times_s: list[float] = []
+        self.data = bytes(self.settings.size)
+        self.asked_s = 0.0
+        self.is_answered = False
+        self.sent = self.got = 0
+
+    @every(hz=20)
+    def knock(self, tick: Tick) -> None:
+        """Asks until somebody is there."""
+        if not self.is_answered:
+            self.publish("bench", Ping(-1, self.data), to=FAR)
+
+    @on("bench", Pong)
+    def answered(self, packet: Packet) -> None:
+        """Takes one answer, and asks again."""
+        number = packet.body.number
+        if number >= 0:
+            self.times_s.append(time.perf_counter() - self.asked_s)
+        elif self.is_answered:
+            return
+        else:
+            self.is_answered = True
+            self.reschedule(0)
+        if number + 1 < self.settings.round_trips:
+            self.asked_s = time.perf_counter()
+            self.publish("bench", Ping(number + 1, self.data), to=FAR)
+        else:
+            self.began_s = time.perf_counter()
+            self.flood()
+
+    def flood(self) -> None:
+        """Publishes a burst, if there is room in the window."""
+        packets = self.settings.packets
+        burst = min(BURST, packets - self.sent, WINDOW - (self.sent - self.got))
+        try:
+            for _ in range(burst):
+                number = self.sent if self.sent + 1 < packets else -1
+                self.publish("bench", Load(number, self.data), to=FAR)
+                self.sent += 1
+        except MailboxFull:
+            self.after_host(0.001, self.flood)
+            return
+        if self.sent < packets and self.sent - self.got < WINDOW:
+            self.call(self.flood)
+
+    @on("bench", Got)
+    def go_on(self, packet: Packet) -> None:
+        """More is on its way no longer."""
+        was_full = self.sent - self.got >= WINDOW
+        self.got = packet.body.count
+        if self.got == self.settings.packets:
+            self.report(time.perf_counter() - self.began_s)
+        elif was_full:
+            self.flood()
+
+    def report(self, took_s: float) -> None:
+        """Tells whoever started the agent."""
+        text = json.dumps({"times_s": self.times_s, "per_s": self.settings.packets / took_s}) + "\n"
+        os.write(self.settings.report_fd, text.encode())
+
+
+class Started(Task):
+    """Says on a file descriptor that it was ticked for the first time."""
+
+    @dataclass
+    class Settings:
+        report_fd: int
+
+    @every(hz=1000)
+    def tick(self, tick: Tick) -> None:
+        """Says so, and rests from then on."""
+        self.reschedule(0)
+        os.write(self.settings.report_fd, b"{}\n")

@@ -1,0 +1,137 @@
+"""From a task to a task in another process, over the mesh: round trips, and packets one way.
+
+The baseline is two processes with a blocking socket each, which exchange the same packets as msgpack. Each of the two
+processes is bound to a core: unbound, the bare round trip has two values, according to where the scheduler puts them.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, two_cores
+from benchmarks.figure import Figure, Plan, in_turns
+
+TITLE = "a task to a task in another process, over loopback"
+ROUND_TRIPS = 3000
+PACKETS = {64: 50_000, 65_536: 3_000}
+"""How many go one way, for each size of their data in bytes."""
+SKIPPED = 10
+"""The first so many-th of the round trips do not count: everything is cold."""
+
+_CONFIG = """
+schema = 1
+[agent]
+name = "{name}"
+listen = "tcp://127.0.0.1:{port}"
+peers = [{peers}]
+state_dir = "{directory}/state-{name}"
+[channel.bench]
+[service.log]
+settings = {{ console = false }}
+[task.{task}]
+type = "bench.{task}"
+{settings}
+"""
+
+
+def pancakes(size: int, round_trips: int, packets: int) -> dict[str, Any]:
+    """One run of ours. Returns what the near task reports."""
+    near_core, far_core = two_cores()
+    reader, writer = os.pipe()
+    with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
+        directory = Path(name)
+        environment = offer_tasks(directory)
+        port = _free_port()
+        far = _CONFIG.format(name="far", port=port, peers="", directory=name, task="Far", settings="")
+        numbers = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
+        near = _CONFIG.format(
+            name="near",
+            port=0,
+            peers=f'"tcp://127.0.0.1:{port}"',
+            directory=name,
+            task="Near",
+            settings=f"settings = {{ {numbers} }}",
+        )
+        with (
+            agent_process(far, directory, environment, far_core),
+            agent_process(near, directory, environment, near_core, (writer,)),
+        ):
+            os.close(writer)
+            try:
+                return read_report(reader)
+            finally:
+                os.close(reader)
+
+
+def bare_sockets(size: int, round_trips: int, packets: int) -> dict[str, Any]:
+    """One run of the baseline. Returns what its near process reports."""
+    near_core, far_core = two_cores()
+    command = [sys.executable, "-m", "benchmarks.bare_sockets"]
+    port_reader, port_writer = os.pipe()
+    reader, writer = os.pipe()
+    numbers = [str(number) for number in (round_trips, packets, size)]
+    with process([*command, "far", str(port_writer)], os.environ, far_core, (port_writer,)):
+        port = read_report(port_reader)["port"]
+        near = [*command, "near", str(port), str(writer), *numbers]
+        with process(near, os.environ, near_core, (writer,)):
+            try:
+                return read_report(reader)
+            finally:
+                for handle in (reader, writer, port_reader, port_writer):
+                    os.close(handle)
+
+
+def _free_port() -> int:
+    with socket.socket() as sock:
+        sock.bind(("127.0.0.1", 0))
+        port: int = sock.getsockname()[1]
+        return port
+
+
+def _trips_us(report: dict[str, Any]) -> list[float]:
+    """Returns the median and the 99th percentile of the round trips."""
+    times_s = report["times_s"]
+    warm = sorted(times_s[len(times_s) // SKIPPED :])
+    return [warm[len(warm) // 2] * 1e6, warm[int(len(warm) * 0.99)] * 1e6]
+
+
+def measure(plan: Plan) -> Iterator[Figure]:
+    """Measures everything."""
+    trips = max(200, plan.share(ROUND_TRIPS))
+    small, large = (max(500, plan.share(number)) for number in PACKETS.values())
+
+    def small_ours() -> list[float]:
+        report = pancakes(64, trips, small)
+        return [*_trips_us(report), report["per_s"], report["per_s"]]
+
+    def small_bare() -> list[float]:
+        report = bare_sockets(64, trips, small)
+        return [*_trips_us(report), report["per_s"], report["coalesced_per_s"]]
+
+    yield from in_turns(
+        plan,
+        [
+            Figure("round trip, 64 B: p50", "µs", wanted=1.35),
+            Figure("round trip, 64 B: p99", "µs"),
+            Figure("one way, 64 B; bare: a send each", "1/s", "min"),
+            Figure("one way, 64 B; bare: many in a send", "1/s", "min"),
+        ],
+        small_ours,
+        small_bare,
+    )
+
+    def megabytes(report: dict[str, Any]) -> list[float]:
+        return [report["per_s"] * 65_536 / 1e6]
+
+    yield from in_turns(
+        plan,
+        [Figure("one way, 64 KiB", "MB/s", "min", wanted=0.75)],
+        lambda: megabytes(pancakes(65_536, 10, large)),
+        lambda: megabytes(bare_sockets(65_536, 10, large)),
+    )
