@@ -168,7 +168,7 @@ class Agent:
         if root is not None and root.actor_ref.is_alive():
             root.call(lambda: root.close(ended.set))
             if self.kernel.virtual is not None:
-                self.kernel.virtual.settle()
+                self.kernel.virtual.run_while(lambda: not ended.is_set(), self.kernel.host.now() + CLOSE_S)
             elif not ended.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
         self.mesh.stop()
@@ -177,6 +177,16 @@ class Agent:
             self.kernel.virtual.settle()
         self.kernel.transport.close()
         self.kernel.stop()
+
+    def crash(self) -> None:
+        """Ends at once, as a kill does: no hook is called, and what waits for the disk is lost. In virtual time only."""
+        if not isinstance(self._store, VirtualStore):
+            raise RuntimeError(f"{self.name} does not run in virtual time")
+        self.stopping.set()
+        self.kernel.crash()
+        self._store.crash()
+        # The operating system closes its connections, and its peers see that.
+        self.kernel.transport.close()
 
     def on_fatal(self, function: Callable[[str], None]) -> None:
         """Calls `function` with the reason, in any thread, where the agent must stop; also where that is so already."""

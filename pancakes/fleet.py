@@ -63,6 +63,12 @@ class VirtualFleet:
     def stop(self, name: str) -> None:
         """Stops one agent in good order."""
         self.agents.pop(name).stop()
+        self.run_for(0.0)
+
+    def crash(self, name: str) -> None:
+        """Ends one agent as a kill does: nothing of it runs on, and what its disk has not yet got is lost."""
+        self.agents.pop(name).crash()
+        self.run_for(0.0)
 
     def run_until(self, time_s: float) -> None:
         """Runs until the virtual clock says `time_s`."""

@@ -112,12 +112,14 @@ def type_name(body: Any) -> str:
     Raises:
         LocalProtocolError: its class was never registered with `packet_type`.
     """
-    cls = body if isinstance(body, type) else type(body)
-    name = _NAMES.get(cls)
+    name = _NAMES.get(type(body))
     if name is None:
-        raise LocalProtocolError(
-            f"{cls.__module__}.{cls.__qualname__} is no packet type: decorate it with @packet_type"
-        )
+        cls = body if isinstance(body, type) else type(body)
+        name = _NAMES.get(cls)
+        if name is None:
+            raise LocalProtocolError(
+                f"{cls.__module__}.{cls.__qualname__} is no packet type: decorate it with @packet_type"
+            )
     return name
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -56,7 +57,17 @@ class Request:
 
 @dataclass
 class Slot:
-    """The place of one task in its service: it outlives the actors that fill it."""
+    """The place of one task in its service: it outlives the actors that fill it.
+
+    Attributes:
+        carried: what its next actor begins with; None: what the configuration says.
+        on_running: told when its task runs, or with the reason why it does not.
+        on_ended: told when its task has ended.
+        on_stuck: told when its task does not end.
+        on_lost: told when its task ends before it has done what it was asked.
+        busy: whether a command that starts or stops the task is being carried out.
+        commands: those that wait for that.
+    """
 
     spec: TaskSpec
     address: str
@@ -71,6 +82,9 @@ class Slot:
     on_running: list[Callable[[str], None]] = field(default_factory=list)
     on_ended: list[Callable[[], None]] = field(default_factory=list)
     on_stuck: list[Callable[[str], None]] = field(default_factory=list)
+    on_lost: list[Callable[[str], None]] = field(default_factory=list)
+    busy: bool = False
+    commands: deque[Callable[[], None]] = field(default_factory=deque)
 
     @property
     def name(self) -> str:
@@ -142,6 +156,10 @@ class Service(Component):
         """Returns the tasks that the service brings itself; called once, before they start."""
         return ()
 
+    def specs(self) -> Sequence[TaskSpec]:
+        """Returns all tasks that have a place from the start on; called once."""
+        return (*self.own_tasks(), *self._configured)
+
     def admit(self, slot: Slot) -> str:
         """Says why a task must not be started now; empty: it may."""
         lacking = self.kernel.registry.lacking(slot.spec.cls.requires)
@@ -172,8 +190,13 @@ class Service(Component):
             slot: a slot whose task does not run.
             then: called in this actor once it runs, with an empty string, or when it did not start, with the reason.
         """
-        reason = self.admit(slot) or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        reason = "its service stops" if self.closing else self.admit(slot)
+        reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
         if reason:
+            slot.state = TaskState.STOPPED
+            slot.reason = reason
+            # Its predecessor may have left subscriptions and actuators to it.
+            self._let_go(slot)
             if then is not None:
                 then(reason)
             else:
@@ -222,14 +245,16 @@ class Service(Component):
         """
         if slot.state is TaskState.STUCK and stuck is not None:
             stuck(f"{slot.address} is stuck")
-        if slot.state in (TaskState.STOPPED, TaskState.FAILED, TaskState.RESTARTING):
-            slot.state = TaskState.STOPPED if slot.state is TaskState.RESTARTING else slot.state
+        if slot.state in (TaskState.STOPPED, TaskState.FAILED):
             self._let_go(slot)
             if then is not None:
                 then()
             return
         if then is not None:
             slot.on_ended.append(then)
+        if slot.state is TaskState.RESTARTING:
+            self._rest(slot, reason)
+            return
         if slot.state in (TaskState.STOPPING, TaskState.STUCK):
             return
         if stuck is not None:
@@ -264,10 +289,17 @@ class Service(Component):
             if slots:
                 self.halt(slots.pop(0), next_one, "its service stops")
             else:
-                then()
-                self.stop()
+                self.settle_all(end)
+
+        def end() -> None:
+            then()
+            self.stop()
 
         next_one()
+
+    def settle_all(self, then: Callable[[], None]) -> None:
+        """For subclasses: calls `then`, once, when nothing is under way that must be finished before the service ends."""
+        then()
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         """Returns what is to be known about a task, as plain values."""
@@ -291,7 +323,7 @@ class Service(Component):
     # Its life --------------------------------------------------------------------------------------------------
 
     def after_start(self) -> None:
-        for spec in (*self.own_tasks(), *self._configured):
+        for spec in self.specs():
             slot = self.open_slot(spec)
             if self.wants(slot):
                 self._unsettled.add(slot.name)
@@ -365,8 +397,10 @@ class Service(Component):
             return
         assert isinstance(task, Task)
         slot.task = None
-        if task.last is not None:
-            slot.carried = task.last
+        slot.carried = task.last or slot.carried
+        lost, slot.on_lost = slot.on_lost, []
+        for tell in lost:
+            tell(f"{slot.address} ended before it had done so" + (f": {describe(error)}" if error is not None else ""))
         asked = slot.state in (TaskState.STOPPING, TaskState.STUCK)
         slot.on_stuck = []
         if error is not None and not asked:
@@ -425,6 +459,9 @@ class Service(Component):
         slot.state = TaskState.STOPPED
         self._let_go(slot)
         self.event("task_stopped", task=slot.name, service=self.name, reason=reason)
+        unstarted, slot.on_running = slot.on_running, []
+        for then_not in unstarted:
+            then_not(f"{slot.address} was stopped before it ran: {reason}")
         self.settle(slot)
         self.task_ended(slot)
         waiting, slot.on_ended = slot.on_ended, []
@@ -449,11 +486,23 @@ class Service(Component):
         """Carries out one command and answers it."""
         command: Command = packet.body
         request = Request(command.request[0], command.request, command.number)
+        slot = self.slots.get(command.task) if command.task else None
+        if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
+            # One after the other, so that the last of several that contradict each other is the one that holds.
+            slot.commands.append(lambda: self._begin_command(command, request))
+            return
+        self._begin_command(command, request)
+
+    def _begin_command(self, command: Command, request: Request) -> None:
         try:
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)
         except (ControlRefused, SettingsError, ValueError) as error:
             self.reply(request, str(error))
+
+    def _next_command(self, slot: Slot) -> None:
+        while slot.commands and not slot.busy:
+            slot.commands.popleft()()
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
@@ -502,38 +551,49 @@ class Service(Component):
         if slot.state not in (TaskState.STOPPED, TaskState.FAILED):
             raise ControlRefused(f"{slot.address} is {slot.state.value} already")
         if body.settings is not None:
-            carried = slot.carried or Carried(slot.spec.settings, {})
+            carried = self.carried_of(slot)
             settings = {**carried.settings, **body.settings}
             make_settings(slot.spec.cls.Settings, settings)
             slot.carried = replace(carried, settings=settings)
         slot.supervision.forget()
         self.tell_asked("start", slot, request)
-        self.start_anew(slot, lambda reason: self.reply(request, reason))
+        self.start_anew(slot, self._occupy(slot, request))
+
+    def carried_of(self, slot: Slot) -> Carried:
+        """Returns what a task that does not run would begin with."""
+        return slot.carried or Carried(slot.spec.settings, {})
 
     def stop_asked(self, slot: Slot, request: Request) -> None:
         """Stops a task; the answer comes once it has ended."""
         if slot.state is TaskState.STOPPED:
             raise ControlRefused(f"{slot.address} is stopped already")
         self.tell_asked("stop", slot, request)
-        answer = self._answer_once(request)
+        answer = self._occupy(slot, request)
         self.halt(slot, lambda: answer(""), f"asked for by {request.by}", answer)
 
-    def _answer_once(self, request: Request) -> Callable[[str], None]:
-        """Returns what answers a request at its first call only: a stuck task may end after all."""
+    def _occupy(self, slot: Slot, request: Request) -> Callable[[str], None]:
+        """Lets all later commands for a task wait for this one.
+
+        Returns:
+            What answers it and lets the others go on; at its first call only, for a stuck task may end after all.
+        """
+        slot.busy = True
         answered = False
 
         def answer(reason: str) -> None:
             nonlocal answered
-            if not answered:
-                answered = True
-                self.reply(request, reason)
+            if answered:
+                return
+            answered = True
+            self.reply(request, reason)
+            slot.busy = False
+            self.call(lambda: self._next_command(slot))
 
         return answer
 
     def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
         """Stops a task, if it runs, and starts it; the answer comes once it runs."""
-
-        answer = self._answer_once(request)
+        answer = self._occupy(slot, request)
 
         def again() -> None:
             if not body.keep_state:
@@ -580,15 +640,27 @@ class Service(Component):
         if task is None or slot.state is not TaskState.RUNNING:
             raise ControlRefused(f"{slot.address} is {slot.state.value}, not running")
 
+        def refuse(reason: str) -> None:
+            self.reply(request, reason)
+
         def make() -> None:
             try:
                 told = change(task)
             except (PancakesError, ValueError) as error:
                 reason = str(error)
-                self.call(lambda: self.reply(request, reason))
+                self.call(lambda: told_off(reason))
                 return
-            self.call(lambda: self._changed(slot, request, kind, told))
+            self.call(lambda: done(told))
 
+        def told_off(reason: str) -> None:
+            slot.on_lost.remove(refuse)
+            refuse(reason)
+
+        def done(told: dict[str, Any]) -> None:
+            slot.on_lost.remove(refuse)
+            self._changed(slot, request, kind, told)
+
+        slot.on_lost.append(refuse)
         task.call(make)
 
     def _changed(self, slot: Slot, request: Request, kind: str, told: dict[str, Any]) -> None:

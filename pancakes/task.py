@@ -177,5 +177,8 @@ class Task(Component):
 
     def _end(self, error: BaseException | None) -> None:
         if error is None:
-            self.last = self.carry()
+            try:
+                self.last = self.carry()
+            except Exception as failure:  # what a task keeps in its state may be anything
+                self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
         super()._end(error)

@@ -160,7 +160,7 @@ def assert_published(
     """
     listener = probe.probe if isinstance(probe, AgentInTest) else probe
     found = listener.packets(body, where, channel=channel, source=source)
-    if times is None and found or times is not None and len(found) == times:
+    if (times is None and found) or (times is not None and len(found) == times):
         return found[-1] if found else Packet("", "", "", "", 0.0, 0, None)
     others = listener.packets(body)[-20:]
     heard = "\n".join(f"  {packet.stamp:.3f} {packet.channel} {packet.source}: {packet.body}" for packet in others)
@@ -352,7 +352,9 @@ class AgentInTest:
         """Runs the agent, or waits for it, until a condition holds; fails where it does not in time."""
         if not self._wait(condition, at_most_s):
             recent = "\n".join(f"  {p.stamp:.3f} {p.source}: {p.body}" for p in self.probe.packets(channel=LOG)[-15:])
-            raise AssertionError(f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{recent}")
+            raise AssertionError(
+                f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{recent}"
+            )
 
     def events(self, kind: str = "", **fields: Any) -> list[Mapping[str, Any]]:
         """Returns the events so far, each as its fields with its `kind`, in order."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from queue import SimpleQueue
+from collections import deque
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -74,9 +74,12 @@ class Orders:
     """
 
     def __init__(self) -> None:
-        # Of all that wakes a thread, only this queue may be used from within a signal handler.
-        self._queue: SimpleQueue[str] = SimpleQueue()
+        self._reasons: deque[str] = deque()
         self._seen: list[int] = []
+        # The kernel may hand a signal to any thread, and Python handles it in this one, which has to be woken for that.
+        self._wake_reader, self._wake_writer = os.pipe()
+        os.set_blocking(self._wake_writer, False)
+        signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
         signal.signal(signal.SIGALRM, self._too_late)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
@@ -84,14 +87,16 @@ class Orders:
 
     def give_up(self, reason: str) -> None:
         """Ends the wait with a reason. From any thread."""
-        self._queue.put(reason)
+        self._reasons.append(reason)
+        os.write(self._wake_writer, b"\0")
 
     def wait(self) -> str:
         """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to."""
-        reason = self._queue.get()
+        while not self._reasons:
+            os.read(self._wake_reader, 1)
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
-        return reason
+        return self._reasons[0]
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
         # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
@@ -100,7 +105,7 @@ class Orders:
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
         self._seen.append(number)
-        self._queue.put("")
+        self._reasons.append("")
 
     def _too_late(self, number: int, frame: FrameType | None) -> None:
         os.write(2, f"the agent did not stop within {STOP_S:g} s and was ended\n".encode())

@@ -306,4 +306,3 @@ class Client:
 
     def _late(self, timeout_s: float | None) -> str:
         return f"nothing came within {self.timeout_s if timeout_s is None else timeout_s:g} s"
-

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from pancakes.cli.errors import sentences
-from pancakes.plugins import Plugins
+from pancakes.plugins import Plugins, UnknownPlugin
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -48,7 +48,11 @@ class DemoNames(click.ParamType):
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder for the results. [default: runs/NAME-SEED-MODE]",
 )
-@click.option("--configs", default="", help="Folder with the agents' configurations. [default: configs/NAME]")
+@click.option(
+    "--configs",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder with the agents' configurations. [default: configs/NAME]",
+)
 @click.option(
     "--set",
     "sets",
@@ -67,7 +71,7 @@ def demo(
     speed: float,
     duration: float | None,
     out: Path | None,
-    configs: str,
+    configs: Path | None,
     sets: tuple[str, ...],
     headless: bool,
     faults: bool,
@@ -101,7 +105,7 @@ def _run(
     speed: float,
     duration: float | None,
     out: Path | None,
-    configs: str,
+    configs: Path | None,
     sets: tuple[str, ...],
     headless: bool,
     faults: bool,
@@ -112,11 +116,22 @@ def _run(
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
-    found: Demo = plugins.get("pancakes.demos", name)
+    try:
+        found: Demo = plugins.get("pancakes.demos", name)
+    except UnknownPlugin as error:
+        raise click.BadParameter(str(error), param_hint="NAME") from None
     out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
     duration_s = duration if duration is not None else found.duration_s
     plan = make_plan(
-        found, find_configs(name, configs), out, seed, 1.0 if virtual else speed, duration_s, sets, not virtual
+        found,
+        find_configs(name, configs),
+        out,
+        seed,
+        1.0 if virtual else speed,
+        duration_s,
+        sets,
+        not virtual,
+        plugins,
     )
     fresh(out)
     mission = Mission(plan.demo.agents, duration_s)

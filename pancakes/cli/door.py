@@ -30,9 +30,7 @@ class Door:
         changed: called in the transport's thread after an agent came or went, or answered.
     """
 
-    def __init__(
-        self, name: str, fleet: str, transport: Transport, clock: Clock, changed: Callable[[], None]
-    ) -> None:
+    def __init__(self, name: str, fleet: str, transport: Transport, clock: Clock, changed: Callable[[], None]) -> None:
         self.name = name
         self.fleet = fleet
         self._changed = changed

@@ -6,7 +6,7 @@ import click
 
 from pancakes import __version__
 from pancakes.cli.errors import sentences
-from pancakes.cli.lazy import LazyGroup, Later
+from pancakes.cli.lazy import Later, LazyGroup
 
 COMMANDS = {
     "agent": Later("pancakes.cli.agent_verbs:agent", "Agents that run."),

@@ -154,6 +154,8 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         processes.stop()
         if launcher is not None:
             launcher.stop()
+        if plan.claim is not None:
+            plan.claim.release()
     return {
         "mode": "live",
         "speed": plan.speed,

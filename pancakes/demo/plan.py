@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
-import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pancakes.config import Config, load
 from pancakes.demo.demo import Demo
-from pancakes.errors import PancakesError
+from pancakes.demo.ports import Claim, claim_ports
+from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.plugins import Plugins
+from pancakes.suggestion import suggestion
 
-ADDRESS = re.compile(r"^tcp://([^/]+):(\d+)$")
 LAUNCHER = "launcher"
 
 
@@ -30,6 +29,7 @@ class Plan:
         sets: what is changed of each agent's file, as `--set` takes it.
         files: each agent's file.
         configs: the configurations that follow from that.
+        claim: what keeps other demos from the ports of this one, where they are those of the files.
     """
 
     demo: Demo
@@ -40,6 +40,7 @@ class Plan:
     sets: Mapping[str, tuple[str, ...]]
     files: Mapping[str, Path]
     configs: Mapping[str, Config]
+    claim: Claim | None = None
 
     def peers(self) -> tuple[str, ...]:
         """Returns the addresses of all agents."""
@@ -57,7 +58,15 @@ class Plan:
 
 
 def make_plan(
-    demo: Demo, folder: Path, out: Path, seed: int, speed: float, duration_s: float, extra: tuple[str, ...], live: bool
+    demo: Demo,
+    folder: Path,
+    out: Path,
+    seed: int,
+    speed: float,
+    duration_s: float,
+    extra: tuple[str, ...],
+    live: bool,
+    plugins: Plugins | None = None,
 ) -> Plan:
     """Works out one run.
 
@@ -70,6 +79,8 @@ def make_plan(
         duration_s: how long the mission lasts.
         extra: `AGENT:table.key=value` or `table.key=value` (all agents) from the command line.
         live: whether ports are really taken; ports in use are then replaced by free ones.
+        plugins: where drivers and tasks come from, None for what is installed. What they ask of the configurations
+            is checked here, before anything starts.
 
     Raises:
         PancakesError: a file is missing or wrong.
@@ -89,100 +100,51 @@ def make_plan(
             sets[agent].append(f'service.log.settings.file="{out / "logs" / (agent + ".jsonl")}"')
     sets[demo.agents[0]].append(f'task.Trajectory.settings.path="{out / "trajectory.csv"}"')
     for one in extra:
-        agent, colon, change = one.partition(":")
-        if colon and agent in sets:
+        agents, change = _whose(one, demo.agents)
+        for agent in agents:
             sets[agent].append(change)
-        else:
-            for changes in sets.values():
-                changes.append(one)
-    if live:
-        for agent, moved in _move_ports(files).items():
-            sets[agent].extend(moved)
-    configs = {agent: load(str(files[agent]), sets=sets[agent]) for agent in demo.agents}
-    return Plan(
-        demo, out, seed, speed, duration_s, {agent: tuple(changes) for agent, changes in sets.items()}, files, configs
-    )
+    claim, moved = claim_ports(files) if live else (None, {})
+    for agent, changes in moved.items():
+        sets[agent].extend(changes)
+    plugins = plugins or Plugins()
+    try:
+        configs = {agent: load(str(files[agent]), sets[agent], plugins) for agent in demo.agents}
+    except PancakesError:
+        if claim is not None:
+            claim.release()
+        raise
+    frozen = {agent: tuple(changes) for agent, changes in sets.items()}
+    return Plan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
 
 
-def _move_ports(files: Mapping[str, Path]) -> dict[str, list[str]]:
-    """Replaces the ports of a fleet, where one of them is taken on this machine."""
-    import tomllib
+def _whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
+    """Returns the agents that a change from the command line concerns, and what is left of it for them.
 
-    tables: dict[str, Any] = {}
-    for agent, path in files.items():
-        try:
-            tables[agent] = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return {}  # whatever is wrong with it, reading it as a configuration says so better
-    addresses = {text: None for table in tables.values() for _, text in _strings(table, ())}
-    places = [(match[1], int(match[2])) for text in addresses if (match := ADDRESS.match(text))]
-    if all(_is_free(host, port) for host, port in places):
-        return {}
-    taken = [_free_port(host) for host, _ in places]
-    free = {place: port for place, (_, port) in zip(places, taken, strict=True)}
-    for held, _ in taken:
-        held.close()
-    return {agent: _moved(table, free) for agent, table in tables.items()}
+    Raises:
+        ConfigError: it names an agent that the demo has not.
+    """
+    keys, equals, value = change.partition("=")
+    agent, colon, rest = keys.partition(":")
+    if not colon:
+        return agents, change
+    if agent not in agents:
+        near = suggestion(agent, agents)
+        raise ConfigError([Fault(f"--set {change}", agent, f"is none of the agents {', '.join(agents)}", near)])
+    return (agent,), f"{rest}{equals}{value}"
 
 
-def _moved(table: Any, free: Mapping[tuple[str, int], int]) -> list[str]:
-    """Returns what is to be set in one agent's file so that its addresses have other ports."""
-    changes: list[str] = []
-    lists: dict[tuple[str, ...], list[str]] = {}
-    for keys, text in _strings(table, ()):
-        match = ADDRESS.match(text)
-        if match is None:
-            continue
-        address = f'"tcp://{match[1]}:{free[match[1], int(match[2])]}"'
-        if keys[-1] == "*":
-            lists.setdefault(keys[:-1], []).append(address)
-        else:
-            changes.append(f"{'.'.join(keys)}={address}")
-    changes.extend(f"{'.'.join(keys)}=[{', '.join(items)}]" for keys, items in lists.items())
-    return changes
-
-
-def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yields all strings of a table with the keys that lead to them; `*` stands for a place in a list."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _strings(inner, (*path, key))
-    elif isinstance(value, list):
-        for inner in value:
-            yield from _strings(inner, (*path, "*"))
-    elif isinstance(value, str):
-        yield path, value
-
-
-def _is_free(host: str, port: int) -> bool:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError:
-            return False
-        return True
-
-
-def _free_port(host: str) -> tuple[socket.socket, int]:
-    """Takes a free port; the socket holds it until it is closed, so that no two calls return the same."""
-    held = socket.socket()
-    held.bind((host, 0))
-    return held, held.getsockname()[1]
-
-
-def find_configs(name: str, given: str) -> Path:
+def find_configs(name: str, given: Path | None = None) -> Path:
     """Returns the folder with the configurations of a demo.
 
     Args:
         name: the demo's name.
-        given: the folder that was named on the command line; empty: `configs/NAME` here, or beside the package.
+        given: the folder that was named on the command line; None: `configs/NAME` here, or beside the package.
 
     Raises:
         PancakesError: there is no such folder.
     """
-    if given:
-        places = [Path(given)]
+    if given is not None:
+        places = [given]
     else:
         places = [Path("configs") / name, Path(__file__).resolve().parents[2] / "configs" / name]
     for place in places:

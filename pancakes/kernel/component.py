@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from pancakes.errors import ControlRefused, UnknownChannel
 from pancakes.events import Event, LogLine
 from pancakes.kernel.handlers import Period, Subscription, Tick, period_of, periods_of, subscriptions_of
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
-from pancakes.packet import LOG, Cause, Fence, Packet, type_name
+from pancakes.packet import LOG, Cause, Fence, Packet, covers, type_name
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -148,12 +148,16 @@ class Component(pykka.Actor):
         self.name = address.rpartition("/")[2]
         self.actor_urn = address
         self.actor_inbox = mailbox if mailbox is not None else Mailbox()
+        self.actor_inbox.closed = False
         self.actor_stopped = Flag()  # type: ignore[assignment]
         self._actor_ref = pykka.ActorRef(self)
         self.timers: dict[str, TaskTimer] = {}
         self._handlers: dict[str, dict[str | None, list[Callable[[Packet], None]]]] = {}
         self._started = False
-        self._seq = kernel.seq_of(address)
+        # Looked up once, because every packet needs them.
+        self._now = kernel.mission.now
+        self._take_seq = kernel.seq_of(address).take
+        self._give = kernel.stream.publish
         self._cause: Cause | None = None
         self._fence: Fence | None = None
         self.exited: Callable[[Component, BaseException | None], None] = lambda component, error: None
@@ -162,7 +166,7 @@ class Component(pykka.Actor):
 
     def now(self) -> float:
         """Returns the mission time in seconds. Any thread."""
-        return self.kernel.mission.now()
+        return self._now()
 
     @cached_property
     def random(self) -> random.Random:
@@ -191,13 +195,13 @@ class Component(pykka.Actor):
             type_name(body),
             self.address,
             to,
-            self.kernel.mission.now(),
-            self._seq.take(),
+            self._now(),
+            self._take_seq(),
             body,
             cause or self._cause,
             self._fence,
         )
-        self.kernel.stream.publish(packet)
+        self._give(packet)
         return packet
 
     def log(self, level: str, text: str) -> None:
@@ -329,6 +333,8 @@ class Component(pykka.Actor):
 
     def _begin(self) -> None:
         self._started = True
+        # Its predecessor may have ended while it stood still.
+        self.actor_inbox.paused = False
         subscriptions, periods = plan_of(type(self))
         self.before_start()
         for subscription, method in subscriptions:
@@ -359,9 +365,18 @@ class Component(pykka.Actor):
     def _listen(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
         channel = subscription.channel
         if subscription.addressed:
-            handler = _only_addressed(handler)
+            handler = self._only_addressed(handler)
         self._handlers.setdefault(channel, {}).setdefault(subscription.type, []).append(handler)
         self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
+
+    def _only_addressed(self, handler: Callable[[Packet], None]) -> Callable[[Packet], None]:
+        """Keeps from a handler what another subscription of this component to the same type brings in."""
+
+        def handle(packet: Packet) -> None:
+            if packet.destination not in ("", self.agent) and covers(packet.destination, self.address):
+                handler(packet)
+
+        return handle
 
     def _handle_control(self) -> None:
         control = self.actor_inbox.control
@@ -382,11 +397,13 @@ class Component(pykka.Actor):
         """Handles what came by pykka: `tell`, `ask`, a proxy, `stop`."""
         try:
             response = self._handle_receive(envelope.message)
-        except Exception:
-            # As in pykka: who asked gets the error, and the actor lives.
+        except BaseException as error:
             if envelope.reply_to is None:
                 raise
+            # As in pykka: who asked gets the error, and the actor lives.
             envelope.reply_to.set_exception(sys.exc_info())
+            if not isinstance(error, Exception):
+                raise
             return
         if envelope.reply_to is not None:
             envelope.reply_to.set(response)
@@ -401,14 +418,28 @@ class Component(pykka.Actor):
             queue = waiting.popleft()
             queue.listed = False
             handlers = self._handlers.get(queue.channel, {})
+            for_all_types = handlers.get(None, ())
             for _ in range(len(queue)):
                 packet = queue.pop()
                 if packet is None:
                     break
-                self._deliver(queue, packet, handlers)
+                self._cause = (packet.source, packet.seq)
+                try:
+                    for handler in handlers.get(packet.type, ()):
+                        handler(packet)
+                    for handler in for_all_types:
+                        handler(packet)
+                except BaseException:
+                    self.kernel.letters.failed(self.address, queue, packet)
+                    raise
+                finally:
+                    self._cause = None
                 if mailbox.control:
                     self._handle_control()
-                if self.actor_stopped.is_set() or mailbox.paused:
+                    if self.actor_stopped.is_set():
+                        self._list_again(queue)
+                        return
+                if mailbox.paused:
                     self._list_again(queue)
                     return
                 handled += 1
@@ -422,21 +453,6 @@ class Component(pykka.Actor):
             queue.listed = True
             self.actor_inbox.waiting.append(queue)
 
-    def _deliver(
-        self, queue: ChannelQueue, packet: Packet, handlers: Mapping[str | None, list[Callable[[Packet], None]]]
-    ) -> None:
-        self._cause = (packet.source, packet.seq)
-        try:
-            for handler in handlers.get(packet.type, ()):
-                handler(packet)
-            for handler in handlers.get(None, ()):
-                handler(packet)
-        except Exception:
-            self.kernel.letters.failed(self.address, queue, packet)
-            raise
-        finally:
-            self._cause = None
-
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
         raise TypeError(f"{self.address} takes packets, not {message!r}")
@@ -447,7 +463,7 @@ class Component(pykka.Actor):
         error: BaseException | None = None
         try:
             self.on_stop()
-        except Exception as failure:
+        except BaseException as failure:  # SystemExit, too, ends no more than this actor
             error = failure
         self._end(error)
 
@@ -457,7 +473,7 @@ class Component(pykka.Actor):
             return
         try:
             self.on_failure(type(error), error, error.__traceback__)
-        except Exception as second:
+        except BaseException as second:
             self.kernel.log("error", f"on_failure of {self.address} failed as well: {describe(second)}")
         self._end(error)
 
@@ -477,16 +493,9 @@ class Component(pykka.Actor):
         # Its subscriptions stay: whoever started it knows whether a successor will read what comes.
         mailbox = self.actor_inbox
         mailbox.component = None
+        mailbox.closed = True
         mailbox.clear_control()
         self.exited(self, error)
-
-
-def _only_addressed(handler: Callable[[Packet], None]) -> Callable[[Packet], None]:
-    def handle(packet: Packet) -> None:
-        if packet.destination:
-            handler(packet)
-
-    return handle
 
 
 def describe(error: BaseException) -> str:

@@ -14,6 +14,8 @@ from pancakes.packet import type_name
 _F = TypeVar("_F", bound=Callable[..., Any])
 
 DEFAULT_KEEP = queue(256)
+MOST_HZ = 10_000.0
+"""No timer ticks faster: one that did would leave its agent time for nothing else."""
 
 
 class Tick(msgspec.Struct, frozen=True):
@@ -89,9 +91,7 @@ def every(period_s: float | None = None, *, hz: float | None = None) -> Callable
     """
     if (period_s is None) == (hz is None):
         raise TypeError("@every takes either period_s or hz")
-    period = Period(period_of(hz) if hz is not None else float(period_s or 0))
-    if not period.period_s > 0:
-        raise ValueError(f"@every needs a positive period, not {period_s}")
+    period = Period(period_of(hz) if hz is not None else checked_period(period_s or 0.0))
 
     def mark(method: _F) -> _F:
         method.__period__ = period  # type: ignore[attr-defined]
@@ -104,11 +104,22 @@ def period_of(rate_hz: float) -> float:
     """Returns the period of a rate, in seconds; infinity for 0.
 
     Raises:
-        ValueError: the rate is negative, infinite or no number.
+        ValueError: the rate is negative, no number, or above `MOST_HZ`.
     """
-    if not 0 <= rate_hz < float("inf"):
-        raise ValueError(f"a rate must be 0 or more ticks a second, not {rate_hz}")
+    if not 0 <= rate_hz <= MOST_HZ:
+        raise ValueError(f"a rate must lie between 0 and {MOST_HZ:,.0f} ticks a second, not {rate_hz:g}")
     return 1.0 / rate_hz if rate_hz > 0 else float("inf")
+
+
+def checked_period(period_s: float) -> float:
+    """Returns a period that a timer may have, in seconds; infinity lets it rest.
+
+    Raises:
+        ValueError: it is shorter than that of `MOST_HZ`, or no number.
+    """
+    if not period_s >= 1.0 / MOST_HZ:
+        raise ValueError(f"a period must be at least {1.0 / MOST_HZ:g} s, not {period_s:g} s")
+    return float(period_s)
 
 
 def subscriptions_of(cls: type) -> list[tuple[Subscription, str]]:

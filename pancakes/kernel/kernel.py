@@ -120,9 +120,11 @@ class Kernel:
             return counter
 
     def continue_seq(self, address: str, next_seq: int) -> None:
-        """Lets the packets of a source that came from elsewhere go on where they were."""
+        """Lets the packets of a source go on where they were, elsewhere or before a reboot; never back."""
         with self._seqs_lock:
-            self._seqs[address] = Counter(next_seq)
+            counter = self._seqs.get(address)
+            if counter is None or counter.value < next_seq:
+                self._seqs[address] = Counter(next_seq)
 
     def random_for(self, name: str) -> random.Random:
         """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""
@@ -152,6 +154,14 @@ class Kernel:
         if self.virtual is None:
             self._shared.stop()
             self._pinned.stop()
+
+    def crash(self) -> None:
+        """Lets nothing run any more, without a word to anybody. In virtual time only, between two turns."""
+        self.stream.silence()
+        self.timer.halt()
+        for component in self.registry.components():
+            component.actor_stopped.set()
+            component.actor_inbox.component = None
 
     def _release(self, component: Component, error: BaseException | None) -> None:
         self.stream.unsubscribe(component.address)

@@ -33,7 +33,7 @@ class DeadLetters:
         key = (address, packet.source, packet.seq)
         with self._lock:
             failures = self._failures.pop(key, 0) + 1
-            again = queue.has_reliable and failures < ATTEMPTS
+            again = queue.reliable_for(packet) and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
             else:

@@ -64,12 +64,13 @@ class Dispatch(Protocol):
 class ChannelQueue:
     """What waits for one reader on one channel, under one subscription."""
 
-    __slots__ = ("_offered", "channel", "handled", "items", "keep", "listed", "mailbox")
+    __slots__ = ("_offered", "bounds", "channel", "handled", "items", "keep", "listed", "mailbox")
 
-    def __init__(self, mailbox: Mailbox, channel: str, keep: Keep) -> None:
+    def __init__(self, mailbox: Mailbox, channel: str, bounds: dict[str | None, Keep]) -> None:
         self.mailbox = mailbox
         self.channel = channel
-        self.keep = keep
+        self.bounds = bounds
+        self.keep = keep = next(iter(bounds.values()))
         self.items: deque[Packet] = deque(maxlen=None if keep.reliable else keep.limit)
         self.listed = False
         self.handled = 0
@@ -78,6 +79,10 @@ class ChannelQueue:
     @property
     def has_reliable(self) -> bool:
         """Whether it may refuse a packet."""
+        return self.keep.reliable
+
+    def reliable_for(self, packet: Packet) -> bool:
+        """Returns whether `packet` came under a subscription that may lose none."""
         return self.keep.reliable
 
     def full(self, packet: Packet) -> bool:
@@ -89,11 +94,12 @@ class ChannelQueue:
         self.items.append(packet)
         mailbox = self.mailbox
         # Two publishers may both list the queue: an empty queue in the list harms nobody, a forgotten one would.
+        # Whoever finds it listed need not ask for a turn: who listed it does, and a reader unlists before it counts.
         if not self.listed:
             self.listed = True
             mailbox.waiting.append(self)
-        if mailbox.token.acquire(False):
-            mailbox.dispatch.ready(mailbox)
+            if mailbox.token.acquire(False):
+                mailbox.dispatch.ready(mailbox)
 
     def pop(self) -> Packet | None:
         """Takes the oldest packet out; None where nothing waits."""
@@ -127,25 +133,27 @@ class SharedQueue(ChannelQueue):
     One order for all types, therefore a lock: held for a few operations on a dict, never over a call out.
     """
 
-    __slots__ = ("_bounds", "_entries", "_keys", "_lock")
+    __slots__ = ("_entries", "_keys", "_lock")
 
     def __init__(self, mailbox: Mailbox, channel: str, bounds: dict[str | None, Keep]) -> None:
-        super().__init__(mailbox, channel, next(iter(bounds.values())))
-        self._bounds = bounds
+        super().__init__(mailbox, channel, bounds)
         self._entries: OrderedDict[int, Packet] = OrderedDict()
         self._keys: dict[str | None, deque[int]] = {name: deque() for name in bounds}
         self._lock = threading.Lock()
 
     def _bound(self, packet: Packet) -> str | None:
-        return packet.type if packet.type in self._bounds else None
+        return packet.type if packet.type in self.bounds else None
 
     @property
     def has_reliable(self) -> bool:
-        return any(keep.reliable for keep in self._bounds.values())
+        return any(keep.reliable for keep in self.bounds.values())
+
+    def reliable_for(self, packet: Packet) -> bool:
+        return self.bounds[self._bound(packet)].reliable
 
     def full(self, packet: Packet) -> bool:
         bound = self._bound(packet)
-        keep = self._bounds[bound]
+        keep = self.bounds[bound]
         return keep.reliable and len(self._keys[bound]) >= keep.limit
 
     def put(self, packet: Packet) -> None:
@@ -153,7 +161,7 @@ class SharedQueue(ChannelQueue):
         with self._lock:
             number = self._offered.take()
             keys = self._keys[bound]
-            if len(keys) >= self._bounds[bound].limit and not self._bounds[bound].reliable:
+            if len(keys) >= self.bounds[bound].limit and not self.bounds[bound].reliable:
                 del self._entries[keys.popleft()]
             keys.append(number)
             self._entries[number] = packet
@@ -161,8 +169,8 @@ class SharedQueue(ChannelQueue):
         if not self.listed:
             self.listed = True
             mailbox.waiting.append(self)
-        if mailbox.token.acquire(False):
-            mailbox.dispatch.ready(mailbox)
+            if mailbox.token.acquire(False):
+                mailbox.dispatch.ready(mailbox)
 
     def pop(self) -> Packet | None:
         with self._lock:
@@ -200,10 +208,10 @@ class Mailbox:
         dispatch: the dispatcher that gives the turns.
         component: the component that reads it now; None between an actor and its successor.
         paused: whether the data lane rests: its packets wait.
-        closed: whether no component will ever read it again; who asks then is told so at once.
+        closed: whether its component has ended, and no successor is there yet; who asks then is told so at once.
     """
 
-    __slots__ = ("closed", "component", "control", "dispatch", "paused", "queues", "token", "waiting")
+    __slots__ = ("_dropped", "closed", "component", "control", "dispatch", "paused", "queues", "token", "waiting")
 
     def __init__(self) -> None:
         self.control: deque[Any] = deque()
@@ -216,6 +224,7 @@ class Mailbox:
         self.component: Component | None = None
         self.closed = False
         self.paused = False
+        self._dropped = 0
 
     def put(self, item: Any, /) -> None:
         """Puts into the control lane (pykka calls this for `tell`, `ask` and `stop`)."""
@@ -228,7 +237,10 @@ class Mailbox:
     def clear_control(self) -> None:
         """Empties the control lane, as pykka's teardown does: who waits for an answer is told that none will come."""
         while self.control:
-            item = self.control.popleft()
+            try:
+                item = self.control.popleft()
+            except IndexError:  # another thread clears it as well
+                return
             if not isinstance(item, Envelope) or item.reply_to is None:
                 continue
             if isinstance(item.message, _ActorStop):
@@ -252,43 +264,39 @@ class Mailbox:
     def subscribe(self, channel: str, bounds: dict[str | None, Keep]) -> ChannelQueue:
         """Returns the queue for a channel, bounded as `bounds` says for each type; None means any other type.
 
-        What waits in an earlier queue for this channel is kept.
+        What waits in an earlier queue for this channel is kept, and so are the bounds of types that `bounds` does not
+        name: a task that is started anew subscribes to one type after the other.
         """
         before = self.queues.get(channel)
-        if before is not None and _bounds_of(before) == bounds:
-            return before
-        if len(bounds) == 1:
-            ((_, keep),) = bounds.items()
-            made = ChannelQueue(self, channel, keep)
-        else:
-            made = SharedQueue(self, channel, bounds)
+        if before is not None:
+            bounds = {**before.bounds, **bounds}
+            if before.bounds == bounds:
+                return before
+        made = ChannelQueue(self, channel, bounds) if len(bounds) == 1 else SharedQueue(self, channel, bounds)
         self.queues[channel] = made
         if before is not None:
             while (packet := before.pop()) is not None:
                 made.put(packet)
+            self._dropped += before.dropped()
         return made
 
     def clear_data(self) -> None:
         """Forgets what waits in the data lane."""
+        self.waiting.clear()
         for queue in self.queues.values():
+            queue.listed = False
             while queue.pop() is not None:
                 pass
-        self.waiting.clear()
 
     def list_all(self) -> None:
         """Lists every queue in which something waits: a new component begins with what its predecessor left."""
         self.waiting.clear()
         for waiting in self.queues.values():
-            waiting.listed = len(waiting) > 0
-            if waiting.listed:
+            waiting.listed = False  # before the look, so that what is put meanwhile is either seen or listed
+            if len(waiting):
+                waiting.listed = True
                 self.waiting.append(waiting)
 
     def dropped(self) -> int:
         """Returns how many packets fell out of all queues."""
-        return sum(queue.dropped() for queue in self.queues.values())
-
-
-def _bounds_of(channel_queue: ChannelQueue) -> dict[str | None, Keep]:
-    if isinstance(channel_queue, SharedQueue):
-        return channel_queue._bounds
-    return {None: channel_queue.keep}
+        return self._dropped + sum(queue.dropped() for queue in self.queues.values())

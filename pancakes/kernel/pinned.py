@@ -40,8 +40,10 @@ class PinnedDispatcher(Dispatcher):
 
     def ready(self, mailbox: Mailbox) -> None:
         with self._lock:
-            wake = self._wakes[id(mailbox)]
-        wake.put(True)
+            wake = self._wakes.get(id(mailbox))
+        # Where there is none its thread has ended with the dispatcher: nobody will read this mailbox again.
+        if wake is not None:
+            wake.put(True)
 
     def _run(self, component: Component, wake: SimpleQueue[bool]) -> None:
         mailbox = component.actor_inbox

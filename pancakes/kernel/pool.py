@@ -33,7 +33,9 @@ class _Worker(threading.Thread):
     def __init__(self, pool: PoolDispatcher, number: int) -> None:
         super().__init__(name=f"{pool.name}-pool-{number}", daemon=True)
         self.pool = pool
-        self.wake = threading.Semaphore(0)
+        # Held while the worker lies down; a Semaphore would run a page of Python for each wake-up.
+        self.wake = threading.Lock()
+        self.wake.acquire()
         self.mailbox: Mailbox | None = None
         self.since_s = 0.0
         self.named = False

@@ -186,6 +186,15 @@ class InformationStream:
                 if readers.pop(address, None) is not None:
                     self._forget(channel)
 
+    def silence(self) -> None:
+        """Ends all subscriptions and taps: what is published from now on reaches nobody."""
+        with self._lock:
+            for readers in self._readers.values():
+                readers.clear()
+            self._taps.clear()
+            self._routes = {}
+            self.gateway = None
+
     def subscribers(self, channel: str) -> list[str]:
         """Returns the addresses of the components that read a channel."""
         return list(self._readers.get(channel, {}))

@@ -12,6 +12,7 @@ import pykka
 
 from pancakes.clock import Clock, MissionClock
 from pancakes.kernel.schedule import Due, Schedule
+from pancakes.kernel.slack import wake_on_time
 from pancakes.kernel.virtual import VirtualCall, VirtualDispatcher
 
 if TYPE_CHECKING:
@@ -82,15 +83,19 @@ class Timer(pykka.Actor):
         self._tell(lambda: self._mission_schedule.cancel(target))
 
     def after(self, delay_s: float, function: Callable[[], None]) -> OneShot:
-        """Calls `function` in `delay_s` seconds of mission time, counted from now."""
-        time_s = self._mission.now() + delay_s
+        """Calls `function` in `delay_s` seconds of mission time, counted from now.
+
+        Raises:
+            ValueError: the delay is no number.
+        """
+        time_s = self._mission.now() + _checked(delay_s)
         shot = OneShot(function)
         self._tell(lambda: self._mission_schedule.at(time_s, shot))
         return shot
 
     def after_host(self, delay_s: float, function: Callable[[], None]) -> OneShot:
         """Calls `function` in `delay_s` seconds of host time."""
-        time_s = self._host.now() + delay_s
+        time_s = self._host.now() + _checked(delay_s)
         shot = OneShot(function)
         self._tell(lambda: self._host_schedule.at(time_s, shot))
         return shot
@@ -111,6 +116,7 @@ class Timer(pykka.Actor):
         self._thread.start()
 
     def _actor_loop_running(self) -> None:
+        wake_on_time()
         inbox: SimpleQueue[Callable[[], None] | None] = self.actor_inbox  # type: ignore[assignment]
         while True:
             wait_s = self._next_host_s() - self._host.now()
@@ -149,6 +155,13 @@ class Timer(pykka.Actor):
                 item.target.fire(item.deadline_s, item.missed)
             else:
                 item()
+
+
+def _checked(delay_s: float) -> float:
+    if math.isnan(delay_s):
+        # It would be neither before nor after anything else in the book, and bring that into disorder.
+        raise ValueError("a delay must be a number, not nan")
+    return delay_s
 
 
 class VirtualTimer(Timer):

@@ -500,7 +500,9 @@ class Mesh:
             self._last_words.clear()
         if self._last_words.get(place) != text:
             self._last_words[place] = text
-            self._on_log("warning" if loud else "debug", text)
+            # An address from the configuration is one that a person counts on; that one of two links goes is usual.
+            quiet = "info" if session.address in self._static and not why else "debug"
+            self._on_log("warning" if loud else quiet, text)
 
     def _carry_out(self, decisions: Sequence[Decision]) -> None:
         """Carries out what membership asks for."""

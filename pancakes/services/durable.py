@@ -7,13 +7,13 @@ in order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import msgspec
 
-from pancakes.control import Migrate, Start
+from pancakes.control import Describe, Migrate
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.mailbox import LATEST
 from pancakes.migration.effect import (
@@ -104,21 +104,27 @@ class DurableService(Service):
         self._asks = 0
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
+        self._residents: set[str] = set()
+        self._when_written: Callable[[], None] | None = None
 
     # Records and slots -----------------------------------------------------------------------------------------
 
-    def after_start(self) -> None:
+    def specs(self) -> Sequence[TaskSpec]:
+        specs = super().specs()
+        self._residents = {spec.name for spec in specs}
         for task_id, record in self._records.all().items():
             if self._is_ours(record):
                 self.hand_offs[task_id] = HandOff(self.agent, record, self)
-        configured = {spec.name for spec in self._configured}
         for hand_off in list(self.hand_offs.values()):
             name = hand_off.record.task_id.name
-            if name not in configured and hand_off.record.snapshot:
+            if name not in self._residents and hand_off.record.snapshot:
                 try:
-                    self._configured = (*self._configured, self._spec_of(Snapshot.decode(hand_off.record.snapshot)))
+                    specs = (*specs, self._spec_of(Snapshot.decode(hand_off.record.snapshot)))
                 except PancakesError as error:
                     self.log("error", f"{hand_off.record.task_id} rests in the journal and cannot be started: {error}")
+        return specs
+
+    def after_start(self) -> None:
         super().after_start()
         # A tombstone has no slot, and answers all the same.
         for hand_off in self.hand_offs.values():
@@ -133,10 +139,13 @@ class DurableService(Service):
             except PancakesError as error:
                 self.log("error", f"the snapshot of {record.task_id} in the journal is not used: {error}")
                 return False
-        return self.name == "client" or record.task_id.name in {spec.name for spec in self._configured}
+        return self.name == "client" or record.task_id.name in self._residents
 
     def id_of(self, slot: Slot) -> TaskId:
         """Returns a task's identity for life: of one that came from elsewhere, its birthplace's."""
+        born_here = self.hand_offs.get(TaskId(self.agent, slot.name))
+        if born_here is not None and born_here.record.phase not in (Phase.ABSENT, Phase.RELEASED):
+            return born_here.record.task_id  # nearly always; a look at all of them each second would cost their square
         for task_id, hand_off in self.hand_offs.items():
             if task_id.name == slot.name and hand_off.record.phase not in (Phase.ABSENT, Phase.RELEASED):
                 return task_id
@@ -204,8 +213,11 @@ class DurableService(Service):
         if hand_off is None:
             self.begin(slot, lambda reason: self._report(slot, reason))
             return
+        runs = hand_off.record.phase in (Phase.OWNER, Phase.FROZEN)
+        if runs:
+            slot.state = TaskState.STARTING
         hand_off.recover()
-        if hand_off.record.phase not in (Phase.OWNER, Phase.FROZEN):
+        if not runs:
             self.settle(slot)
 
     def _report(self, slot: Slot, reason: str) -> None:
@@ -226,12 +238,14 @@ class DurableService(Service):
             return
         self._starting.setdefault(hand_off.record.task_id, []).append(then)
         record = hand_off.record
+        slot.state = TaskState.STARTING
         if record.phase is Phase.ABSENT and record.seen == NO_EPOCH:
             hand_off.feed(Born(self._snapshot(slot, slot.carried)))
         else:
             if slot.carried is not None and record.phase is Phase.OWNER:
                 hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
-            hand_off.feed(StartAgain())
+            # Where its last start was refused the core takes it to be running.
+            hand_off.feed(StartAgain(again=hand_off.volatile.running))
 
     def _held_by_another(self, slot: Slot) -> str:
         registry = self.kernel.registry
@@ -242,24 +256,13 @@ class DurableService(Service):
         return ""
 
     def relaunch(self, slot: Slot) -> None:
+        slot.state = TaskState.STARTING
         self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
 
-    def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
-        if slot.state not in (TaskState.STOPPED, TaskState.FAILED):
-            raise ControlRefused(f"{slot.address} is {slot.state.value} already")
+    def carried_of(self, slot: Slot) -> Carried:
         record = self.hand_off(self.id_of(slot)).record
-        if body.settings is not None:
-            carried = slot.carried or self._carried_in(record) or Carried(slot.spec.settings, {})
-            settings = {**carried.settings, **body.settings}
-            make_settings(slot.spec.cls.Settings, settings)
-            slot.carried = replace(carried, settings=settings)
-        slot.supervision.forget()
-        self.tell_asked("start", slot, request)
-        self.begin(slot, lambda reason: self.reply(request, reason))
-
-    def _carried_in(self, record: Record) -> Carried | None:
-        if not record.snapshot:
-            return None
+        if slot.carried is not None or not record.snapshot:
+            return super().carried_of(slot)
         snapshot = Snapshot.decode(record.snapshot)
         return Carried(snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers})
 
@@ -271,13 +274,8 @@ class DurableService(Service):
 
     def task_ended(self, slot: Slot) -> None:
         if slot.name in self._leaving:
-            # It was given away: what is left of it here is the tombstone in the journal.
             self._leaving.discard(slot.name)
-            slot.carried = None
-            slot.mailbox.clear_data()
-            slot.mailbox.paused = False
-            if slot.name not in {spec.name for spec in self._configured}:
-                del self.slots[slot.name]
+            self._forget(slot)
             return
         hand_off = self.hand_offs.get(self.id_of(slot))
         if hand_off is None or hand_off.record.phase is not Phase.OWNER:
@@ -290,6 +288,30 @@ class DurableService(Service):
             return
         wanted = Wanted.FAILED if slot.state is TaskState.FAILED else Wanted.STOPPED
         hand_off.feed(Ended(wanted, snapshot))
+
+    def _forget(self, slot: Slot) -> None:
+        """A task was given away: what is left of it here is the tombstone in the journal."""
+        self._let_go(slot)
+        slot.state = TaskState.STOPPED
+        slot.carried = None
+        slot.mailbox.clear_data()
+        if slot.name not in self._residents:
+            del self.slots[slot.name]
+
+    def settle_all(self, then: Callable[[], None]) -> None:
+        # The last checkpoint of each task may wait for the one before it to be written.
+        self._when_written = then
+        self._look_written()
+
+    def _look_written(self) -> None:
+        then = self._when_written
+        if then is not None and not any(hand_off.writing for hand_off in self.hand_offs.values()):
+            self._when_written = None
+            then()
+
+    def _written(self, done: Callable[[], None]) -> None:
+        done()
+        self._look_written()
 
     # Checkpoints -----------------------------------------------------------------------------------------------
 
@@ -335,8 +357,8 @@ class DurableService(Service):
                 hand_off = self.hand_offs[task_id]
                 self._records.persist(
                     effect.record,
-                    lambda: self.call(done),
-                    lambda reason: self.call(lambda: hand_off.failed(reason)),
+                    lambda: self.call(lambda: self._written(done)),
+                    lambda reason: self.call(lambda: self._written(lambda: hand_off.failed(reason))),
                 )
                 return
             case StartTask():
@@ -378,9 +400,8 @@ class DurableService(Service):
         )
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
         slot.incarnation = effect.incarnation
-        for address, seq in snapshot.sent.items():
-            if address != slot.address:
-                self.kernel.continue_seq(slot.address, seq + 1)
+        for seq in snapshot.sent.values():
+            self.kernel.continue_seq(slot.address, seq + 1)
         arrived = task_id in self._arriving
         if arrived:
             peer = self._arriving.pop(task_id)
@@ -389,14 +410,22 @@ class DurableService(Service):
             )
 
         def launched(reason: str) -> None:
-            if reason:
-                self.log("error", f"{task_id} is ours, but was not started: {reason}")
             waiting = self._starting.pop(task_id, [])
+            if reason and not waiting:
+                self.log("error", f"{task_id} is ours, but was not started: {reason}")
             for then in waiting:
                 then(reason)
             done()
 
+        if slot.state is TaskState.STOPPING:
+            # Its service was told to stop while the record of its start was being written.
+            slot.carried = None
+            slot.on_running.append(launched)
+            self._rest(slot, slot.reason)
+            return
         self.launch(slot, launched)
+        # From here on the record is what counts, and this grows old.
+        slot.carried = None
 
     def _freeze(self, slot: Slot | None, effect: Freeze) -> None:
         task = slot.task if slot is not None else None
@@ -439,7 +468,6 @@ class DurableService(Service):
             late = slot.task
             late.call(late.resume)
             return
-        slot.carried = carried
         self.hold_actuators(slot, "its task is handed over")
         try:
             snapshot = self._snapshot(slot, carried)
@@ -464,7 +492,12 @@ class DurableService(Service):
 
     def _discard(self, task_id: TaskId, slot: Slot | None) -> None:
         self._arriving.pop(task_id, None)
-        if slot is not None and slot.task is not None:
+        if slot is None:
+            return
+        if slot.task is None and slot.state is not TaskState.STARTING:
+            # It failed while it stood still, or this agent was started anew since.
+            self._forget(slot)
+        elif self.id_of(slot) == task_id:
             peer = self.hand_off(task_id).record.peer
             self._leaving.add(slot.name)
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
@@ -473,6 +506,13 @@ class DurableService(Service):
             self.halt(slot, None, f"handed over to {peer}")
 
     def _declined(self, task_id: TaskId, reason: str) -> None:
+        slot = self.slots.get(task_id.name)
+        if slot is not None and slot.task is None and slot.state in (TaskState.STARTING, TaskState.STOPPING):
+            slot.state = TaskState.STOPPED
+            self._let_go(slot)
+            ended, slot.on_ended = slot.on_ended, []
+            for then_ended in ended:
+                then_ended()
         for then in self._starting.pop(task_id, []):
             then(reason)
         move = self._moves.get(task_id)
@@ -486,6 +526,8 @@ class DurableService(Service):
         slot = self.slots.get(task_id.name)
         move = self._moves.get(task_id)
         then = move.then if move is not None else (slot.spec.rule.then if slot is not None and slot.spec.rule else "")
+        if slot is not None and slot.task is None and slot.name not in self._residents:
+            self._forget(slot)
         self.event("task_handed_over", task=task_id.name, to=effect.peer, epoch=effect.epoch.n)
         self._tell_migrator(lambda migrator: migrator.moved(task_id, effect.peer))
         if then:
@@ -562,6 +604,10 @@ class DurableService(Service):
     # Asking for a move -----------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if slot is not None and not isinstance(body, Describe):
+            record = self.hand_off(self.id_of(slot)).record
+            if record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+                raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {record.peer}")
         if isinstance(body, Migrate) and slot is not None:
             self._migrate(slot, body, request)
         else:

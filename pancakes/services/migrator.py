@@ -282,7 +282,7 @@ class TaskMigrator(Task):
             if not refusal:
                 until_s = self.kernel.host.now() + self._times.slot_s
                 self._slots.keep(message.task_id, Slot(peer, message.offer, until_s))
-        self._give(peer, message, refusal, "")
+        self._hand_over(peer, message, refusal, "")
 
     @on(NETWORK, Piece, keep=KEEP)
     def on_piece(self, packet: Packet) -> None:
@@ -300,9 +300,9 @@ class TaskMigrator(Task):
             self._say(peer, Nak(piece.task_id, piece.offer, str(error)))
             return
         self._slots.free(piece.task_id)
-        self._give(peer, transfer, "", service)
+        self._hand_over(peer, transfer, "", service)
 
-    def _give(self, peer: str, message: HandOffMessage, refusal: str, name: str) -> None:
+    def _hand_over(self, peer: str, message: HandOffMessage, refusal: str, name: str) -> None:
         services = self._durable_services()
         owner = next((service for service in services if service.knows(message.task_id)), None)
         owner = owner or next((service for service in services if service.name == (name or "client")), None)

@@ -7,6 +7,7 @@ cannot wake itself.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -103,6 +104,8 @@ class Root(Component):
 
     def _start_next(self, places: list[ServicePlace]) -> None:
         """Starts the services one after the other: tasks need the devices that come before them."""
+        if self._closing:
+            return
         if not places:
             self.ready = True
             self.event("ready")
@@ -180,6 +183,9 @@ class Root(Component):
             return
         place.state = ServiceState.STOPPED
         self.event("service_stopped", service=place.spec.name)
+        unstarted, place.on_running = place.on_running, []
+        for then_not in unstarted:
+            then_not(f"{place.address} was stopped before it ran")
         waiting, place.on_ended = place.on_ended, []
         for then in waiting:
             then()
@@ -225,6 +231,8 @@ class Root(Component):
 
     def _resolve(self, body: Any, request: Request) -> None:
         if isinstance(body, Begin):
+            if not 0 <= body.in_s < math.inf:
+                raise ControlRefused(f"a mission cannot begin in {body.in_s} s")
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
@@ -307,6 +315,8 @@ class Root(Component):
     def _stop_service(self, place: ServicePlace, body: Stop, request: Request) -> None:
         if place.state is not ServiceState.RUNNING:
             raise ControlRefused(f"{place.address} is {place.state.value}, not running")
+        if body.for_s is not None and not 0 < body.for_s < math.inf:
+            raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")
         elsewhere = agent_of(request.by) != self.agent
         if elsewhere and place.spec.name == NETWORK and body.for_s is None:
             raise ControlRefused(

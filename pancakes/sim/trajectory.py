@@ -82,6 +82,7 @@ class Trajectory(Task):
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = path.open("w", encoding="utf-8", newline="")
         self._file.write(HEADER + "\n")
+        self._file.flush()
 
     def _close(self) -> None:
         if self._file is not None:

@@ -85,7 +85,7 @@ def _draw(run: Run, summary: Mapping[str, Any], panels: Sequence[tuple[str, floa
     lanes = _lanes(record, run.configs, end_s)
     with matplotlib.rc_context(_STYLE):
         map_height = 2.05 * scenario.half_height_m / scenario.half_width_m
-        heights = (map_height, 0.17 * len(lanes), 0.95)
+        heights = (map_height, 0.17 * max(len(lanes), 1), 0.95)
         figure = Figure(figsize=(7.2, sum(heights) + 1.75), layout="constrained")
         FigureCanvasAgg(figure)
         grid = figure.add_gridspec(3, len(panels), height_ratios=heights)

@@ -28,7 +28,7 @@ class IntruderLimits:
 
     start_s: float = 1.0
     moves: int = 3
-    error_m: float = 0.15
+    error_m: float = 0.20
     centre_m: float = 0.20
     revolutions: int = 2
 

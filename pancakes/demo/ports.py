@@ -1,0 +1,126 @@
+"""The TCP ports of a demo: those of its files, or free ones where another program, or another demo, has them."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import socket
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pancakes.runtime_dir import runtime_dir
+
+ADDRESS = re.compile(r"^tcp://([^/]+):(\d+)$")
+
+
+class Claim:
+    """Keeps other demos on this machine from some ports, also while no agent listens there yet.
+
+    Two demos that are started at once would else both find them free. It ends with the process at the latest.
+    """
+
+    def __init__(self, locks: list[int]) -> None:
+        self._locks = locks
+
+    @classmethod
+    def to(cls, ports: Iterable[int]) -> Claim | None:
+        """Claims ports; returns None where another demo has claimed one of them."""
+        directory = runtime_dir() / "ports"
+        claim = cls([])
+        with contextlib.suppress(OSError):  # who cannot write there claims nothing, and may find the ports free
+            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for port in ports:
+                lock = os.open(directory / str(port), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+                claim._locks.append(lock)
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    claim.release()
+                    return None
+        return claim
+
+    def release(self) -> None:
+        """Gives the ports up. A second call does nothing."""
+        locks, self._locks = self._locks, []
+        for lock in locks:
+            os.close(lock)
+
+
+def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, list[str]]]:
+    """Sees to it that the agents of a demo can listen.
+
+    Args:
+        files: the agents' configuration files, by agent.
+
+    Returns:
+        A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
+        claim, and what is to be set in each agent's file so that all of them use free ones.
+    """
+    tables: dict[str, Any] = {}
+    for agent, path in files.items():
+        try:
+            tables[agent] = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None, {}  # whatever is wrong with it, reading it as a configuration says so better
+    addresses = {text: None for table in tables.values() for _, text in _strings(table, ())}
+    places = [(match[1], int(match[2])) for text in addresses if (match := ADDRESS.match(text))]
+    claim = Claim.to(port for _, port in places)
+    if claim is not None:
+        if all(_is_free(host, port) for host, port in places):
+            return claim, {}
+        claim.release()
+    taken = [_take_free_port(host) for host, _ in places]
+    free = {place: port for place, (_, port) in zip(places, taken, strict=True)}
+    for held, _ in taken:
+        held.close()
+    return None, {agent: _moved(table, free) for agent, table in tables.items()}
+
+
+def _moved(table: Any, free: Mapping[tuple[str, int], int]) -> list[str]:
+    """Returns what is to be set in one agent's file so that its addresses have other ports."""
+    changes: list[str] = []
+    lists: dict[tuple[str, ...], list[str]] = {}
+    for keys, text in _strings(table, ()):
+        match = ADDRESS.match(text)
+        if match is None:
+            continue
+        address = f'"tcp://{match[1]}:{free[match[1], int(match[2])]}"'
+        if keys[-1] == "*":
+            lists.setdefault(keys[:-1], []).append(address)
+        else:
+            changes.append(f"{'.'.join(keys)}={address}")
+    changes.extend(f"{'.'.join(keys)}=[{', '.join(items)}]" for keys, items in lists.items())
+    return changes
+
+
+def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yields all strings of a table with the keys that lead to them; `*` stands for a place in a list."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _strings(inner, (*path, key))
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _strings(inner, (*path, "*"))
+    elif isinstance(value, str):
+        yield path, value
+
+
+def _is_free(host: str, port: int) -> bool:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError:
+            return False
+        return True
+
+
+def _take_free_port(host: str) -> tuple[socket.socket, int]:
+    """Takes a free port; the socket holds it until it is closed, so that no two calls return the same."""
+    held = socket.socket()
+    held.bind((host, 0))
+    return held, held.getsockname()[1]

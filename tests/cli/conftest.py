@@ -1,0 +1,39 @@
+"""What the tests of the command line have in common."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from processes import Rig, Running
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    rig = Rig(tmp_path)
+    try:
+        yield rig
+    finally:
+        rig.close()
+
+
+@pytest.fixture
+def freeze() -> Iterator[Callable[[Running], None]]:
+    """Stops a process so that it neither runs nor ends (SIGSTOP), and returns once that is so."""
+    frozen = []
+
+    def freeze(running: Running) -> None:
+        os.kill(running.pid, signal.SIGSTOP)
+        os.waitpid(running.pid, os.WUNTRACED)
+        frozen.append(running)
+
+    yield freeze
+    for running in frozen:
+        os.kill(running.pid, signal.SIGCONT)

@@ -1,0 +1,171 @@
+"""Real processes for the tests of the command line: agents that run, and what `pancakes` says of them.
+
+Everything of theirs is in the test's own directory, they listen on free ports of this machine, and tests wait for what
+they print.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+PATIENCE_S = 20.0
+READY = "/kernel: ready"
+
+
+class Running:
+    """A process, and the lines that it has said on standard error."""
+
+    def __init__(self, command: list[str], environment: dict[str, str], directory: Path) -> None:
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment,
+            cwd=directory,
+        )
+        self.pid = self.process.pid
+        self.said: list[str] = []
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self._lines.put(line.rstrip("\n"))
+        self._lines.put(None)
+
+    def hear(self, text: str) -> str:
+        """Waits for the next line that contains `text`, and returns it."""
+        until_s = time.monotonic() + PATIENCE_S
+        while True:
+            try:
+                line = self._lines.get(timeout=max(0.0, until_s - time.monotonic()))
+            except Empty:
+                line = None
+            if line is None:
+                raise AssertionError(f"{text!r} was never said, but:\n" + "\n".join(self.said))
+            self.said.append(line)
+            if text in line:
+                return line
+
+    def everything(self) -> str:
+        """Waits until nobody holds its standard error open any more, and returns all that was said."""
+        while (line := self._lines.get(timeout=PATIENCE_S)) is not None:
+            self.said.append(line)
+        return "\n".join(self.said)
+
+    def ended(self) -> int:
+        """Waits for its end, and returns its exit code."""
+        code = self.process.wait(PATIENCE_S)
+        self.everything()
+        return code
+
+    def close(self) -> None:
+        """Kills it where it still runs, and forgets it."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    def signalled(self, number: int) -> tuple[int, float]:
+        """Sends a signal and waits for the end; returns the exit code, and the seconds that it took."""
+        began_s = time.monotonic()
+        self.process.send_signal(number)
+        code = self.process.wait(PATIENCE_S)
+        return code, time.monotonic() - began_s
+
+
+class Rig:
+    """Starts agents and commands whose files are all in one directory."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.runtime = directory / "runtime"
+        self.plugins = directory / "plugins"
+        self.plugins.mkdir()
+        self.environment = {
+            **{key: value for key, value in os.environ.items() if not key.startswith("PANCAKES_")},
+            "PANCAKES_RUNTIME_DIR": str(self.runtime),
+            "XDG_STATE_HOME": str(directory / "state"),
+            "PYTHONPATH": str(self.plugins),
+        }
+        self._running: list[Running] = []
+
+    def config(self, name: str, rest: str = "", *, fleet: str = "test", agent: str = "", file: str = "") -> Path:
+        """Writes the configuration of an agent that listens at a free port."""
+        text = f'schema = 1\n\n[agent]\nname = "{name}"\nfleet = "{fleet}"\nlisten = "tcp://127.0.0.1:0"\n{agent}\n{rest}\n'
+        path = self.directory / (file or f"{name}.toml")
+        path.write_text(text)
+        return path
+
+    def install(self, name: str, entry_points: str, source: str) -> None:
+        """Installs a distribution of one module, `plugin_NAME`, as pip would leave it on the disk."""
+        information = self.plugins / f"{name}-1.0.dist-info"
+        information.mkdir()
+        (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (information / "entry_points.txt").write_text(entry_points)
+        (self.plugins / f"plugin_{name}.py").write_text(source)
+
+    def run(self, *command: str) -> Running:
+        """Starts a Python process."""
+        running = Running([sys.executable, *command], self.environment, self.directory)
+        self._running.append(running)
+        return running
+
+    def agent(self, config: Path | str, *options: str) -> Running:
+        """Starts `pancakes-agent`."""
+        return self.run("-m", "pancakes.cli.agent", "--config", str(config), *options)
+
+    def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
+        """Starts an agent and waits until it is ready."""
+        running = self.agent(self.config(name, rest, fleet=fleet, agent=agent), *options)
+        running.hear(READY)
+        self.entry(running.pid)
+        return running
+
+    def entry(self, pid: int) -> dict[str, Any]:
+        """Waits for a process's entry in the runtime directory, and returns it."""
+        until_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until_s:
+            for path in self.runtime.glob(f"*.{pid}.json"):
+                found: dict[str, Any] = json.loads(path.read_text())
+                return found
+        raise AssertionError(f"the process {pid} is not in the runtime directory")
+
+    def address(self, running: Running) -> str:
+        """Returns where an agent listens."""
+        listen: str = self.entry(running.pid)["listen"]
+        return listen
+
+    def port(self, running: Running) -> int:
+        """Returns the port at which an agent listens."""
+        return int(self.address(running).rpartition(":")[2])
+
+    def pancakes(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Runs a command to its end."""
+        return subprocess.run(
+            [sys.executable, "-m", "pancakes.cli.main", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            env=self.environment,
+            cwd=self.directory,
+        )
+
+    def close(self) -> None:
+        """Ends what still runs."""
+        for running in self._running:
+            running.close()

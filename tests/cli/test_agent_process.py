@@ -1,0 +1,278 @@
+"""An agent as a process: how it begins, how it ends, and what it survives."""
+
+import signal
+import socket
+import struct
+from collections.abc import Callable
+
+import pytest
+from processes import READY, Rig, Running
+
+STOPPED_WITHIN_S = 2.0
+
+
+def test_a_sigterm_stops_it_in_good_order_within_two_seconds(rig: Rig):
+    agent = rig.ready("a", '[device.load]\ndriver = "host.load"\nrate_hz = 50\n')
+
+    code, took_s = agent.signalled(signal.SIGTERM)
+
+    assert code == 0
+    assert took_s < STOPPED_WITHIN_S
+    assert "service_stopped service=device" in agent.everything()
+    assert list(rig.runtime.iterdir()) == []
+
+
+def test_a_sigint_does_the_same(rig: Rig):
+    code, took_s = rig.ready("a").signalled(signal.SIGINT)
+
+    assert code == 0
+    assert took_s < STOPPED_WITHIN_S
+
+
+def test_a_sigterm_is_heard_after_the_process_was_frozen(rig: Rig, freeze: Callable[[Running], None]):
+    # The kernel then gives the signal to any thread, and Python wakes none for it.
+    agent = rig.ready("a")
+
+    freeze(agent)
+    agent.process.send_signal(signal.SIGCONT)
+
+    assert agent.signalled(signal.SIGTERM)[0] == 0
+
+
+STUCK = """
+import threading
+from pancakes.task import Task
+
+class Stuck(Task):
+    blocking = True
+
+    def on_start(self):
+        self.log("info", "stuck from now on")
+        threading.Event().wait()
+"""
+
+
+@pytest.fixture
+def stuck(rig: Rig) -> Running:
+    """An agent with a task that never gives its thread back."""
+    rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
+    agent = rig.agent(rig.config("a", '[task.Stuck]\ntype = "stuck.Stuck"\n'))
+    agent.hear("stuck from now on")
+    return agent
+
+
+def test_a_stuck_task_does_not_keep_it_from_ending_in_time(stuck: Running):
+    code, took_s = stuck.signalled(signal.SIGTERM)
+
+    assert took_s < STOPPED_WITHIN_S + 0.2
+    assert code in (0, 1)
+
+
+def test_the_same_signal_again_ends_it_at_once(stuck: Running):
+    stuck.process.send_signal(signal.SIGTERM)
+    code, took_s = stuck.signalled(signal.SIGTERM)
+
+    assert code in (1, -signal.SIGTERM)
+    assert took_s < 1.0
+
+
+def test_a_port_in_use(rig: Rig):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        agent = rig.agent(rig.config("a"), "--set", f"agent.listen={address}")
+
+        assert agent.ended() == 1
+    assert agent.everything() == f"cannot listen at {address}: address already in use"
+
+
+def test_the_second_of_two_agents_of_one_name(rig: Rig):
+    first = rig.ready("twin")
+
+    second = rig.agent(
+        rig.config("twin", file="second.toml"),
+        *("--set", f"agent.state_dir={rig.directory}/second"),
+        *("--set", f'agent.peers=["{rig.address(first)}"]'),
+    )
+
+    assert second.ended() == 1
+    assert "twin cannot run:" in second.said[-1]
+    assert "the name twin is already borne by another agent" in second.said[-1]
+    assert rig.pancakes("agent", "list").returncode == 0  # the first one runs on
+
+
+def test_a_state_directory_in_use(rig: Rig):
+    first = rig.ready("a")
+
+    second = rig.agent(rig.config("a"))
+
+    assert second.ended() == 1
+    said = second.everything()
+    assert f"is in use by another agent (process {first.pid})" in said
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: robot\r\n\r\n", "broke the protocol"),
+        (struct.pack(">I", 10 * 1024 * 1024) + b"x" * 1000, "broke the protocol"),
+    ],
+    ids=["garbage", "an over-long frame"],
+)
+def test_what_is_no_protocol_costs_that_link_alone(rig: Rig, sent: bytes, reason: str):
+    agent = rig.ready("a")
+
+    with socket.create_connection(("127.0.0.1", rig.port(agent)), timeout=10.0) as stranger:
+        stranger.sendall(sent)
+        while stranger.recv(4096):  # its hello and its refusal, then it closes
+            pass
+
+    assert reason in agent.hear("no link over a connection from tcp://127.0.0.1")
+    assert rig.pancakes("task", "list", "a").returncode == 0
+
+
+def test_a_peer_that_never_answers_is_named(rig: Rig):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        agent = rig.ready("a", "", agent=f'peers = ["{address}"]')
+
+        assert "no hello came within 2 s" in agent.hear(f"no link over {address}")
+        assert rig.pancakes("agent", "list").returncode == 0
+
+
+def test_a_plugin_that_cannot_be_imported_is_named_and_the_rest_runs(rig: Rig):
+    rig.install("broken", "[pancakes.tasks]\nbroken.Task = plugin_broken:Task\n", "import there_is_no_such_module\n")
+
+    agent = rig.agent(
+        rig.config("a", '[task.Broken]\ntype = "broken.Task"\n[device.load]\ndriver = "host.load"\nrate_hz = 1\n')
+    )
+
+    agent.hear("task_started task=load")
+    agent.hear(READY)
+    line = agent.hear("the task Broken does not run")
+    assert "of broken 1.0 (plugin_broken:Task) cannot be loaded: ModuleNotFoundError" in line
+
+
+def test_check_names_a_plugin_that_cannot_be_imported(rig: Rig):
+    rig.install("broken", "[pancakes.drivers]\nbroken.arm = plugin_broken:Arm\n", "raise RuntimeError('no arm')\n")
+
+    checked = rig.agent(rig.config("a"), "--check")
+
+    assert checked.ended() == 0  # the configuration does not name it
+    assert "warning: the driver 'broken.arm' of broken 1.0 (plugin_broken:Arm) cannot be loaded" in checked.everything()
+
+
+RAISES = """
+from pancakes.task import Task, every
+
+class Boom(Task):
+    @every(hz=100)
+    def tick(self, tick):
+        raise ValueError("the wheel came off")
+"""
+
+
+def test_a_task_that_raises_is_restarted_then_given_up(rig: Rig):
+    rig.install("boom", "[pancakes.tasks]\nboom.Boom = plugin_boom:Boom\n", RAISES)
+
+    agent = rig.agent(
+        rig.config(
+            "a", '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "permanent", at_most = 2, within_s = 60 }\n'
+        )
+    )
+
+    for _ in range(2):
+        agent.hear("a/client/Boom is started again: ValueError: the wheel came off")
+    agent.hear("a/client/Boom is given up: ValueError: the wheel came off")
+    assert "Traceback" not in "\n".join(agent.said)
+    listed = rig.pancakes("task", "list", "a")
+    assert "failed" in next(line for line in listed.stdout.splitlines() if "Boom" in line)
+
+
+LOGS = """
+import logging
+from pancakes.task import Task
+
+class Chatty(Task):
+    def on_start(self):
+        try:
+            {}["left"]
+        except KeyError:
+            logging.getLogger("wheels").exception("no wheel")
+"""
+
+
+def test_what_libraries_log_goes_to_the_log_without_a_traceback(rig: Rig):
+    rig.install("chatty", "[pancakes.tasks]\nchatty.Chatty = plugin_chatty:Chatty\n", LOGS)
+
+    agent = rig.agent(rig.config("a", '[task.Chatty]\ntype = "chatty.Chatty"\n'))
+
+    assert "wheels: no wheel: KeyError: 'left' (plugin_chatty.py" in agent.hear("no wheel")
+    assert agent.signalled(signal.SIGTERM)[0] == 0
+    assert "Traceback" not in agent.everything()
+
+
+PARENT = """
+import subprocess, sys, time
+agent = subprocess.Popen([sys.executable, "-m", "pancakes.cli.agent", "--config", sys.argv[1], "--die-with-parent"])
+agent.wait()
+"""
+
+
+def test_it_ends_with_the_process_that_launched_it(rig: Rig):
+    parent = rig.run("-c", PARENT, str(rig.config("a")))
+    parent.hear(READY)
+
+    parent.process.kill()
+
+    assert "service_stopped service=log" in parent.everything()  # which the agent had open as well, and closed
+
+
+def test_it_does_not_begin_where_the_process_that_launched_it_has_ended(rig: Rig):
+    agent = rig.agent(rig.config("a"), "--die-with-parent=1")  # our process is its parent, not that of number 1
+
+    assert agent.ended() == 1
+    assert agent.everything() == "the process 1, which launched this agent, has ended"
+
+
+HEAVY = ("rich", "numpy", "pymunk", "matplotlib", "ssl", "ctypes")
+IMPORTED = """
+from pancakes.task import Task
+
+class Imported(Task):
+    def on_start(self):
+        self.log("info", "heavy: " + ",".join(name for name in %r if name in sys.modules))
+"""
+
+
+def test_an_idle_agent_imports_nothing_heavy(rig: Rig):
+    rig.install("imported", "[pancakes.tasks]\nimported.Imported = plugin_imported:Imported\n", IMPORTED % (HEAVY,))
+
+    agent = rig.agent(rig.config("a", '[task.Imported]\ntype = "imported.Imported"\n'))
+
+    assert agent.hear("heavy: ").endswith("heavy: ")
+
+
+def test_help_imports_no_part_of_the_agent(rig: Rig):
+    source = (
+        "import sys\nfrom pancakes.cli import agent, main\n"
+        "for command in (agent.agent, main.pancakes):\n"
+        "    try: command(['--help'])\n"
+        "    except SystemExit: pass\n"
+        "print([name for name in sys.modules if name in ('pykka', 'msgpack', 'msgspec', 'rich')], file=sys.stderr)\n"
+    )
+    asked = rig.run("-c", source)
+
+    assert asked.ended() == 0
+    assert asked.everything() == "[]"
+
+
+def test_the_example_for_everybody_runs(rig: Rig, request: pytest.FixtureRequest):
+    agent = rig.agent(request.config.rootpath / "configs" / "single.toml")
+    agent.hear(READY)
+    rig.entry(agent.pid)
+
+    listed = rig.pancakes("task", "list", "single")
+
+    assert "host.memory" in listed.stdout
+    assert agent.signalled(signal.SIGTERM)[0] == 0

@@ -1,0 +1,48 @@
+"""Errors become sentences and exit codes, in one place."""
+
+import pytest
+
+from pancakes.cli.errors import Unreachable, sentences
+from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (ControlRefused("a is busy"), 1, "a is busy\n"),
+        (PancakesError("the port is in use"), 1, "the port is in use\n"),
+        (Unreachable("nobody is there"), 3, "nobody is there\n"),
+        (
+            ConfigError([Fault("a.toml:3", "x", "bad"), Fault("a.toml:4", "y", "worse")]),
+            4,
+            "a.toml:3: x: bad\na.toml:4: y: worse\n",
+        ),
+    ],
+)
+def test_an_error_that_was_meant(error: PancakesError, code: int, said: str, capsys: pytest.CaptureFixture[str]):
+    @sentences
+    def command() -> None:
+        raise error
+
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == code
+    assert capsys.readouterr().err == said
+
+
+def test_a_defect_is_a_sentence_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    @sentences
+    def command() -> None:
+        raise KeyError("wheel")
+
+    monkeypatch.delenv("PANCAKES_TRACEBACK", raising=False)
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert said.startswith("a defect in Pancakes or in a plug-in: KeyError: 'wheel'")
+    assert "Traceback" not in said
+
+    monkeypatch.setenv("PANCAKES_TRACEBACK", "1")
+    with pytest.raises(KeyError):
+        command()

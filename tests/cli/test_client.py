@@ -1,0 +1,50 @@
+"""The client that all verbs stand on: one request, one reply from the agent itself."""
+
+from collections.abc import Callable
+
+import pytest
+from processes import Rig, Running
+
+from pancakes.cli.client import Client
+from pancakes.cli.errors import Unreachable
+from pancakes.control import Describe, Reschedule, Stop
+
+LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
+
+
+@pytest.fixture
+def agent(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Running:
+    monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
+    return rig.ready("a", LOAD)
+
+
+def test_what_is_asked_for_is_done_and_answered(agent: Running):
+    with Client(timeout_s=10.0) as client:
+        assert client.request("a", Reschedule("load", rate_hz=20.0)).ok
+        assert client.request("a", Describe("load")).result["rate_hz"] == 20.0
+    assert f"by={client.name}" in agent.hear("rate_changed")
+
+
+def test_a_refusal_is_a_reply_with_its_reason(agent: Running):
+    with Client(timeout_s=10.0) as client:
+        reply = client.request("a", Stop("lode"))
+
+    assert not reply.ok
+    assert reply.reason == "a has no task or service 'lode', did you mean 'load'?"
+
+
+def test_an_agent_that_dies_is_not_waited_for(agent: Running):
+    with Client(timeout_s=60.0) as client:
+        client.request("a", Describe())
+        agent.process.kill()
+        with pytest.raises(Unreachable, match="a "):
+            while True:
+                client.request("a", Describe())
+
+
+def test_the_time_limit_holds_for_each_request(agent: Running, freeze: Callable[[Running], None]):
+    with Client(timeout_s=10.0) as client:
+        client.request("a", Describe())
+        freeze(agent)
+        with pytest.raises(Unreachable, match=r"a did not answer: nothing came within 0\.2 s"):
+            client.request("a", Describe(), timeout_s=0.2)

@@ -1,0 +1,110 @@
+"""A demo as a person runs it, with real agents, watched from outside: what it prints, and its processes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+
+import psutil
+
+PATIENCE_S = 60.0
+AGENTS = ("world", "agent1", "agent2", "sensor")
+
+
+class LiveDemo:
+    """`pancakes demo encirclement --headless` in a process of its own; used in a `with` statement.
+
+    Args:
+        out: where its results go.
+        arguments: what else to say on its command line.
+    """
+
+    def __init__(self, out: Path, *arguments: str) -> None:
+        self.out = out
+        self.lines: list[str] = []
+        command = [sys.executable, "-m", "pancakes.cli.main", "demo", "encirclement", "--headless", "--out", str(out)]
+        self.process = subprocess.Popen(
+            [*command, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        self.agents: dict[str, psutil.Process] = {}
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._news:
+                self.lines.append(line.rstrip("\n"))
+                self._news.notify_all()
+
+    def wait_for(self, text: str) -> None:
+        """Waits until it has printed a line with `text`, and finds its agents."""
+        with self._news:
+            seen = self._news.wait_for(lambda: any(text in line for line in self.lines), PATIENCE_S)
+        assert seen, f"it never said {text!r}, only:\n{self.said}"
+        self._find_agents()
+        assert sorted(self.agents) == sorted(AGENTS)
+
+    def wait_for_agents(self) -> None:
+        """Waits until the processes of its agents are there, whatever they are doing."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while len(self.agents) < len(AGENTS):
+            assert self.process.poll() is None and time.monotonic() < deadline_s, self.said
+            self._find_agents()
+
+    def _find_agents(self) -> None:
+        for child in psutil.Process(self.process.pid).children(recursive=True):
+            with contextlib.suppress(psutil.Error):  # it may have ended, or not have become an agent yet
+                words = child.cmdline()
+                if "pancakes.cli.agent" in words and "--config" in words:
+                    self.agents[Path(words[words.index("--config") + 1]).stem] = child
+
+    def ends(self, within_s: float = PATIENCE_S) -> int:
+        """Waits until the launcher has ended; returns its exit code."""
+        code = self.process.wait(within_s)
+        self._reader.join(PATIENCE_S)
+        return code
+
+    def left_after(self, within_s: float) -> list[str]:
+        """Returns the agents that still run after some seconds."""
+        _, alive = psutil.wait_procs(list(self.agents.values()), within_s)
+        return [name for name, process in self.agents.items() if process in alive]
+
+    @property
+    def said(self) -> str:
+        """All that it has printed."""
+        with self._news:
+            return "\n".join(self.lines)
+
+    def __enter__(self) -> LiveDemo:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leaves nothing behind, also where a test failed."""
+        for agent in self.agents.values():
+            if agent.is_running():
+                agent.kill()
+        if self.process.poll() is None:
+            for child in psutil.Process(self.process.pid).children(recursive=True):
+                child.kill()
+            self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+        self._reader.join(PATIENCE_S)
+        assert self.process.stdout is not None
+        self.process.stdout.close()

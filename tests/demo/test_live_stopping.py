@@ -1,0 +1,56 @@
+"""However a live demo ends, it leaves no process behind; and where an agent dies, the mission says so and fails."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from flights import read_flight
+from live_demo import PATIENCE_S, LiveDemo
+
+UNDER_WAY = "agent1: new centre"
+LIMIT_S = 2.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_signal_stops_everything_within_two_seconds(number: signal.Signals, tmp_path: Path) -> None:
+    with LiveDemo(tmp_path / "out") as demo:
+        demo.wait_for(UNDER_WAY)
+        began_s = time.monotonic()
+        demo.process.send_signal(number)
+        assert demo.ends() == 130
+        assert time.monotonic() - began_s <= LIMIT_S
+        assert demo.left_after(0.0) == []
+        assert "no verdict" in demo.lines[-1]
+    assert not (tmp_path / "out" / "summary.json").exists()
+
+
+def test_a_signal_while_the_agents_start_stops_everything(tmp_path: Path) -> None:
+    with LiveDemo(tmp_path / "out") as demo:
+        demo.wait_for_agents()
+        demo.process.send_signal(signal.SIGINT)
+        assert demo.ends() == 130
+        assert demo.left_after(0.0) == []
+
+
+def test_agents_end_with_a_launcher_that_is_killed(tmp_path: Path) -> None:
+    with LiveDemo(tmp_path / "out") as demo:
+        demo.wait_for(UNDER_WAY)
+        demo.process.kill()
+        assert demo.left_after(LIMIT_S) == []
+
+
+@pytest.mark.parametrize("victim", ["world", "agent1"])
+def test_a_mission_that_loses_an_agent_fails_and_says_why(victim: str, tmp_path: Path) -> None:
+    with LiveDemo(tmp_path / "out") as demo:
+        demo.wait_for(UNDER_WAY)
+        demo.agents[victim].kill()
+        assert demo.ends(PATIENCE_S) == 1, demo.said
+        assert demo.left_after(0.0) == []
+    summary = read_flight(tmp_path / "out").summary
+    assert summary["verdict"] == "FAIL"
+    broke_off = [reason for reason in summary["reasons"] if reason.startswith("the mission broke off: ")]
+    assert len(broke_off) == 1 and f"the agent {victim} " in broke_off[0]
+    assert broke_off[0] in demo.said

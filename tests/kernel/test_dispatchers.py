@@ -1,0 +1,228 @@
+"""The dispatchers: who runs where, and that nobody stops the rest."""
+
+import threading
+
+import pytest
+
+from pancakes.events import LogLine
+from pancakes.kernel.component import Component
+from pancakes.kernel.handlers import on
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.testing import Probe, VirtualClock, assert_published, no_thread_left
+
+PATIENCE_S = 10.0
+
+
+class Echo(Component):
+    """Remembers the threads that ran it, and what it heard."""
+
+    def __init__(self, *args, gate=None, **others):
+        super().__init__(*args, **others)
+        self.threads = set()
+        self.heard = []
+        self.gate = gate
+        self.reached = threading.Event()
+        self.ended = threading.Event()
+
+    def on_start(self):
+        self.exited = lambda component, error: self.ended.set()
+
+    @on("system", LogLine)
+    def hear(self, packet):
+        self.threads.add(threading.current_thread().name)
+        self.heard.append(packet.body.text)
+        self.reached.set()
+        if self.gate is not None:
+            assert self.gate.wait(PATIENCE_S)
+
+
+class Pinned(Echo):
+    blocking = True
+
+
+class Quitting(Echo):
+    def hear(self, packet):
+        raise SystemExit(3)
+
+    hear = on("system", LogLine)(hear)
+
+
+class Failing(Echo):
+    @on("system", LogLine)
+    def hear(self, packet):
+        raise RuntimeError("as it must")
+
+
+@pytest.fixture
+def kernel():
+    with no_thread_left():
+        made = Kernel("a")
+        yield made
+        for component in reversed(made.registry.components()):
+            component.actor_ref.stop(timeout=PATIENCE_S)
+        made.stop()
+
+
+def ready(component):
+    """Waits until an actor has done what it was asked before."""
+    component.actor_ref.proxy().heard.get(timeout=PATIENCE_S)
+    return component
+
+
+def test_one_worker_serves_many_actors(kernel):
+    echoes = [ready(kernel.spawn(Echo, f"a/client/E{number}")) for number in range(200)]
+    source = kernel.spawn(Echo, "a/client/Source")
+    for text in ("one", "two", "three"):
+        source.publish("system", LogLine("info", text))
+    for echo in echoes:
+        wait_until_heard(echo, 3)
+        assert echo.heard == ["one", "two", "three"]
+    pool = [thread.name for thread in threading.enumerate() if thread.name.startswith("a-pool-")]
+    assert len(pool) <= 4  # one at work, one standing by, the watchdog; one more where the machine made it wait
+
+
+def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
+    probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
+    gate = threading.Event()
+    stuck = [ready(kernel.spawn(Echo, f"a/client/Stuck{number}", gate=gate)) for number in range(5)]
+    free = ready(kernel.spawn(Echo, "a/client/Free"))
+    source = kernel.spawn(Echo, "a/client/Source")
+    try:
+        source.publish("system", LogLine("info", "one"))
+        assert free.reached.wait(PATIENCE_S), "five handlers that wait have stopped a sixth"
+        assert probe.wait(
+            lambda: all(
+                any(f"Stuck{number} has held" in line.body.text for line in probe.packets(LogLine))
+                for number in range(5)
+            ),
+            PATIENCE_S,
+        )
+    finally:
+        gate.set()
+    named = assert_published(probe, LogLine, lambda line: "Stuck0" in line.text)
+    assert "blocking = True" in named.body.text
+    assert all(echo.reached.is_set() for echo in stuck)
+
+
+def wait_until_heard(echo, count):
+    """Waits until an actor has heard so many lines; each look is a message that it answers after those before it."""
+    while len(ready(echo).heard) < count:
+        pass
+
+
+@pytest.mark.parametrize("bad", [Failing, Quitting])
+def test_an_actor_that_fails_ends_alone(kernel, bad):
+    failing = ready(kernel.spawn(bad, "a/client/Bad"))
+    ended = threading.Event()
+    errors = []
+    failing.exited = lambda component, error: (errors.append(error), ended.set())
+    pinned = ready(kernel.spawn(Pinned, "a/client/Pinned"))
+    echo = ready(kernel.spawn(Echo, "a/client/Echo"))
+    source = kernel.spawn(Echo, "a/client/Source")
+    source.publish("system", LogLine("info", "one"))
+    assert ended.wait(PATIENCE_S)
+    source.publish("system", LogLine("info", "two"))
+    for other in (pinned, echo):
+        wait_until_heard(other, 2)
+    assert not failing.actor_ref.is_alive()
+    assert type(errors[0]) in (RuntimeError, SystemExit)
+    assert kernel.registry.get("a/client/Bad") is None
+
+
+def test_a_blocking_actor_has_a_thread_of_its_own_that_ends_with_it(kernel):
+    gate = threading.Event()
+    pinned = ready(kernel.spawn(Pinned, "a/client/Pinned", gate=gate))
+    source = kernel.spawn(Echo, "a/client/Source")
+    source.publish("system", LogLine("info", "one"))
+    assert pinned.reached.wait(PATIENCE_S)
+    (thread,) = [thread for thread in threading.enumerate() if thread.name == "a-Pinned"]
+    gate.set()
+    pinned.actor_ref.stop(timeout=PATIENCE_S)
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert pinned.threads == {"a-Pinned"}
+
+
+def test_packets_to_an_actor_keep_their_order_however_many_threads_publish(kernel):
+    echo = ready(kernel.spawn(Echo, "a/client/Echo"))
+    sources = [kernel.spawn(Echo, f"a/client/S{number}") for number in range(4)]
+
+    def publish(source, number):
+        for count in range(60):
+            source.publish("system", LogLine("info", f"{number}.{count}"))
+
+    threads = [threading.Thread(target=publish, args=(source, number)) for number, source in enumerate(sources)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    wait_until_heard(echo, 240)
+    for number in range(4):
+        assert [text for text in echo.heard if text.startswith(f"{number}.")] == [f"{number}.{c}" for c in range(60)]
+
+
+# Virtual time --------------------------------------------------------------------------------------------------
+
+
+def order_of_work(seed):
+    """Who of twenty actors is served in which order."""
+    dispatcher = VirtualDispatcher(seed)
+    kernel = Kernel("a", virtual=dispatcher)
+    served = []
+
+    class Served(Component):
+        @on("system", LogLine)
+        def hear(self, packet):
+            served.append(self.name)
+
+    for number in range(20):
+        kernel.spawn(Served, f"a/client/{number}")
+    dispatcher.settle()
+    kernel.say(LogLine("info", "on log, which nobody hears"))
+    kernel.spawn(Component, "a/client/Source").publish("system", LogLine("info", "go"))
+    dispatcher.settle()
+    return served
+
+
+def test_in_virtual_time_a_seed_draws_the_order():
+    assert sorted(order_of_work(1), key=int) == [str(number) for number in range(20)]
+    assert order_of_work(1) == order_of_work(1)
+    assert len({tuple(order_of_work(seed)) for seed in range(20)}) == 20
+
+
+def test_virtual_time_moves_only_when_nobody_has_anything_to_do():
+    dispatcher = VirtualDispatcher(1)
+    times = []
+
+    def again(left):
+        times.append(dispatcher.clock.now())
+        if left:
+            dispatcher.call_at(dispatcher.clock.now() + 2.0, lambda: again(left - 1))
+
+    dispatcher.call_at(1.0, lambda: again(3))
+    dispatcher.run_until(4.0)
+    assert times == [1.0, 3.0]
+    assert dispatcher.clock.now() == 4.0
+    assert dispatcher.run_while(lambda: len(times) < 4, 100.0)
+    assert times == [1.0, 3.0, 5.0, 7.0]
+    assert not dispatcher.run_while(lambda: True, 100.0)
+    assert dispatcher.clock.now() == 100.0
+    assert not dispatcher.step()
+
+
+def test_a_call_for_a_time_that_has_passed_comes_now():
+    dispatcher = VirtualDispatcher(1)
+    dispatcher.run_until(5.0)
+    times = []
+    dispatcher.call_at(1.0, lambda: times.append(dispatcher.clock.now()))
+    dispatcher.call_at(2.0, lambda: times.append("never")).cancel()
+    dispatcher.run_until(6.0)
+    assert times == [5.0]
+
+
+def test_a_virtual_clock_never_goes_back():
+    clock = VirtualClock(3.0)
+    clock.advance_to(4.0)
+    with pytest.raises(ValueError, match="cannot go back"):
+        clock.advance_to(3.5)

@@ -1,0 +1,67 @@
+"""How a class says what it reacts to."""
+
+import pytest
+
+from pancakes.devices.types import Battery, Pose
+from pancakes.errors import LocalProtocolError
+from pancakes.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
+from pancakes.kernel.mailbox import LATEST, Keep, reliable
+
+
+class Base:
+    @on("system", Pose)
+    def first(self, packet):
+        """Overridden below, and listens no more."""
+
+    @every(hz=2)
+    def tick(self, tick):
+        """Time-driven."""
+
+    @on("system", Battery, keep="latest")
+    def second(self, packet):
+        """Listens to one thing."""
+
+
+class Derived(Base):
+    def first(self, packet):
+        """Not marked: a subclass says anew what an overridden method listens to."""
+
+    @on("ctrl", "motors", keep=reliable(7), addressed=True)
+    @on("log")
+    def third(self, packet):
+        """Listens to two."""
+
+    @every(period_s=0.25)
+    def tock(self, tick):
+        """Time-driven."""
+
+
+def test_the_methods_of_a_class_say_what_they_listen_to_in_the_order_of_the_text():
+    assert subscriptions_of(Derived) == [
+        (Subscription("system", "battery", LATEST), "second"),
+        (Subscription("log", None, Keep(256)), "third"),
+        (Subscription("ctrl", "motors", Keep(7, reliable=True), addressed=True), "third"),
+    ]
+
+
+def test_time_driven_methods_come_bases_first():
+    assert periods_of(Derived) == {"tick": Period(0.5), "tock": Period(0.25)}
+
+
+def test_a_method_takes_a_rate_or_a_period():
+    with pytest.raises(TypeError, match="either period_s or hz"):
+        every()
+    with pytest.raises(TypeError, match="either period_s or hz"):
+        every(1.0, hz=2)
+    for bad_s in (0.0, -1.0, 1e-9, float("nan")):
+        with pytest.raises(ValueError, match="a period must be at least"):
+            every(period_s=bad_s)
+    with pytest.raises(ValueError, match="a rate must lie between 0 and 10,000"):
+        every(hz=-1)
+    assert period_of(0) == float("inf")
+    assert period_of(4) == 0.25
+
+
+def test_a_body_must_be_a_packet_type():
+    with pytest.raises(LocalProtocolError, match="builtins.dict is no packet type"):
+        on("system", dict)

@@ -1,0 +1,84 @@
+"""Whole missions in virtual time, a seed each: what the command runs, many at once, and what it tells of them."""
+
+from __future__ import annotations
+
+import multiprocessing
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pancakes.demo.conductor import Mission
+from pancakes.demo.launcher import Faults, fresh, judge, run_of, run_virtual
+from pancakes.demo.plan import find_configs, make_plan
+from pancakes.plugins import Plugins
+
+
+class Job(NamedTuple):
+    """One mission: the demo, the seed, whether the network has faults, and where its files go."""
+
+    demo: str
+    seed: int
+    faults: bool
+    out: Path
+
+
+class Outcome(NamedTuple):
+    """How it went: its summary, and how long it took on this machine."""
+
+    job: Job
+    summary: dict[str, Any]
+    wall_s: float
+
+
+def fly(job: Job) -> Outcome:
+    """Runs one mission in virtual time, and judges it. One that breaks down fails, with the error as its reason."""
+    began_s = time.monotonic()
+    try:
+        demo = Plugins().get("pancakes.demos", job.demo)
+        plan = make_plan(demo, find_configs(job.demo), job.out, job.seed, 1.0, demo.duration_s, (), live=False)
+        fresh(job.out)
+        mission = Mission(demo.agents, demo.duration_s)
+        timing = run_virtual(plan, mission, threading.Event(), Faults(job.seed) if job.faults else None)
+        summary = judge(plan, run_of(plan, mission), timing)
+    except Exception as error:  # one that breaks down is what is looked for here, and the others are to run on
+        summary = {"verdict": "FAIL", "reasons": [f"{type(error).__name__}: {error}"]}
+    return Outcome(job, summary, time.monotonic() - began_s)
+
+
+def fly_all(demo: str, seeds: Sequence[int], faults: bool, jobs: int) -> Iterator[Outcome]:
+    """Runs a mission for each seed, several at once, and yields how they went as they end."""
+    with tempfile.TemporaryDirectory(prefix="pancakes-torture-") as folder:
+        todo = [Job(demo, seed, faults, Path(folder) / str(seed)) for seed in seeds]
+        with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+            yield from pool.imap_unordered(fly, todo)
+
+
+FIGURES = (
+    ("gap in control", "s", "gap_s"),
+    ("hand-over", "s", "handed_over_s"),
+    ("radius error, mean", "m", "radius_error_m"),
+    ("home error", "m", "home_error_m"),
+)
+"""What is told of all missions together: its name, its unit and its key in `figures_of`."""
+
+
+def figures_of(summary: dict[str, Any]) -> dict[str, float]:
+    """Returns the figures of one mission: those that its demo has, the worst of several robots."""
+    found = {
+        "gap_s": summary.get("gap_s"),
+        "home_error_m": summary.get("home_error_m"),
+        "handed_over_s": summary["holders"][0]["end_s"] if len(summary.get("holders", ())) > 1 else None,
+        "radius_error_m": _worst_mean(summary.get("radius_error_m")),
+    }
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _worst_mean(errors: Any) -> float | None:
+    if not isinstance(errors, dict):
+        return None
+    if "mean" in errors:
+        return float(errors["mean"])
+    return max((float(error["mean"]) for error in errors.values() if error), default=None)
