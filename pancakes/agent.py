@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig
+from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
 from pancakes.errors import PancakesError, PluginError
 from pancakes.events import Event
 from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
@@ -155,6 +155,10 @@ class Agent:
         # Only now does the Log Service listen to what was found wrong before.
         for sentence in self.skipped:
             self.kernel.log("error", sentence)
+        if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
+            self.kernel.log(
+                "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and nobody is checked"
+            )
         self.ready.set()
 
     def stop(self) -> None:
@@ -179,7 +183,7 @@ class Agent:
         self.kernel.stop()
 
     def crash(self) -> None:
-        """Ends at once, as a kill does: no hook is called, and what waits for the disk is lost. In virtual time only."""
+        """Ends at once, as a kill does: no hook is called, what waits for the disk is lost. In virtual time only."""
         if not isinstance(self._store, VirtualStore):
             raise RuntimeError(f"{self.name} does not run in virtual time")
         self.stopping.set()

@@ -298,14 +298,15 @@ class Service(Component):
         next_one()
 
     def settle_all(self, then: Callable[[], None]) -> None:
-        """For subclasses: calls `then`, once, when nothing is under way that must be finished before the service ends."""
+        """For subclasses: calls `then`, once, when nothing is under way that must be finished before it ends."""
         then()
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         """Returns what is to be known about a task, as plain values."""
         task = slot.task
-        timers = task.timers if task is not None else {}
-        first = next(iter(timers.values()), None)
+        # A copy: the task makes its timers in its own thread.
+        timers = list(task.timers.values()) if task is not None else []
+        first = timers[0] if timers else None
         return {
             "agent": self.agent,
             "service": self.name,
@@ -315,8 +316,8 @@ class Service(Component):
             "rate_hz": first.rate_hz if first is not None else None,
             "incarnation": slot.incarnation,
             "reason": slot.reason,
-            "missed": sum(timer.missed_total for timer in timers.values()),
-            "lateness_max_s": max((timer.lateness_max_s for timer in timers.values()), default=0.0),
+            "missed": sum(timer.missed_total for timer in timers),
+            "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
             "dropped": slot.mailbox.dropped(),
         }
 
@@ -421,13 +422,15 @@ class Service(Component):
         """A task ended unasked: restart it, let it rest, or give up on it."""
         slot.reason = text
         following = slot.supervision.ended(failed, self.kernel.host.now())
+        restart = following is Next.RESTART and not self.closing
+        if restart:
+            slot.state = TaskState.RESTARTING
         waiting, slot.on_running = slot.on_running, []
         if failed:
             self.event("task_failed", task=slot.name, error=text, then=following.value)
             for then in waiting:
                 then(f"{slot.address} failed to start: {text}")
-        if following is Next.RESTART and not self.closing:
-            slot.state = TaskState.RESTARTING
+        if restart:
             self.log("warning", f"{slot.address} is started again: {text}")
             # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.
             self.call(lambda: self._relaunch(slot))
@@ -497,7 +500,7 @@ class Service(Component):
         try:
             slot = self._slot(command.task) if command.task else None
             self.carry_out_command(command.body, slot, request)
-        except (ControlRefused, SettingsError, ValueError) as error:
+        except (PancakesError, ValueError) as error:
             self.reply(request, str(error))
 
     def _next_command(self, slot: Slot) -> None:
@@ -506,7 +509,11 @@ class Service(Component):
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
-        self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+        try:
+            self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+        except PancakesError as error:
+            # A service must not fail because whoever asked does not listen fast enough.
+            self.log("warning", f"the answer to {request.by} was lost: {error}")
 
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)

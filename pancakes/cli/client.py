@@ -269,7 +269,7 @@ class Client:
         with self._condition:
             found = doors()
         if len(found) > 1:
-            fleets = " and ".join(door.fleet for door in found)
+            fleets = " and ".join(sorted(door.fleet for door in found))
             raise ControlRefused(f"the fleets {fleets} both have an agent {agent}: name one of them with --at")
         if found:
             return found[0]

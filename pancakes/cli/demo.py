@@ -144,7 +144,7 @@ def _run(
             timing = run_virtual(plan, mission, interrupted, Faults(seed) if faults else None)
         else:
             timing = run_live(plan, mission, interrupted)
-    if interrupted.is_set() and mission.phase != "over":
+    if mission.phase == "interrupted":
         click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
         return INTERRUPTED
     run = run_of(plan, mission)

@@ -41,7 +41,7 @@ _T = TypeVar("_T")
 
 _TABLES: Final = ("agent", "clock", *NAMED_TABLES)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
-_LONGEST_NAME: Final = 100
+_LONGEST_NAME: Final = 64
 _POSITION = re.compile(r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$")
 
 

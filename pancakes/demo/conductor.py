@@ -36,7 +36,7 @@ class Mission:
         batteries: the newest battery reading, by agent.
         bodies: the newest true state of each body.
         events: all events so far, as records.
-        phase: `connecting`, `running` or `over`.
+        phase: `connecting`, `running`, `over` or `interrupted`.
         waiting_for: who is not ready yet, and why.
         ended_because: why it ended early; empty where it did not.
     """
@@ -56,6 +56,11 @@ class Mission:
     ended_because: str = ""
     changed: Callable[[], None] = lambda: None
     told: Callable[[Mapping[str, Any]], None] = lambda record: None
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing that happens counts any more."""
+        return self.phase in ("over", "interrupted")
 
 
 class Conductor(Task):
@@ -173,7 +178,7 @@ class Conductor(Task):
         if agent == self.agent:
             self._on_own_log(packet)
             return
-        if self._mission.phase == "over":
+        if self._mission.ended:
             return
         if isinstance(packet.body, LogLine) and packet.body.level == "debug":
             return
@@ -202,7 +207,7 @@ class Conductor(Task):
     def end(self, reason: str) -> None:
         """Ends the mission; the launcher then stops everybody."""
         mission = self._mission
-        if mission.phase == "over":
+        if mission.ended:
             return
         mission.now_s = min(self.now(), mission.duration_s) if not math.isinf(mission.duration_s) else self.now()
         mission.ended_because = reason

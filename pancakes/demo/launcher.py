@@ -149,6 +149,7 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
             if mission.phase == "connecting" and time.monotonic() - began_s > READY_S:
                 waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
                 raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+        _settle(mission)
         ended_s = time.monotonic()
     finally:
         processes.stop()
@@ -164,6 +165,12 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         "behind_max_s": mission.behind_max_s,
         "behind_end_s": mission.behind_s,
     }
+
+
+def _settle(mission: Mission) -> None:
+    """Marks a mission that was not left to its end, before its agents go: that they go is no part of it."""
+    if not mission.ended:
+        mission.phase = "interrupted"
 
 
 def run_virtual(
@@ -192,6 +199,8 @@ def run_virtual(
         if faults is not None:
             faults.arrange(fleet, launcher)
         fleet.run_while(lambda: mission.phase != "over" and not interrupted.is_set(), plan.duration_s * 2 + READY_S)
+        if interrupted.is_set():
+            _settle(mission)
         ended_s = time.monotonic()
     finally:
         fleet.close()

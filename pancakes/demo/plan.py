@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,9 +87,12 @@ def make_plan(
         PancakesError: a file is missing or wrong.
     """
     files = {agent: folder / f"{agent}.toml" for agent in demo.agents}
+    # A fleet of its own: two demos on one machine, or a demo beside a real robot, must not become neighbours.
+    fleet = f"{demo.name}-{os.getpid()}" if live else demo.name
     sets: dict[str, list[str]] = {}
     for agent in demo.agents:
         sets[agent] = [
+            f'agent.fleet="{fleet}"',
             f"agent.seed={seed}",
             f'agent.state_dir="{out / "state" / agent}"',
             f"clock.speed={speed!r}",

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pykka
 from pykka._envelope import Envelope
+from pykka.messages import _ActorStop
 
-from pancakes.errors import ControlRefused, UnknownChannel
+from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import Event, LogLine
 from pancakes.kernel.handlers import Period, Subscription, Tick, period_of, periods_of, subscriptions_of
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
@@ -111,11 +112,12 @@ def plan_of(cls: type) -> tuple[list[tuple[Subscription, str]], dict[str, Period
 
 
 class Call:
-    """A function to be called in a component's turn."""
+    """A function to be called in a component's turn, and in no turn of its successor's."""
 
-    __slots__ = ("function",)
+    __slots__ = ("component", "function")
 
-    def __init__(self, function: Callable[[], None]) -> None:
+    def __init__(self, component: Component, function: Callable[[], None]) -> None:
+        self.component = component
         self.function = function
 
 
@@ -208,16 +210,16 @@ class Component(pykka.Actor):
         """Publishes a line for people on `log`; `level` is debug, info, warning or error. Any thread."""
         self._tell_log(LogLine(level, text))
 
-    def event(self, kind: str, **fields: Any) -> None:
+    def event(self, kind: str, /, **fields: Any) -> None:
         """Publishes an event for programs on `log`. Any thread."""
         self._tell_log(Event(kind, fields))
 
     def _tell_log(self, body: Any) -> None:
         try:
             self.publish(LOG, body)
-        except UnknownChannel:
-            # The stream is being taken down; there is nobody left to tell.
-            pass
+        except PancakesError:
+            # Nobody may fail because a reader of `log` has no room, or because the stream is being taken down.
+            self.kernel.stream.undelivered += 1
 
     def subscribe(
         self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
@@ -253,7 +255,13 @@ class Component(pykka.Actor):
     def call(self, function: Callable[[], None]) -> None:
         """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
         if not self.actor_stopped.is_set():
-            self.actor_inbox.put(Call(function))
+            self.actor_inbox.put(Call(self, function))
+
+    def stop(self) -> None:
+        """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
+        # pykka's own raises where the actor ends just then.
+        if not self.actor_stopped.is_set():
+            self.actor_inbox.put(Envelope(_ActorStop()))
 
     def reschedule(self, rate_hz: float, timer: str = "") -> None:
         """Changes the rate of a time-driven method, from its next tick on.
@@ -389,7 +397,8 @@ class Component(pykka.Actor):
                 if item.component is self:
                     item.run()
             elif item.__class__ is Call:
-                item.function()
+                if item.component is self:
+                    item.function()
             else:
                 self._handle_envelope(item)
 
@@ -456,6 +465,14 @@ class Component(pykka.Actor):
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
         raise TypeError(f"{self.address} takes packets, not {message!r}")
+
+    def finish(self) -> None:
+        """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
+        for queue in self.actor_inbox.queues.values():
+            handlers = self._handlers.get(queue.channel, {})
+            while (packet := queue.pop()) is not None:
+                for handler in (*handlers.get(packet.type, ()), *handlers.get(None, ())):
+                    handler(packet)
 
     # How it ends -----------------------------------------------------------------------------------------------
 

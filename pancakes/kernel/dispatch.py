@@ -60,7 +60,11 @@ class Dispatcher(ABC):
         finally:
             _TURN.deferred = None
             for function in deferred:
-                function()
+                try:
+                    function()
+                except Exception as error:  # the thread, and the component's right to turns, must outlive it
+                    text = f"what a turn of {component.address} had put off failed: {type(error).__name__}: {error}"
+                    component.kernel.log("error", text)
         # A stopped component keeps the token, so that what comes now waits for its successor.
         if mailbox.component is component:
             mailbox.token.release()

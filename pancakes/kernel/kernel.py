@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pancakes.clock import Clock, MissionClock, MonotonicClock
-from pancakes.errors import UnknownChannel
+from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.counter import Counter
@@ -145,8 +145,9 @@ class Kernel:
         packet = Packet(LOG, type_name(body), address, "", self.mission.now(), self.seq_of(address).take(), body)
         try:
             self.stream.publish(packet)
-        except UnknownChannel:
-            pass
+        except PancakesError:
+            # As in `Component.log`: whoever has something to say, in whatever thread, must not fail for a reader.
+            self.stream.undelivered += 1
 
     def stop(self) -> None:
         """Ends the timer and all threads. The components have been stopped before; not from one of them."""

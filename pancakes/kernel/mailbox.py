@@ -299,4 +299,4 @@ class Mailbox:
 
     def dropped(self) -> int:
         """Returns how many packets fell out of all queues."""
-        return self._dropped + sum(queue.dropped() for queue in self.queues.values())
+        return self._dropped + sum(queue.dropped() for queue in list(self.queues.values()))

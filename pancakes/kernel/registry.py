@@ -113,9 +113,8 @@ class Registry:
 
     def release(self, address: str) -> None:
         """Takes back what a task holds."""
-        for name in self.held_by(address):
-            with self._lock:
-                del self._holders[name]
+        with self._lock:
+            self._holders = {name: holder for name, holder in self._holders.items() if holder != address}
 
     def holder(self, device: str) -> str:
         """Returns the address of the task that holds a device; empty where none does."""

@@ -13,6 +13,9 @@ from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, Packet, agent_of, covers
 
 Tap = Callable[[Packet], None]
 
+MOST_ROUTES = 4096
+"""So many snapshots are kept; a peer that makes up one type name after the other must not fill the memory."""
+
 
 @dataclass(slots=True)
 class _Reader:
@@ -214,6 +217,8 @@ class InformationStream:
                 if reader.queue is not None and reader.reads(type_name, addressed=False)
             )
             route = _Route(queues, _reliable(queues), self._taps.get(channel, ()))
+            if len(self._routes) >= MOST_ROUTES:
+                self._routes = {}
             self._routes[channel, type_name] = route
             return route
 

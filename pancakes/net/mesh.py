@@ -546,7 +546,8 @@ class Mesh:
 
     def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
         """Tells a peer the addresses that are not its own; returns whether there were any."""
-        if session.link is None or session.hello is None:
+        # A client that looks at two agents must not make neighbours of them: it belongs to neither.
+        if session.link is None or session.hello is None or self.identity.role == "client":
             return False
         others = tuple(address for address in addresses if address != session.hello.listen)
         if others:

@@ -221,6 +221,8 @@ class DurableService(Service):
             self.settle(slot)
 
     def _report(self, slot: Slot, reason: str) -> None:
+        if slot.state is TaskState.RESTARTING:
+            return  # it failed, and is tried again
         if reason:
             self.log("error", f"{slot.address} was not started: {reason}")
         self.settle(slot)

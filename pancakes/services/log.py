@@ -70,6 +70,9 @@ class Console(Task):
             # Whoever read us has gone; an agent does not stop for that.
             self.stop()
 
+    def on_stop(self) -> None:
+        self.finish()
+
 
 class LogFile(Task):
     """Writes everything on `log` into a file, one JSON object a line."""
@@ -94,6 +97,7 @@ class LogFile(Task):
         self._file.flush()
 
     def on_stop(self) -> None:
+        self.finish()
         self._file.close()
 
 

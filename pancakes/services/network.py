@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
+from msgspec import Meta
 from msgspec.structs import replace
 
 from pancakes.control import Follow, Unfollow
@@ -80,7 +81,7 @@ class NetworkService(Service):
             insecure: whether it may listen where other machines can reach it, although links are not encrypted.
         """
 
-        discovery_hz: float = 1.0
+        discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
         insecure: bool = False
 
     def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, **others: Any) -> None:

@@ -8,6 +8,7 @@ cannot wake itself.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -37,6 +38,7 @@ from pancakes.supervision import Next, Supervision
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
+    from pancakes.kernel.timer import OneShot
 
 WATCH_S = 0.02
 """How often, in host time, a service that failed is looked at until the last of its tasks has ended."""
@@ -55,7 +57,13 @@ class ServiceState(Enum):
 
 @dataclass
 class ServicePlace:
-    """The place of one service; it outlives the actors that fill it."""
+    """The place of one service; it outlives the actors that fill it.
+
+    Attributes:
+        busy: whether a command that starts or stops the service is being carried out.
+        commands: those that wait for that.
+        alarm: what will wake the service, where it was stopped for a time.
+    """
 
     spec: ServiceSpec
     address: str
@@ -65,6 +73,9 @@ class ServicePlace:
     reason: str = ""
     on_running: list[Callable[[str], None]] = field(default_factory=list)
     on_ended: list[Callable[[], None]] = field(default_factory=list)
+    busy: bool = False
+    commands: deque[Callable[[], None]] = field(default_factory=deque)
+    alarm: OneShot | None = None
 
 
 class Root(Component):
@@ -119,6 +130,8 @@ class Root(Component):
         """Starts a service; `then` is called once it runs, or with the reason why it does not."""
         place.state = ServiceState.STARTING
         place.reason = ""
+        if place.alarm is not None:
+            place.alarm.cancel()
         if then is not None:
             place.on_running.append(then)
         spec = place.spec
@@ -140,10 +153,14 @@ class Root(Component):
 
     def halt(self, place: ServicePlace, then: Callable[[], None]) -> None:
         """Stops a service and all of its tasks; `then` is called once it has ended."""
-        if place.state in (ServiceState.STOPPED, ServiceState.FAILED) or place.service is None:
+        if place.state in (ServiceState.STOPPED, ServiceState.FAILED):
             then()
             return
         place.on_ended.append(then)
+        if place.service is None:
+            # It has failed, and waits for the last of its tasks to end before it begins anew.
+            self._rest(place)
+            return
         if place.state is ServiceState.STOPPING:
             return
         place.state = ServiceState.STOPPING
@@ -181,6 +198,9 @@ class Root(Component):
         if error is not None and place.state is not ServiceState.STOPPING:
             self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
             return
+        self._rest(place)
+
+    def _rest(self, place: ServicePlace) -> None:
         place.state = ServiceState.STOPPED
         self.event("service_stopped", service=place.spec.name)
         unstarted, place.on_running = place.on_running, []
@@ -196,6 +216,7 @@ class Root(Component):
         self.event("service_failed", service=place.spec.name, error=text, then=following.value)
         if following is Next.RESTART and not self._closing:
             self.log("warning", f"{place.address} is started again: {text}")
+            place.state = ServiceState.STARTING
             self._relaunch_when_clear(place)
             return
         place.state = ServiceState.FAILED
@@ -206,7 +227,7 @@ class Root(Component):
 
     def _relaunch_when_clear(self, place: ServicePlace) -> None:
         """Starts a failed service anew once the last of its old tasks has ended: no task may run twice."""
-        if self._closing:
+        if self._closing or place.state is not ServiceState.STARTING or place.service is not None:
             return
         prefix = place.address + "/"
         if any(component.address.startswith(prefix) for component in self.kernel.registry.components()):
@@ -293,24 +314,50 @@ class Root(Component):
 
     def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
         name = place.spec.name
-        if isinstance(body, Start):
+        if isinstance(body, (Start, Stop, Restart)) and (place.busy or place.commands):
+            # One after the other, so that the last of several that contradict each other is the one that holds.
+            place.commands.append(lambda: self._begin_command(place, body, request))
+        elif isinstance(body, Start):
             if place.state not in (ServiceState.STOPPED, ServiceState.FAILED):
                 raise ControlRefused(f"{place.address} is {place.state.value} already")
             place.supervision.forget()
             self._tell_asked("start", name, request)
-            self.launch(place, lambda reason: self.reply(request, reason))
+            self.launch(place, self._occupy(place, request))
         elif isinstance(body, Stop):
             self._stop_service(place, body, request)
         elif isinstance(body, Restart):
             place.supervision.forget()
             self._tell_asked("restart", name, request)
-            self.halt(place, lambda: self.launch(place, lambda reason: self.reply(request, reason)))
+            answer = self._occupy(place, request)
+            self.halt(place, lambda: self.launch(place, answer))
         elif isinstance(body, (Reschedule, Configure, Migrate)):
             raise ControlRefused(f"{place.address} is a service: name one of its tasks")
         elif place.service is not None:
             self._hand(name, "", body, request)
         else:
             self.reply(request, result=[])
+
+    def _begin_command(self, place: ServicePlace, body: Any, request: Request) -> None:
+        try:
+            self._control_service(place, body, request)
+        except ControlRefused as error:
+            self.reply(request, str(error))
+
+    def _occupy(self, place: ServicePlace, request: Request, answered: bool = False) -> Callable[[str], None]:
+        """Lets later commands for a service wait; returns what answers this one and lets them go on."""
+        place.busy = True
+
+        def answer(reason: str) -> None:
+            if not answered:
+                self.reply(request, reason)
+            place.busy = False
+            self.call(lambda: self._next_command(place))
+
+        return answer
+
+    def _next_command(self, place: ServicePlace) -> None:
+        while place.commands and not place.busy:
+            place.commands.popleft()()
 
     def _stop_service(self, place: ServicePlace, body: Stop, request: Request) -> None:
         if place.state is not ServiceState.RUNNING:
@@ -328,14 +375,14 @@ class Root(Component):
             raise ControlRefused(reason)
         place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
-        if place.spec.name == NETWORK:
+        network = place.spec.name == NETWORK
+        if network:
             # The answer has to leave before the way out is closed.
             self.reply(request)
-            self.halt(place, lambda: None)
-        else:
-            self.halt(place, lambda: self.reply(request))
+        answer = self._occupy(place, request, answered=network)
+        self.halt(place, lambda: answer(""))
         if body.for_s is not None:
-            self.after(body.for_s, lambda: self._wake(place))
+            place.alarm = self.after(body.for_s, lambda: self._wake(place))
 
     def _wake(self, place: ServicePlace) -> None:
         if place.state is ServiceState.STOPPED and not self._closing:

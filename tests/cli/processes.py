@@ -35,6 +35,7 @@ class Running:
         )
         self.pid = self.process.pid
         self.said: list[str] = []
+        self._silent = False
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -48,21 +49,19 @@ class Running:
     def hear(self, text: str) -> str:
         """Waits for the next line that contains `text`, and returns it."""
         until_s = time.monotonic() + PATIENCE_S
-        while True:
+        while not self._silent:
             try:
-                line = self._lines.get(timeout=max(0.0, until_s - time.monotonic()))
+                line = self._next(max(0.0, until_s - time.monotonic()))
             except Empty:
-                line = None
-            if line is None:
-                raise AssertionError(f"{text!r} was never said, but:\n" + "\n".join(self.said))
-            self.said.append(line)
-            if text in line:
+                break
+            if line is not None and text in line:
                 return line
+        raise AssertionError(f"{text!r} was never said, but:\n" + "\n".join(self.said))
 
     def everything(self) -> str:
         """Waits until nobody holds its standard error open any more, and returns all that was said."""
-        while (line := self._lines.get(timeout=PATIENCE_S)) is not None:
-            self.said.append(line)
+        while not self._silent:
+            self._next(PATIENCE_S)
         return "\n".join(self.said)
 
     def ended(self) -> int:
@@ -70,6 +69,14 @@ class Running:
         code = self.process.wait(PATIENCE_S)
         self.everything()
         return code
+
+    def _next(self, timeout_s: float) -> str | None:
+        line = self._lines.get(timeout=timeout_s)
+        if line is None:
+            self._silent = True
+        else:
+            self.said.append(line)
+        return line
 
     def close(self) -> None:
         """Kills it where it still runs, and forgets it."""
@@ -144,6 +151,12 @@ class Rig:
                 found: dict[str, Any] = json.loads(path.read_text())
                 return found
         raise AssertionError(f"the process {pid} is not in the runtime directory")
+
+    def wait_until_gone(self, pid: int) -> None:
+        """Waits until a process has taken its entry away."""
+        until_s = time.monotonic() + PATIENCE_S
+        while any(self.runtime.glob(f"*.{pid}.json")):
+            assert time.monotonic() < until_s, f"the process {pid} is still in the runtime directory"
 
     def address(self, running: Running) -> str:
         """Returns where an agent listens."""

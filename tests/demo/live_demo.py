@@ -81,8 +81,12 @@ class LiveDemo:
 
     def left_after(self, within_s: float) -> list[str]:
         """Returns the agents that still run after some seconds."""
-        _, alive = psutil.wait_procs(list(self.agents.values()), within_s)
-        return [name for name, process in self.agents.items() if process in alive]
+        deadline_s = time.monotonic() + within_s
+        left = [name for name, process in self.agents.items() if _runs(process)]
+        while left and time.monotonic() < deadline_s:
+            psutil.wait_procs([self.agents[name] for name in left], 0.05)
+            left = [name for name in left if _runs(self.agents[name])]
+        return left
 
     @property
     def said(self) -> str:
@@ -98,7 +102,7 @@ class LiveDemo:
     ) -> None:
         """Leaves nothing behind, also where a test failed."""
         for agent in self.agents.values():
-            if agent.is_running():
+            if _runs(agent):
                 agent.kill()
         if self.process.poll() is None:
             for child in psutil.Process(self.process.pid).children(recursive=True):
@@ -108,3 +112,11 @@ class LiveDemo:
         self._reader.join(PATIENCE_S)
         assert self.process.stdout is not None
         self.process.stdout.close()
+
+
+def _runs(process: psutil.Process) -> bool:
+    """Whether a process runs: one that has ended may wait a while until the system's first process buries it."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

@@ -26,6 +26,7 @@ from typing import Any, Final, NamedTuple
 
 from model.parts import BLANK, STREAM, TASK, Agent, App, Bounds, Core, Outcome, Violation
 from model.steps import Steps
+from model.words import cause
 from pancakes.migration.event import Adopt, Born, Frozen, GiveUp, PacketId, Received, Resend, ReservationExpired, Start
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Wanted
 
@@ -114,6 +115,8 @@ class Search:
         self._numbers: dict[Configuration, int] = {}
         self._broken: dict[Configuration, str] = {}
         self._converged: dict[tuple[tuple[int, ...], int, str], str] = {}
+        self._vain: dict[str, tuple[str, ...]] = {}
+        """What happens in vain where nothing comes of it, in sentences."""
         self._sent_to = self.steps.sent_to
         self._rows: list[list[Row]] = []
         self._looked_at: list[int] = []
@@ -135,8 +138,9 @@ class Search:
                     continue
                 transitions += 1
                 if broken:
-                    return self._result(broken, (*self._trace(parents, state), story), parents, transitions)
-                after = (net & ~self._sent_to[clears] if clears else net | sends) << _SHIFT | to
+                    trace = (*self._trace(parents, state), story, *self._vain.get(broken, ()))
+                    return self._result(broken, trace, parents, transitions)
+                after = (net & ~self._sent_to[clears] | sends if clears else net | sends) << _SHIFT | to
                 if after not in parents:
                     parents[after] = state
                     queue.append(after)
@@ -158,7 +162,7 @@ class Search:
     def _story(self, before: int, after: int) -> str:
         net = before >> _SHIFT
         for needs, sends, clears, to, story, _ in self._rows_of(before & _MASK, net):
-            left = net & ~self._sent_to[clears] if clears else net | sends
+            left = net & ~self._sent_to[clears] | sends if clears else net | sends
             if needs & net == needs and left << _SHIFT | to == after:
                 return story
         raise LookupError(f"no step leads from state {before} to state {after}")
@@ -190,7 +194,10 @@ class Search:
                         continue
                     rows.extend(self._rows_for(configuration, i, event, 0))
                 if self._may_adopt(configuration, i):
-                    rows.extend(self._rows_for(configuration, i, Adopt(), 0))
+                    # Whoever adopts sets the other side up anew after that, so that nothing said before is believed.
+                    other = self.steps.agents[agent].disk.peer
+                    adoptions = self._rows_for(configuration, i, Adopt(), 0)
+                    rows.extend(row._replace(clears=other) for row in adoptions)
                 if len(configuration.wiped) < self.bounds.wipes:
                     rows.append(self._loss(configuration, i))
         news = net & ~self._looked_at[number]
@@ -208,7 +215,8 @@ class Search:
         try:
             outcomes = self.steps.outcomes(i, before.agents[i], event)
         except Violation as violation:
-            yield Row(needs, 0, "", -1, f"Agent {self._names[i]}: {type(event).__name__}.", str(violation))
+            why = cause(self._names[i], event)
+            yield Row(needs, 0, "", -1, f"{why[0].upper()}{why[1:]}.", str(violation))
             return
         for outcome in outcomes:
             if outcome.fault and before.faults >= self.bounds.faults:
@@ -302,8 +310,9 @@ class Search:
         if key not in self._converged:
             try:
                 self._converged[key] = self._converge(configuration._replace(faults=self.bounds.faults))
-            except Violation as violation:
-                self._converged[key] = str(violation)
+            except Violation:
+                # It is a way that the search goes as well: it will find this, and a shortest trace to it.
+                self._converged[key] = ""
         return self._converged[key]
 
     def _something_left(self, configuration: Configuration) -> bool:
@@ -313,32 +322,39 @@ class Search:
 
     def _converge(self, at: Configuration, rounds: int = 14) -> str:
         net = 0
+        told: list[str] = []
         for number in range(rounds):
             for i in range(len(self._names)):
                 for look in (self._pending, self._timers, self._packets, self._checkpoints):
                     for event in look(at, i, number):
-                        at, net = self._feed(at, i, event, net)
+                        at, net = self._feed(at, i, event, net, told)
             news, net = net, 0
             while news:
                 low = news & -news
                 news ^= low
                 source, destination, message = self.steps.messages[low.bit_length() - 1]
-                at, net = self._feed(at, self._names.index(destination), Received(source, message), net)
-            broken = self._fault_of(at)
-            if broken:
-                return broken
-            if self._is_settled(at):
+                at, net = self._feed(at, self._names.index(destination), Received(source, message), net, told)
+            if self._is_settled(at) or self._fault_of(at):
                 return ""
         agents = zip(self._names, (self.steps.agents[number] for number in at.agents), strict=True)
         story = ", ".join(
             f"{name} is {a.memory.phase.name}{' and runs it' if a.actor and a.actor.running else ''}"
             for name, a in agents
         )
-        return f"L1 even where all goes well from then on, nothing comes of it in {rounds} rounds: {story}"
+        broken = f"L1 however long one waits, it does not come to one copy: {story}"
+        self._vain[broken] = ("All that was sent so far is lost; from here on all goes well.", *dict.fromkeys(told))
+        return broken
 
-    def _feed(self, at: Configuration, i: int, event: Any, net: int) -> tuple[Configuration, int]:
+    def _feed(
+        self, at: Configuration, i: int, event: Any, net: int, told: list[str]
+    ) -> tuple[Configuration, int]:
         outcomes = self.steps.outcomes(i, at.agents[i], event)
-        return (self._apply(at, i, outcomes[0]), net | outcomes[0].sends) if outcomes else (at, net)
+        if not outcomes:
+            return at, net
+        told.append(outcomes[0].story)
+        if isinstance(event, Adopt):
+            net &= ~self._sent_to[self._agent(at, i).disk.peer]
+        return self._apply(at, i, outcomes[0]), net | outcomes[0].sends
 
     def _pending(self, at: Configuration, i: int, _round: int) -> tuple[Any, ...]:
         return self._agent(at, i).pending

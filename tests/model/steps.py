@@ -21,6 +21,7 @@ from pancakes.migration.event import (
     FreezeFailed,
     Frozen,
     GiveUp,
+    InDoubt,
     PacketId,
     PersistFailed,
     Received,
@@ -35,6 +36,8 @@ from pancakes.migration.volatile import Volatile
 
 CRASH = "crash"
 TAKE = "take a checkpoint"
+TIMERS = (GiveUp, InDoubt, Resend, ReservationExpired)
+"""What fires at any time, whether it was put off or not; anything else that is put off comes once."""
 
 
 class Steps:
@@ -182,10 +185,11 @@ class Steps:
             yield from self._decide(i, agent, event)
 
     def _decide(self, i: int, agent: Agent, event: Event) -> Iterator[Outcome]:
-        agent, effects = self._handle(i, agent, event)
-        if not effects:
+        before = agent
+        agent, effects = self._handle(i, before, event)
+        if not effects and agent == before:
             return
-        why = cause(self.names[i], event)
+        why = cause(self.names[i], event, retried=isinstance(event, Start | Ended | Born) and event in before.pending)
         after, sends, acked, started = self._carry_out(i, agent, effects)
         kept = self._kept(event, agent)
         yield Outcome(_sentence(why, self.names[i], deeds(effects)), self.number(after), sends, acked, kept, started)
@@ -274,7 +278,7 @@ class Steps:
                     memory = effect.record
                 case Remember():
                     volatile = effect.volatile
-                case After(event=Born() | Start() | Ended() as again) if again not in pending:
+                case After(event=again) if not isinstance(again, TIMERS) and again not in pending:
                     pending = (*pending, again)
                 case Send():
                     sends |= self.bit(self.names[i], effect.peer, effect.message)
@@ -290,7 +294,7 @@ class Steps:
                     actor = actor._replace(running=False)
                 case Discard():
                     if actor is not None and actor.running:
-                        raise Violation("S1 a running task was thrown away")
+                        raise Violation(f"S1 {self.names[i]} lets go of the task while it runs: it has changed since it was sent")
                     actor = None
                 case Ack():
                     acked = max(acked, effect.packet.seq)

@@ -23,8 +23,10 @@ from pancakes.migration.event import (
 from pancakes.migration.record import Phase, Record, Wanted
 
 
-def cause(me: str, event: Any) -> str:
-    """Returns what happens, in words, before anything is done about it."""
+def cause(me: str, event: Any, retried: bool = False) -> str:
+    """Returns what happens, in words, before anything is done about it; `retried`: after a write that failed."""
+    if retried:
+        return f"agent {me} tries again what it could not write before ({cause(me, event)})"
     match event:
         case Born():
             return f"the task is started on agent {me} for the first time in its life"

@@ -9,6 +9,8 @@ import time
 import click
 from torture.missions import FIGURES, figures_of, fly_all
 
+from pancakes.plugins import Plugins, UnknownPlugin
+
 
 @click.group()
 def torture() -> None:
@@ -25,15 +27,20 @@ def torture() -> None:
 @click.option("--faults/--no-faults", default=True, show_default=True, help="Latency, jitter and broken links.")
 def missions(demo: str, seeds: int, first: int, jobs: int, faults: bool) -> None:
     """Whole missions in virtual time, a seed each; exit code 0 only where all of them PASS."""
+    try:
+        Plugins().get("pancakes.demos", demo)
+    except UnknownPlugin as error:
+        raise click.BadParameter(str(error), param_hint="--demo") from None
     failed: list[int] = []
     figures: dict[str, list[float]] = {}
     began_s = time.monotonic()
-    for job, summary, _ in fly_all(demo, range(first, first + seeds), faults, jobs):
-        for key, value in figures_of(summary).items():
+    for outcome in fly_all(demo, range(first, first + seeds), faults, jobs):
+        for key, value in figures_of(outcome).items():
             figures.setdefault(key, []).append(value)
+        summary = outcome.summary
         if summary["verdict"] != "PASS":
-            failed.append(job.seed)
-            print(f"seed {job.seed}: {summary['verdict']}: {'; '.join(summary['reasons'])}", flush=True)
+            failed.append(outcome.job.seed)
+            print(f"seed {outcome.job.seed}: {summary['verdict']}: {'; '.join(summary['reasons'])}", flush=True)
     for name, unit, key in FIGURES:
         if found := sorted(figures.get(key, ())):
             middle = found[len(found) // 2]

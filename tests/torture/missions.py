@@ -61,13 +61,16 @@ FIGURES = (
     ("hand-over", "s", "handed_over_s"),
     ("radius error, mean", "m", "radius_error_m"),
     ("home error", "m", "home_error_m"),
+    ("wall time of a mission", "s", "wall_s"),
 )
 """What is told of all missions together: its name, its unit and its key in `figures_of`."""
 
 
-def figures_of(summary: dict[str, Any]) -> dict[str, float]:
+def figures_of(outcome: Outcome) -> dict[str, float]:
     """Returns the figures of one mission: those that its demo has, the worst of several robots."""
+    summary = outcome.summary
     found = {
+        "wall_s": outcome.wall_s,
         "gap_s": summary.get("gap_s"),
         "home_error_m": summary.get("home_error_m"),
         "handed_over_s": summary["holders"][0]["end_s"] if len(summary.get("holders", ())) > 1 else None,

@@ -1,0 +1,347 @@
+"""Services: found by their plug-in, stood by, and stopped and started by packets; the agent that they make up."""
+
+import threading
+from dataclasses import dataclass
+
+import pytest
+
+from pancakes.control import (
+    Begin,
+    Configure,
+    Describe,
+    Follow,
+    Migrate,
+    Reply,
+    Reschedule,
+    Restart,
+    Start,
+    Stop,
+    Unfollow,
+)
+from pancakes.devices.types import Load, Pose
+from pancakes.errors import PancakesError
+from pancakes.events import LogLine
+from pancakes.kernel.handlers import on
+from pancakes.packet import SYSCTRL
+from pancakes.service import Service
+from pancakes.task import Task, TaskSpec, every
+from pancakes.testing import FleetInTest, assert_published, no_thread_left, threaded_agent
+
+
+class Count(Task):
+    """Counts its ticks."""
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += 1
+
+
+class Mapper(Service):
+    """A user's own service: it has settings, a channel and a task of its own, and a weakness."""
+
+    @dataclass
+    class Settings:
+        cells: int = 10
+        fail_at_start: bool = False
+
+    def own_tasks(self):
+        return [TaskSpec("Cells", Count, settings={})]
+
+    def on_start(self):
+        if self.settings.fail_at_start:
+            raise RuntimeError("no map")
+        self.open_channel("map")
+
+    @on("system", Pose)
+    def pose(self, packet):
+        if packet.body.x_m < 0:
+            raise RuntimeError("off the map")
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5, classes={"test.mapper": Mapper}) as made:
+        yield made
+
+
+def with_mapper(fleet, **settings):
+    mapper = {"type": "test.mapper", "settings": settings, "restart": {"at_most": 2, "within_s": 5}}
+    return fleet.start("a", tasks={"Count": {"type": Count, "service": "mapper"}}, services={"mapper": mapper})
+
+
+def states(agent):
+    return {service["service"]: service["state"] for service in agent.ask(Describe()).result["services"]}
+
+
+def test_an_agent_has_the_four_services_of_the_paper_and_the_users_own(fleet):
+    agent = with_mapper(fleet, cells=3)
+    assert states(agent) == dict.fromkeys(["log", "device", "network", "client", "mapper"], "running")
+    assert agent.component("mapper").settings.cells == 3
+    assert agent.running("mapper") == ["Cells", "Count"]
+    assert "map" in agent.kernel.stream.channels()
+
+
+def test_describe_tells_what_an_agent_is_and_runs(fleet):
+    agent = with_mapper(fleet)
+    told = agent.ask(Describe()).result
+    assert (told["agent"], told["role"], told["ready"], told["held"]) == ("a", "agent", True, False)
+    tasks = {task["task"]: task for task in told["tasks"]}
+    assert tasks["Count"]["service"] == "mapper" and tasks["Count"]["rate_hz"] == 10.0
+    assert [task["task"] for task in agent.ask(Describe("mapper")).result] == ["Cells", "Count"]
+    assert agent.ask(Describe("mapper/Count")).result["state"] == "running"
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        ("Cuont", "a has no task or service 'Cuont', did you mean 'Count'?"),
+        ("mpaper", "a has no task or service 'mpaper', did you mean 'mapper'?"),
+        ("xyz", "a has no task or service 'xyz'"),
+        ("mapper/Xyz", "a/mapper has no task 'Xyz', only Cells, Count"),
+        ("maps/Count", "a has no service 'maps', only log, device, network, client, mapper"),
+        ("a/b/c/d", "'a/b/c/d' is no target: it must read task, service/task or service"),
+        ("", "'' is no target: it must read task, service/task or service"),
+    ],
+)
+def test_a_target_that_is_none_gets_a_sentence(fleet, target, reason):
+    assert with_mapper(fleet).ask(Stop(target)) == Reply(False, reason)
+
+
+def test_a_task_may_be_named_by_its_whole_address(fleet):
+    agent = with_mapper(fleet)
+    assert agent.ask(Stop("a/mapper/Count")).ok
+    assert agent.ask(Start("mapper/Count")).ok
+
+
+def test_a_name_that_two_services_have_must_be_said_in_full(fleet):
+    agent = fleet.start("a", tasks={"Cells": Count}, services={"mapper": {"type": "test.mapper"}})
+    assert agent.ask(Stop("Cells")) == Reply(False, "a has 'Cells' in client and in mapper: say which")
+    assert agent.ask(Stop("client/Cells")).ok
+    assert agent.running("mapper") == ["Cells"]
+
+
+@pytest.mark.parametrize("body", [Reschedule("mapper", 1.0), Configure("mapper", {}), Migrate("mapper")])
+def test_what_is_for_tasks_is_refused_for_a_service(fleet, body):
+    assert with_mapper(fleet).ask(body) == Reply(False, "a/mapper is a service: name one of its tasks")
+
+
+def test_a_service_is_stopped_with_its_tasks_last_first_and_started_with_them(fleet):
+    agent = with_mapper(fleet)
+    fleet.run_for(1.0)
+    agent.probe.forget()
+    assert agent.ask(Stop("mapper")) == Reply(True)
+    assert [event["task"] for event in agent.events("task_stopped")] == ["Count", "Cells"]
+    assert states(agent)["mapper"] == "stopped"
+    assert agent.ask(Stop("Count")).reason.startswith("a has no task or service 'Count'")
+    assert agent.ask(Stop("mapper/Count")) == Reply(False, "a/mapper is stopped")
+    assert agent.ask(Stop("mapper")) == Reply(False, "a/mapper is stopped, not running")
+    assert agent.ask(Start("mapper")) == Reply(True)
+    assert agent.running("mapper") == ["Cells", "Count"]
+    assert agent.ask(Start("mapper")) == Reply(False, "a/mapper is running already")
+
+
+def test_a_service_is_restarted(fleet):
+    agent = with_mapper(fleet)
+    first = agent.component("mapper")
+    assert agent.ask(Restart("mapper")).ok
+    assert agent.component("mapper") is not first
+    assert agent.running("mapper") == ["Cells", "Count"]
+
+
+def test_two_restarts_at_once_are_both_answered(fleet):
+    agent = with_mapper(fleet)
+    asked = [agent.publish(SYSCTRL, Restart("mapper")) for _ in range(3)]
+    assert all(agent.reply_to(packet).reason is not None for packet in asked)
+    assert states(agent)["mapper"] == "running"
+
+
+@pytest.mark.parametrize("service", ["mapper", "log", "network"])
+def test_a_service_may_be_stopped_for_a_time_and_wakes_by_itself(fleet, service):
+    agent = with_mapper(fleet)
+    assert agent.ask(Stop(service, for_s=3.0)).ok
+    fleet.run_for(2.9)
+    assert states(agent)[service] == "stopped"
+    fleet.run_for(0.2)
+    assert states(agent)[service] == "running"
+    assert agent.events("asked", what="wake", service=service)
+
+
+@pytest.mark.parametrize("for_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_time_is_no_time(fleet, for_s):
+    agent = with_mapper(fleet)
+    refused = agent.ask(Stop("mapper", for_s=for_s))
+    assert refused == Reply(False, f"a/mapper cannot be stopped for {for_s} s")
+    assert states(agent)["mapper"] == "running"
+
+
+def test_who_starts_a_sleeping_service_earlier_is_not_disturbed_by_its_waking(fleet):
+    agent = with_mapper(fleet)
+    agent.ask(Stop("mapper", for_s=3.0))
+    assert agent.ask(Start("mapper")).ok
+    first = agent.component("mapper")
+    fleet.run_for(5.0)
+    assert agent.component("mapper") is first
+
+
+def test_the_waking_of_a_former_sleep_does_not_end_a_later_stop(fleet):
+    """Stopped for 3 s, started, then stopped for good: the first sleep's alarm must not ring."""
+    agent = with_mapper(fleet)
+    agent.ask(Stop("mapper", for_s=3.0))
+    agent.ask(Start("mapper"))
+    agent.ask(Stop("mapper"))
+    fleet.run_for(9.0)
+    assert states(agent)["mapper"] == "stopped"
+
+
+# Failing -------------------------------------------------------------------------------------------------------
+
+
+def test_a_service_that_fails_begins_anew_with_its_tasks(fleet):
+    agent = with_mapper(fleet)
+    fleet.run_for(1.0)
+    old = agent.task("Count", "mapper")
+    agent.publish("system", Pose(-1.0, 0.0, 0.0))
+    fleet.run_for(1.0)
+    (failed,) = agent.events("service_failed")
+    assert failed["service"] == "mapper" and failed["then"] == "restart" and "off the map" in failed["error"]
+    assert agent.running("mapper") == ["Cells", "Count"]
+    assert agent.task("Count", "mapper") is not old
+    assert not old.actor_ref.is_alive()
+
+
+def test_a_service_that_fails_too_often_is_given_up_and_may_be_started_again(fleet):
+    agent = with_mapper(fleet)
+    for _ in range(3):
+        agent.publish("system", Pose(-1.0, 0.0, 0.0))
+        fleet.run_for(0.2)
+    assert [event["then"] for event in agent.events("service_failed")] == ["restart", "restart", "give up"]
+    assert states(agent)["mapper"] == "failed"
+    assert agent.running("mapper") == []
+    assert any("a/mapper is given up" in line for line in agent.lines("error"))
+    assert agent.ask(Start("mapper")).ok
+    assert agent.running("mapper") == ["Cells", "Count"]
+
+
+def test_a_service_that_cannot_start_does_not_keep_the_agent_from_getting_ready(fleet):
+    agent = with_mapper(fleet, fail_at_start=True)
+    assert states(agent)["mapper"] == "failed"
+    assert states(agent)["client"] == "running"
+    refused = agent.ask(Start("mapper"))
+    assert not refused.ok and "no map" in refused.reason
+
+
+def test_bad_settings_of_a_service_are_told_and_the_rest_runs(fleet):
+    agent = with_mapper(fleet, cels=3)
+    assert states(agent)["mapper"] == "failed"
+    assert any("cels: unknown key, did you mean 'cells'?" in line for line in agent.lines("error"))
+
+
+def test_a_service_whose_plug_in_is_missing_is_named_and_the_rest_runs(fleet):
+    agent = fleet.start("a", services={"mapper": {"type": "test.maper"}})
+    assert "mapper" not in states(agent)
+    assert any("the service mapper does not run" in line and "'test.mapper'" in line for line in agent.lines("error"))
+
+
+# Following, beginning ------------------------------------------------------------------------------------------
+
+
+def test_another_agent_follows_a_channel_until_it_has_had_enough(fleet):
+    fleet.start("b")
+    agent = fleet.start("a")
+    fleet.connect()
+    assert agent.ask(Follow("system", ("load",)), to="b").ok
+    other = fleet.agents["b"]
+    other.publish("system", Load(0.5))
+    other.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(0.1)
+    assert_published(agent, Load, channel="system", source="b/test/Probe", times=1)
+    assert agent.probe.packets(Pose) == []
+    assert agent.ask(Unfollow("system"), to="b").ok
+    other.publish("system", Load(0.6))
+    fleet.run_for(0.1)
+    assert_published(agent, Load, times=1)
+
+
+def test_following_what_is_not_there_or_is_here_is_refused(fleet):
+    fleet.start("b")
+    agent = fleet.start("a")
+    fleet.connect()
+    assert "b has no channel 'map'" in agent.ask(Follow("map"), to="b").reason
+    assert "it can subscribe to 'system' itself" in agent.ask(Follow("system")).reason
+
+
+def test_control_from_another_agent_is_answered_there(fleet):
+    fleet.start("b", tasks={"Count": Count})
+    agent = fleet.start("a")
+    fleet.connect()
+    assert agent.ask(Reschedule("Count", 2.0), to="b") == Reply(True, "", {"rate_hz": 2.0})
+    assert agent.ask(Stop("network"), to="b").reason.endswith("only for a time (for_s): nobody could start it again")
+    assert agent.ask(Stop("network", for_s=2.0), to="b").ok
+    fleet.run_for(1.0)
+    assert agent.agent.mesh.connected() == []
+    fleet.connect()
+
+
+def test_the_network_does_not_sleep_while_a_task_needs_what_comes_from_elsewhere(fleet):
+    class Follower(Task):
+        requires = ("pose",)
+
+    agent = fleet.start("a", tasks={"Follower": Follower}, devices={"pose": "network.pose"})
+    refused = agent.ask(Stop("network", for_s=2.0))
+    assert refused == Reply(False, "a/network must not sleep while a/client/Follower needs pose from elsewhere")
+
+
+def test_a_held_mission_begins_by_a_packet(fleet):
+    agent = fleet.start("a", tasks={"Count": Count}, hold=True)
+    fleet.run_for(5.0)
+    assert agent.task("Count").state.n == 0
+    for in_s in (float("nan"), float("inf"), -1.0):
+        assert not agent.ask(Begin(in_s)).ok
+    assert agent.ask(Begin(1.0)).ok
+    fleet.run_for(2.05)
+    assert agent.task("Count").state.n == 10
+
+
+# On threads ----------------------------------------------------------------------------------------------------
+
+
+def test_the_same_on_threads_and_no_thread_is_left():
+    mapper = {"type": Mapper, "restart": {"at_most": 2}}
+    with no_thread_left(), threaded_agent(tasks={"Count": Count}, services={"mapper": mapper}, speed=20.0) as agent:
+        assert agent.ask(Restart("mapper")).ok
+        assert agent.ask(Stop("mapper", for_s=1.0)).ok
+        agent.wait_for_event("asked", what="wake")
+        agent.wait_until(lambda: agent.component("mapper") is not None and agent.running("mapper") == ["Cells"])
+        agent.probe.forget()
+        agent.publish("system", Pose(-1.0, 0.0, 0.0))
+        agent.wait_for_event("service_failed", service="mapper")
+        agent.wait_for_event("service_started", service="mapper")
+
+
+def test_a_stuck_task_does_not_keep_its_agent_from_stopping():
+    reached, gate = threading.Event(), threading.Event()
+
+    class Stuck(Task):
+        blocking = True
+
+        @on("system", Load)
+        def load(self, packet):
+            reached.set()
+            assert gate.wait(30.0)
+
+    with no_thread_left():
+        with threaded_agent(tasks={"Stuck": Stuck, "Count": Count}) as agent:
+            agent.publish("system", Load(1.0))
+            assert reached.wait(10.0)
+            refused = agent.ask(Stop("Stuck"))
+            assert not refused.ok and "a/client/Stuck is stuck" in refused.reason
+            assert agent.ask(Start("Stuck")).reason == "a/client/Stuck is stuck already"
+            with pytest.raises(PancakesError, match="may publish nothing more"):
+                agent.task("Stuck").publish("system", Load(2.0))
+            assert agent.ask(Stop("Count")).ok
+            agent.wait_for(LogLine, lambda line: "is stuck" in line.text)
+        gate.set()
