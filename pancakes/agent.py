@@ -329,7 +329,7 @@ class Agent:
         for name in self._plugins.names("pancakes.costs"):
             try:
                 costs[name] = self._plugins.get("pancakes.costs", name)()
-            except PluginError:
+            except Exception:  # one that cannot be made, for whatever reason, is one that this agent does not know
                 continue
         return costs
 

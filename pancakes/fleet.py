@@ -52,7 +52,7 @@ class VirtualFleet:
 
     def add(self, name: str, make: Callable[[Virtual], Agent]) -> Agent:
         """Starts an agent that `make` makes of what it shares with the fleet; see `start`."""
-        disk = self._disks.setdefault(name, {})
+        disk = self.disk(name)
         identity = uuid.UUID(int=random.Random(f"journal/{self.seed}/{name}").getrandbits(128), version=4)
         journal = MemoryJournal(disk, str(identity))
         agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
@@ -69,6 +69,10 @@ class VirtualFleet:
         """Ends one agent as a kill does: nothing of it runs on, and what its disk has not yet got is lost."""
         self.agents.pop(name).crash()
         self.run_for(0.0)
+
+    def disk(self, name: str) -> dict[str, bytes]:
+        """Returns what an agent has on its disk; a change of it is a change of the disk."""
+        return self._disks.setdefault(name, {})
 
     def run_until(self, time_s: float) -> None:
         """Runs until the virtual clock says `time_s`."""

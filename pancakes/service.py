@@ -14,7 +14,7 @@ from pancakes.kernel.component import Component, describe
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, SYSCTRL, Cause, Fence, Packet, join
-from pancakes.settings import SettingsError, make_settings
+from pancakes.settings import make_settings
 from pancakes.supervision import Next, RestartSpec, Supervision
 from pancakes.task import Carried, Nothing, Task, TaskSpec
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 STUCK_S = 2.0
 """A task that has not ended so long after it was asked to, in host time, is stuck."""
+STUCK_AT_THE_END_S = 0.4
+"""Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
 
 
 class TaskState(Enum):
@@ -273,7 +275,7 @@ class Service(Component):
         slot.state = TaskState.STUCK
         task.revoke()
         self.hold_actuators(slot, f"{slot.name} is stuck")
-        text = f"{slot.address} is stuck: {STUCK_S:g} s after it was asked to stop it is still busy"
+        text = f"{slot.address} is stuck: it was asked to stop and is still busy"
         self.log("error", text)
         self.event("task_stuck", task=slot.name)
         waiting, slot.on_stuck = slot.on_stuck, []
@@ -287,9 +289,28 @@ class Service(Component):
 
         def next_one() -> None:
             if slots:
-                self.halt(slots.pop(0), next_one, "its service stops")
+                stop_one(slots.pop(0))
             else:
                 self.settle_all(end)
+
+        def stop_one(slot: Slot) -> None:
+            gone_on = False
+
+            def go_on() -> None:
+                nonlocal gone_on
+                if not gone_on:
+                    gone_on = True
+                    next_one()
+
+            def give_up() -> None:
+                # One that does not end must not keep the others from ending.
+                if not gone_on and slot.task is not None:
+                    self._look_for_end(slot, slot.task)
+                go_on()
+
+            self.halt(slot, go_on, "its service stops")
+            if not gone_on:
+                self.after_host(STUCK_AT_THE_END_S if self.kernel.stopping else STUCK_S, give_up)
 
         def end() -> None:
             then()
@@ -428,8 +449,8 @@ class Service(Component):
         waiting, slot.on_running = slot.on_running, []
         if failed:
             self.event("task_failed", task=slot.name, error=text, then=following.value)
-            for then in waiting:
-                then(f"{slot.address} failed to start: {text}")
+        for then in waiting:
+            then(f"{slot.address} failed to start: {text}")
         if restart:
             self.log("warning", f"{slot.address} is started again: {text}")
             # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.

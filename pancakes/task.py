@@ -15,7 +15,7 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
@@ -169,9 +169,10 @@ class Task(Component):
 
     def carry(self) -> Carried:
         """Returns what the task would carry to another actor now, as plain values. In the actor."""
+        # By way of `asdict`: msgspec leaves out what was never assigned, and another version may have other defaults.
         return Carried(
-            msgspec.to_builtins(self.settings),
-            msgspec.to_builtins(self.state),
+            msgspec.to_builtins(asdict(self.settings)),
+            msgspec.to_builtins(asdict(self.state)),
             {name: timer.period_s for name, timer in self.timers.items()},
         )
 

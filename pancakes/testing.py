@@ -455,7 +455,9 @@ class FleetInTest:
 
     def restart(self, name: str, settle: bool = True) -> AgentInTest:
         """Starts an agent again that was stopped or has crashed, with the configuration and the disk that it had."""
-        return self._start(self._configs[name], settle)
+        config = self._configs[name]
+        addresses = [other.agent.listen for known, other in self._configs.items() if known != name]
+        return self._start(replace(config, agent=replace(config.agent, peers=tuple(addresses))), settle)
 
     def _start(self, config: Config, settle: bool) -> AgentInTest:
         probes: list[Probe] = []

@@ -466,7 +466,7 @@ class Component(pykka.Actor):
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
         raise TypeError(f"{self.address} takes packets, not {message!r}")
 
-    def finish(self) -> None:
+    def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
         for queue in self.actor_inbox.queues.values():
             handlers = self._handlers.get(queue.channel, {})

@@ -106,6 +106,11 @@ class Registry:
                 self._holders[name] = address
             return ""
 
+    def claim(self, device: str, address: str) -> str:
+        """Grants one actuator that nobody holds; returns who holds it then."""
+        with self._lock:
+            return self._holders.setdefault(device, address)
+
     def held_by(self, address: str) -> list[str]:
         """Returns the names of the devices that a task holds."""
         with self._lock:

@@ -14,7 +14,7 @@ from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, Packet, agent_of, covers
 Tap = Callable[[Packet], None]
 
 MOST_ROUTES = 4096
-"""So many snapshots are kept; a peer that makes up one type name after the other must not fill the memory."""
+"""So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class _Reader:
 
 @dataclass(frozen=True, slots=True)
 class _Route:
-    """Who gets packets of one type on one channel: an immutable snapshot, read without a lock."""
+    """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock."""
 
     queues: tuple[ChannelQueue, ...]
     reliable: tuple[ChannelQueue, ...]
@@ -62,7 +62,7 @@ class InformationStream:
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[Tap, ...]] = {}
-        self._routes: dict[tuple[str, str], _Route] = {}
+        self._routes: dict[tuple[str, str, str], _Route] = {}  # by channel, type and destination
         self.undelivered = 0
 
     def channels(self) -> list[str]:
@@ -102,17 +102,9 @@ class InformationStream:
         """
         destination = packet.destination
         if not destination:
-            route = self._routes.get((packet.channel, packet.type)) or self._route(packet.channel, packet.type)
-            # All reliable readers are asked before anybody is given the packet: a retry must not double it.
-            if route.reliable:
-                self._ask(route.reliable, packet)
-            for queue in route.queues:
-                queue.put(packet)
-            for tap in route.taps:
-                tap(packet)
-            return len(route.queues)
+            return self._give(packet, "")
         if agent_of(destination) == self.agent:
-            return self._publish_addressed(packet)
+            return self._give(packet, destination)
         if packet.channel not in self._readers:
             raise self._unknown(packet)
         gateway = self.gateway
@@ -131,16 +123,7 @@ class InformationStream:
         Raises:
             UnknownChannel, MailboxFull: as `publish`.
         """
-        if packet.destination != NEIGHBOURS:
-            return self._publish_addressed(packet)
-        route = self._routes.get((packet.channel, packet.type)) or self._route(packet.channel, packet.type)
-        if route.reliable:
-            self._ask(route.reliable, packet)
-        for queue in route.queues:
-            queue.put(packet)
-        for tap in route.taps:
-            tap(packet)
-        return len(route.queues)
+        return self._give(packet, "" if packet.destination == NEIGHBOURS else packet.destination)
 
     def tap(self, channel: str, tap: Tap) -> None:
         """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
@@ -206,43 +189,38 @@ class InformationStream:
         """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
         self._routes = {key: route for key, route in self._routes.items() if key[0] != channel}
 
-    def _route(self, channel: str, type_name: str) -> _Route:
-        with self._lock:
-            readers = self._readers.get(channel)
-            if readers is None:
-                raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
-            queues = tuple(
-                reader.queue
-                for reader in readers.values()
-                if reader.queue is not None and reader.reads(type_name, addressed=False)
-            )
-            route = _Route(queues, _reliable(queues), self._taps.get(channel, ()))
-            if len(self._routes) >= MOST_ROUTES:
-                self._routes = {}
-            self._routes[channel, type_name] = route
-            return route
-
-    def _publish_addressed(self, packet: Packet) -> int:
+    def _route(self, packet: Packet, destination: str) -> _Route:
+        """Makes the snapshot for packets like this one; an empty destination means whoever subscribes here."""
         with self._lock:
             readers = self._readers.get(packet.channel)
             if readers is None:
                 raise self._unknown(packet)
+            names_somebody = destination not in ("", self.agent)
             queues = tuple(
                 reader.queue
                 for reader in readers.values()
                 if reader.queue is not None
-                and covers(packet.destination, reader.address)
-                and reader.reads(packet.type, addressed=packet.destination != self.agent)
+                and (not destination or covers(destination, reader.address))
+                and reader.reads(packet.type, addressed=names_somebody)
             )
-            taps = self._taps.get(packet.channel, ())
-        self._ask(_reliable(queues), packet)
-        for queue in queues:
+            route = _Route(queues, _reliable(queues), self._taps.get(packet.channel, ()))
+            if len(self._routes) >= MOST_ROUTES:
+                self._routes = {}
+            self._routes[packet.channel, packet.type, destination] = route
+            return route
+
+    def _give(self, packet: Packet, destination: str) -> int:
+        route = self._routes.get((packet.channel, packet.type, destination)) or self._route(packet, destination)
+        # All reliable readers are asked before anybody is given the packet: a retry must not double it.
+        if route.reliable:
+            self._ask(route.reliable, packet)
+        for queue in route.queues:
             queue.put(packet)
-        for tap in taps:
+        for tap in route.taps:
             tap(packet)
-        if not queues and not taps:
+        if destination and not route.queues and not route.taps:
             self.undelivered += 1
-        return len(queues)
+        return len(route.queues)
 
     def _ask(self, queues: tuple[ChannelQueue, ...], packet: Packet) -> None:
         for queue in queues:

@@ -47,10 +47,10 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The task's actor has ended for good: stopped because somebody wanted that, or given up on.
+    """The task's actor has ended for good: stopped because somebody wanted that, or given up on; or never began.
 
     Attributes:
-        wanted: what is wanted of it from now on, STOPPED or FAILED.
+        wanted: what is wanted of it from now on, STOPPED or FAILED; RUNNING where only its start was refused.
         snapshot: what it was at the end, encoded; empty where it could not say (the checkpoint stands then).
     """
 

@@ -170,7 +170,9 @@ class Mesh:
         if destination == NEIGHBOURS:
             sessions = self._neighbours
         else:
-            sessions = (self._session(agent_of(destination), f"the packet {packet.type!r} of {packet.source}"),)
+            agent = agent_of(destination)
+            session = self._up.get(agent)
+            sessions = (session or self._session(agent, f"the packet {packet.type!r} of {packet.source}"),)
         data = sender.encoder.packet(packet)
         key = (packet.source, packet.type, destination)
         given = 0

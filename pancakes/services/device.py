@@ -14,7 +14,7 @@ from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.net.transport import Transport
-from pancakes.packet import CTRL, SYSTEM, Packet
+from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
 from pancakes.service import Service, Slot
 from pancakes.settings import make_settings
 from pancakes.supervision import RestartSpec
@@ -136,7 +136,7 @@ class DeviceTask(Task):
         self.driver: Driver | None = None
         self._command_s = 0.0
         self._guarded = False
-        self._refused: tuple[str, str] = ("", "")
+        self._refused: dict[str, str] = {}
 
     def on_start(self) -> None:
         driver_class = self.device.cls
@@ -152,9 +152,11 @@ class DeviceTask(Task):
         self.kernel.registry.remove_device(self.name)
         if self.driver is None:
             return
-        if isinstance(self.driver, Actuator):
-            self.driver.hold()
-        self.driver.close()
+        try:
+            if isinstance(self.driver, Actuator):
+                self.driver.hold()
+        finally:
+            self.driver.close()
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.on_stop()
@@ -187,12 +189,12 @@ class DeviceTask(Task):
         refusal = self._refusal(packet)
         if refusal:
             # Said once for each source and reason: at 10 commands a second it would drown everything else.
-            if (packet.source, refusal) != self._refused:
-                self._refused = (packet.source, refusal)
+            if self._refused.get(packet.source) != refusal:
+                self._refused[packet.source] = refusal
                 self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
                 self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
             return
-        self._refused = ("", "")
+        self._refused.pop(packet.source, None)
         self._command_s = self.now()
         driver.apply(packet.body, self.device.hold_after_s, packet.source)
         if not self._guarded:
@@ -200,7 +202,11 @@ class DeviceTask(Task):
             self.after(self.device.hold_after_s, self._guard)
 
     def _refusal(self, packet: Packet) -> str:
-        holder = self.kernel.registry.holder(self.name)
+        registry = self.kernel.registry
+        holder = registry.holder(self.name)
+        if not holder and agent_of(packet.source) != self.agent:
+            # Another agent's virtual actuator: it holds this one for as long as its commands are fresh.
+            holder = registry.claim(self.name, packet.source)
         if packet.source != holder:
             return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
         fence = packet.fence
@@ -222,13 +228,17 @@ class DeviceTask(Task):
 
     @on(CTRL, Hold, addressed=True)
     def hold(self, packet: Packet) -> None:
-        """Goes to the safe hold at once."""
-        self._hold(packet.body.reason)
+        """Goes to the safe hold at once, where a service of this agent or the holder says so."""
+        if agent_of(packet.source) == self.agent or packet.source == self.kernel.registry.holder(self.name):
+            self._hold(packet.body.reason)
 
     def _hold(self, reason: str) -> None:
         if isinstance(self.driver, Actuator):
             self.driver.hold()
             self.event("safe_hold", device=self.name, reason=reason)
+            holder = self.kernel.registry.holder(self.name)
+            if holder and agent_of(holder) != self.agent:
+                self.kernel.registry.release(holder)
 
 
 class DeviceService(Service):

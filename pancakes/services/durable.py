@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import msgspec
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 
 CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
+CHECKPOINTS_AT_ONCE = 20
+"""So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 MIGRATOR = "TaskMigrator"
 
 
@@ -96,6 +99,7 @@ class DurableService(Service):
         self._records = records
         self._catalogue = catalogue
         self.hand_offs: dict[TaskId, HandOff] = {}
+        self._ids: dict[str, list[TaskId]] = {}  # of all hand-offs, by the task's name
         self._starting: dict[TaskId, list[Callable[[str], None]]] = {}
         self._moves: dict[TaskId, Move] = {}
         self._ask_again_s: dict[TaskId, float] = {}
@@ -104,6 +108,7 @@ class DurableService(Service):
         self._asks = 0
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
+        self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
         self._residents: set[str] = set()
         self._when_written: Callable[[], None] | None = None
 
@@ -112,9 +117,9 @@ class DurableService(Service):
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
         self._residents = {spec.name for spec in specs}
-        for task_id, record in self._records.all().items():
+        for record in self._records.all().values():
             if self._is_ours(record):
-                self.hand_offs[task_id] = HandOff(self.agent, record, self)
+                self._add_hand_off(record)
         for hand_off in list(self.hand_offs.values()):
             name = hand_off.record.task_id.name
             if name not in self._residents and hand_off.record.snapshot:
@@ -143,11 +148,8 @@ class DurableService(Service):
 
     def id_of(self, slot: Slot) -> TaskId:
         """Returns a task's identity for life: of one that came from elsewhere, its birthplace's."""
-        born_here = self.hand_offs.get(TaskId(self.agent, slot.name))
-        if born_here is not None and born_here.record.phase not in (Phase.ABSENT, Phase.RELEASED):
-            return born_here.record.task_id  # nearly always; a look at all of them each second would cost their square
-        for task_id, hand_off in self.hand_offs.items():
-            if task_id.name == slot.name and hand_off.record.phase not in (Phase.ABSENT, Phase.RELEASED):
+        for task_id in self._ids.get(slot.name, ()):
+            if self.hand_offs[task_id].record.phase not in (Phase.ABSENT, Phase.RELEASED):
                 return task_id
         return TaskId(self.agent, slot.name)
 
@@ -155,7 +157,12 @@ class DurableService(Service):
         """Returns the hand-off of a task, making it where this agent has never heard of the task."""
         hand_off = self.hand_offs.get(task_id)
         if hand_off is None:
-            hand_off = self.hand_offs[task_id] = HandOff(self.agent, Record(task_id), self)
+            hand_off = self._add_hand_off(Record(task_id))
+        return hand_off
+
+    def _add_hand_off(self, record: Record) -> HandOff:
+        hand_off = self.hand_offs[record.task_id] = HandOff(self.agent, record, self)
+        self._ids.setdefault(record.task_id.name, []).append(record.task_id)
         return hand_off
 
     def _slot_of(self, task_id: TaskId) -> Slot | None:
@@ -246,8 +253,7 @@ class DurableService(Service):
         else:
             if slot.carried is not None and record.phase is Phase.OWNER:
                 hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
-            # Where its last start was refused the core takes it to be running.
-            hand_off.feed(StartAgain(again=hand_off.volatile.running))
+            hand_off.feed(StartAgain())
 
     def _held_by_another(self, slot: Slot) -> str:
         registry = self.kernel.registry
@@ -311,6 +317,10 @@ class DurableService(Service):
             self._when_written = None
             then()
 
+    def _not_written(self, hand_off: HandOff, reason: str) -> None:
+        self._saved.pop(hand_off.record.task_id, None)
+        hand_off.failed(reason)
+
     def _written(self, done: Callable[[], None]) -> None:
         done()
         self._look_written()
@@ -318,18 +328,53 @@ class DurableService(Service):
     # Checkpoints -----------------------------------------------------------------------------------------------
 
     def _checkpoint_all(self) -> None:
-        for slot in list(self.slots.values()):
-            if slot.task is not None and slot.state is TaskState.RUNNING:
-                self.checkpoint(slot, slot.task)
+        names = list(self.slots)
+        batches = [names[start : start + CHECKPOINTS_AT_ONCE] for start in range(0, len(names), CHECKPOINTS_AT_ONCE)]
+        for number, batch in enumerate(batches):
+            if number == 0:
+                self._checkpoint_some(batch)
+            else:
+                self.after_host(number * CHECKPOINT_S / len(batches), partial(self._checkpoint_some, batch))
         self.after_host(CHECKPOINT_S, self._checkpoint_all)
+        self._start_owed()
+
+    def _start_owed(self) -> None:
+        """Starts what was refused before, such as a task that came while another still held its actuators."""
+        for task_id in list(self._owed):
+            slot = self._slot_of(task_id)
+            if slot is None or slot.state is not TaskState.STOPPED:
+                del self._owed[task_id]
+            elif not slot.busy and not (self.admit(slot) or self._held_by_another(slot)):
+                self.begin(slot, lambda reason, slot=slot: self._report(slot, reason))  # type: ignore[misc]
+
+    def stop_asked(self, slot: Slot, request: Request) -> None:
+        task_id = self.id_of(slot)
+        if task_id not in self._owed or slot.state is not TaskState.STOPPED:
+            super().stop_asked(slot, request)
+            return
+        del self._owed[task_id]
+        self.tell_asked("stop", slot, request)
+        self.hand_off(task_id).feed(Ended(Wanted.STOPPED))
+        self.reply(request)
+
+    def _checkpoint_some(self, names: Sequence[str]) -> None:
+        for name in names:
+            slot = self.slots.get(name)
+            if slot is not None and slot.task is not None and slot.state is TaskState.RUNNING:
+                self.checkpoint(slot, slot.task)
 
     def checkpoint(self, slot: Slot, task: Task) -> None:
         """Has a running task written down, if anything has changed."""
 
         def look() -> None:
-            if not task.actor_inbox.paused:
+            if task.actor_inbox.paused:
+                return
+            try:
                 carried = task.carry()
-                self.call(lambda: self._save(slot, task, carried))
+            except Exception as error:  # what a task keeps in its state may be anything
+                self.log("error", f"the state of {slot.address} cannot be written down: {error}")
+                return
+            self.call(lambda: self._save(slot, task, carried))
 
         task.call(look)
 
@@ -338,6 +383,9 @@ class DurableService(Service):
             return
         task_id = self.id_of(slot)
         hand_off = self.hand_off(task_id)
+        if not hand_off.idle:
+            # The disk is slow, or a hand-off under way: the next second will do, and nothing piles up meanwhile.
+            return
         try:
             plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s])
             if self._saved.get(task_id) == plain:
@@ -360,7 +408,7 @@ class DurableService(Service):
                 self._records.persist(
                     effect.record,
                     lambda: self.call(lambda: self._written(done)),
-                    lambda reason: self.call(lambda: self._written(lambda: hand_off.failed(reason))),
+                    lambda reason: self.call(lambda: self._written(lambda: self._not_written(hand_off, reason))),
                 )
                 return
             case StartTask():
@@ -397,6 +445,12 @@ class DurableService(Service):
                 self.log("error", f"{task_id} is ours, but cannot be started: {error}")
                 done()
                 return
+        elif slot.task is not None:
+            # It came back before the actor that was given away has ended.
+            self.halt(slot, lambda: self._start_task(task_id, effect, done), "it comes back")
+            return
+        self._saved.pop(task_id, None)
+        self._owed.pop(task_id, None)
         slot.carried = Carried(
             snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers}
         )
@@ -417,6 +471,10 @@ class DurableService(Service):
                 self.log("error", f"{task_id} is ours, but was not started: {reason}")
             for then in waiting:
                 then(reason)
+            if reason and slot.state is TaskState.STOPPED:
+                # It was refused, so it does not run, but it is still wanted: a start that is asked for may follow.
+                self.hand_off(task_id).feed(Ended(Wanted.RUNNING))
+                self._owed[task_id] = None
             done()
 
         if slot.state is TaskState.STOPPING:
@@ -517,8 +575,9 @@ class DurableService(Service):
                 then_ended()
         for then in self._starting.pop(task_id, []):
             then(reason)
-        move = self._moves.get(task_id)
-        if move is not None:
+        # A task that failed while it stood still could not be started again; its hand-off goes on all the same.
+        going_on = self.hand_off(task_id).record.phase in (Phase.FROZEN, Phase.COMMITTED)
+        if task_id in self._moves and not going_on:
             self._tell_migrator(lambda migrator: migrator.abandon(task_id, reason))
 
     def _send(self, peer: str, message: HandOffMessage) -> None:
@@ -587,7 +646,7 @@ class DurableService(Service):
         """The bids are compared: hands the task to `peer`. In this actor."""
         self.hand_off(task_id).feed(Award(peer, request))
 
-    def finish(self, task_id: TaskId, reason: str, result: Any) -> None:
+    def move_ended(self, task_id: TaskId, reason: str, result: Any) -> None:
         """The move is over, one way or the other. In this actor."""
         move = self._moves.pop(task_id, None)
         if move is None:
@@ -601,15 +660,17 @@ class DurableService(Service):
     def migrator_began(self) -> None:
         """The migrator has started anew and knows of no negotiation: those that wait are told. In this actor."""
         for task_id in list(self._moves):
-            self.finish(task_id, "the Task Migrator was started anew", None)
+            self.move_ended(task_id, "the Task Migrator was started anew", None)
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if slot is not None and not isinstance(body, Describe):
-            record = self.hand_off(self.id_of(slot)).record
-            if record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
-                raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {record.peer}")
+            hand_off = self.hand_off(self.id_of(slot))
+            record, volatile = hand_off.record, hand_off.volatile
+            if volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+                peer = volatile.asked or record.peer
+                raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
         if isinstance(body, Migrate) and slot is not None:
             self._migrate(slot, body, request)
         else:
@@ -662,8 +723,10 @@ class DurableService(Service):
             task_id = self.id_of(slot)
             due = self.kernel.host.now() >= self._ask_again_s.get(task_id, 0.0)
             if due and task_id not in self._moves and rule.met_by(packet.body):
+                # What is to follow may exist only on the agent where the rule was written.
+                then = rule.then if rule.then in self.slots else ""
                 try:
-                    self._migrate(slot, Migrate(slot.name, then=rule.then, cost=rule.cost), None)
+                    self._migrate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
                 except ControlRefused as error:
                     self._ask_again_s[task_id] = self.kernel.host.now() + ASK_AGAIN_S
                     self.log("warning", f"the rule of {slot.address} could not move it: {error}")

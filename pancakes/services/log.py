@@ -71,7 +71,7 @@ class Console(Task):
             self.stop()
 
     def on_stop(self) -> None:
-        self.finish()
+        self.drain()
 
 
 class LogFile(Task):
@@ -97,7 +97,7 @@ class LogFile(Task):
         self._file.flush()
 
     def on_stop(self) -> None:
-        self.finish()
+        self.drain()
         self._file.close()
 
 

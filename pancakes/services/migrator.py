@@ -174,7 +174,7 @@ class TaskMigrator(Task):
         ledger = negotiation.ledger(self.kernel.host.now())
         plain = msgspec.to_builtins(ledger)
         self.event("migration", task=task_id.name, **plain)
-        service.call(lambda: service.finish(task_id, reason, plain))
+        service.call(lambda: service.move_ended(task_id, reason, plain))
 
     @on(NETWORK, Bid, keep=KEEP)
     def on_bid(self, packet: Packet) -> None:
@@ -308,7 +308,8 @@ class TaskMigrator(Task):
         owner = owner or next((service for service in services if service.name == (name or "client")), None)
         if owner is None:
             if isinstance(message, (Reserve, Transfer)):
-                self._say(peer, Nak(message.task_id, message.offer, f"has no service {name!r} that tasks can move to"))
+                reason = f"has no service {name or 'client'!r} that tasks can move to"
+                self._say(peer, Nak(message.task_id, message.offer, reason))
             return
         found = owner
         found.call(lambda: found.receive(peer, message, refusal))

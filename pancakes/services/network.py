@@ -109,6 +109,12 @@ class NetworkService(Service):
             for_s = self.stopped_for_s
             self._mesh.sleep(for_s / self.kernel.mission.speed if for_s is not None else None)
 
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        super().on_failure(exception_type, exception_value, traceback)
+        # Its successor knows nothing of them, and whoever follows anew would get everything twice.
+        for channel, follower in list(self._followers):
+            self._unfollow(channel, follower)
+
     def refuse_stop(self) -> str:
         networked = {device.type for device in self.kernel.registry.devices() if device.networked}
         for component in self.kernel.registry.components():
@@ -140,6 +146,9 @@ class NetworkService(Service):
         if agent_of(follower) == self.agent:
             raise ControlRefused(f"{follower} is on this agent: it can subscribe to {body.channel!r} itself")
         destination = agent_of(follower)
+        if destination not in [hello.name for hello in self._mesh.connected()]:
+            # It has asked and gone, and nobody would ever end what it began.
+            raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
         types = body.types
 
         def forward(packet: Packet) -> None:

@@ -243,12 +243,20 @@ class Root(Component):
         request = Request(packet.source, (packet.source, packet.seq), self._number)
         try:
             self._resolve(packet.body, request)
-        except (ControlRefused, ValueError) as error:
+        except (PancakesError, ValueError) as error:
             self.reply(request, str(error))
+        except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
+            text = f"what {packet.source} asked for failed: {describe(error)}"
+            self.log("error", text)
+            self.reply(request, text)
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
-        self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+        try:
+            self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+        except PancakesError as error:
+            # The root must not fail because whoever asked does not listen fast enough.
+            self.log("warning", f"the answer to {request.by} was lost: {error}")
 
     def _resolve(self, body: Any, request: Request) -> None:
         if isinstance(body, Begin):
@@ -299,7 +307,7 @@ class Root(Component):
             return name, ""
         known = [
             *self.places,
-            *(task for place in self.places.values() if place.service for task in place.service.slots),
+            *(slot.name for place in self.places.values() if place.service for slot in _slots(place.service)),
         ]
         meant = suggestion(name, known)
         raise ControlRefused(
@@ -313,11 +321,22 @@ class Root(Component):
         self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
 
     def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
+        if isinstance(body, (Start, Stop, Restart)):
+            if place.busy or place.commands:
+                # One after the other, so that the last of several that contradict each other is the one that holds.
+                place.commands.append(lambda: self._begin_command(place, body, request))
+            else:
+                self._change_service(place, body, request)
+        elif isinstance(body, (Reschedule, Configure, Migrate)):
+            raise ControlRefused(f"{place.address} is a service: name one of its tasks")
+        elif place.service is not None:
+            self._hand(place.spec.name, "", body, request)
+        else:
+            self.reply(request, result=[])
+
+    def _change_service(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         name = place.spec.name
-        if isinstance(body, (Start, Stop, Restart)) and (place.busy or place.commands):
-            # One after the other, so that the last of several that contradict each other is the one that holds.
-            place.commands.append(lambda: self._begin_command(place, body, request))
-        elif isinstance(body, Start):
+        if isinstance(body, Start):
             if place.state not in (ServiceState.STOPPED, ServiceState.FAILED):
                 raise ControlRefused(f"{place.address} is {place.state.value} already")
             place.supervision.forget()
@@ -325,21 +344,15 @@ class Root(Component):
             self.launch(place, self._occupy(place, request))
         elif isinstance(body, Stop):
             self._stop_service(place, body, request)
-        elif isinstance(body, Restart):
+        else:
             place.supervision.forget()
             self._tell_asked("restart", name, request)
             answer = self._occupy(place, request)
             self.halt(place, lambda: self.launch(place, answer))
-        elif isinstance(body, (Reschedule, Configure, Migrate)):
-            raise ControlRefused(f"{place.address} is a service: name one of its tasks")
-        elif place.service is not None:
-            self._hand(name, "", body, request)
-        else:
-            self.reply(request, result=[])
 
-    def _begin_command(self, place: ServicePlace, body: Any, request: Request) -> None:
+    def _begin_command(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         try:
-            self._control_service(place, body, request)
+            self._change_service(place, body, request)
         except ControlRefused as error:
             self.reply(request, str(error))
 

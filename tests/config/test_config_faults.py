@@ -155,8 +155,8 @@ def test_agents_and_fleets_have_names_too():
 
 
 def test_a_long_name_is_refused():
-    (fault,) = faults(HEAD + f"[task.{'x' * 101}]\ntype = 'x'\n")
-    assert "at most 100 long" in fault
+    (fault,) = faults(HEAD + f"[task.{'x' * 65}]\ntype = 'x'\n")
+    assert "at most 64 long" in fault
 
 
 def test_a_task_of_the_device_service_needs_a_name_of_its_own():

@@ -188,7 +188,7 @@ def test_the_numbers_of_a_source_go_on_with_its_successor(rig):
 def test_what_is_no_packet_type_or_no_channel_is_refused_with_a_sentence(rig):
     with pytest.raises(LocalProtocolError, match="builtins.dict is no packet type"):
         rig.source.publish("system", {})
-    with pytest.raises(UnknownChannel, match="a has no channel 'maps', only system, sysctrl"):
+    with pytest.raises(UnknownChannel, match="published 'test_component.number' to 'maps', but a has no such channel"):
         rig.source.publish("maps", Number(1))
 
 

@@ -1,8 +1,8 @@
-"""Lets the tests of this directory import the search and the mutants that lie beside them."""
+"""Lets the tests of this directory import the model that lies beside them."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))

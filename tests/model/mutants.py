@@ -109,7 +109,6 @@ MUTANTS = (
         "offer number reused after a crash",
         "the offered epoch is not written down with the frozen task",
         ((source, "seen=event.offer, ", ""),),
-        Bounds(offers=2),
     ),
     Mutant(
         "late NAK believed",
@@ -147,7 +146,6 @@ MUTANTS = (
             (source, 'phase=Phase.RELEASED, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
             (candidate, 'phase=Phase.ABSENT, offer=NO_EPOCH, snapshot=b""', "phase=Phase.ABSENT, seen=NO_EPOCH"),
         ),
-        Bounds(offers=2),
     ),
     Mutant(
         "duplicate filter not moved",
@@ -231,5 +229,11 @@ MUTANTS = (
         ),
         Bounds(faults=1),
     ),
+    Mutant(
+        "a checkpoint of a former start believed",
+        "a checkpoint is taken whichever start of the task it comes from",
+        ((owner, "record.epoch == event.epoch and record.incarnation == event.incarnation", "True"),),
+        Bounds(restarts=1, late=True),
+    ),
 )
-"""All those of PROTOCOL that concern at-most-one, and some of our own."""
+"""All those of PROTOCOL that concern at-most-one, and, from "a start in doubt" on, our own."""

@@ -153,19 +153,25 @@ class Bounds:
     def __str__(self) -> str:
         plain = Bounds()
         words = [f"{self.agents} agents", f"{self.offers} offer{'s' * (self.offers > 1)}"]
-        for name in ("packets", "durability", "refusals", "reserve", "restarts", "stops", "late", "faults", "wipes", "adopt"):
+        words.append(f"{self.packets} packet{'s' * (self.packets > 1)}")
+        for name, word in _WORDS.items():
             value: Any = getattr(self, name)
-            if name == "packets" or value != getattr(plain, name):
-                words.append({"refusals": "no refusals", "reserve": "no reservations"}.get(name) or _word(name, value))
+            if value != getattr(plain, name):
+                words.append(word.format(value, "s" * (value > 1)) if isinstance(value, int) else word)
         return ", ".join(words)
 
 
-def _word(name: str, value: Any) -> str:
-    if value is True:
-        return {"late": "late checkpoints", "adopt": "adopted"}.get(name, name)
-    if isinstance(value, int):
-        return f"{value} {name if value > 1 else name[:-1]}"
-    return str(value)
+_WORDS: Final = {
+    "durability": "lazy",
+    "refusals": "no refusals",
+    "reserve": "no reservations",
+    "restarts": "{} restart{}",
+    "stops": "stops",
+    "late": "late checkpoints",
+    "faults": "{} failed write{}",
+    "wipes": "{} lost disk{}",
+    "adopt": "adopted",
+}
 
 
 def heard_of(snapshot: Snapshot) -> int:

@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple
 from model.parts import BLANK, STREAM, TASK, Agent, App, Bounds, Core, Outcome, Violation
 from model.steps import Steps
 from model.words import cause
+
 from pancakes.migration.event import Adopt, Born, Frozen, GiveUp, PacketId, Received, Resend, ReservationExpired, Start
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Wanted
 
@@ -241,7 +242,7 @@ class Search:
         top = before.top
         for epoch in outcome.started:
             if epoch < top:
-                raise Violation(f"S2 {self._names[i]} starts the task under {epoch} after {top} ran")
+                raise Violation(f"S2: {self._names[i]} starts the task under {epoch} after {top} ran")
             top = epoch
         acked = min(max(before.acked, outcome.acked), outcome.kept)
         if outcome.before_crash >= 0:
@@ -283,19 +284,19 @@ class Search:
         agents = [self.steps.agents[number] for number in configuration.agents]
         running = [(name, a) for name, a in zip(self._names, agents, strict=True) if a.actor and a.actor.running]
         if len(running) > 1:
-            return f"S1 the task runs on {' and on '.join(name for name, _ in running)} at the same time"
+            return f"S1: the task runs on {' and on '.join(name for name, _ in running)} at the same time"
         for name, agent in running:
             assert agent.actor is not None
             app = agent.actor.app
             if app.effects != app.upto:
-                return f"S4 on {name} {app.upto} packets had {app.effects} effects"
+                return f"S4: on {name} {app.upto} packets had {app.effects} effects"
             if app.upto < configuration.acked and not configuration.wiped:
-                return f"S3 packet {configuration.acked} was acknowledged, {name} has only those up to {app.upto}"
+                return f"S3: packet {configuration.acked} was acknowledged, {name} has only those up to {app.upto}"
             if agent.memory.phase is Phase.OWNER and agent.memory.wanted is not Wanted.RUNNING:
-                return f"S6 the task runs on {name}, which has it written down as {agent.memory.wanted.value}"
+                return f"S6: the task runs on {name}, which has it written down as {agent.memory.wanted.value}"
         epochs = [a.disk.epoch for a in agents if a.disk.phase in (Phase.OWNER, Phase.FROZEN)]
         if len(epochs) != len(set(epochs)):
-            return "S5 two agents own the task under one epoch"
+            return "S5: two agents own the task under one epoch"
         return ""
 
     def _failure_to_converge(self, configuration: Configuration) -> str:
@@ -341,13 +342,11 @@ class Search:
             f"{name} is {a.memory.phase.name}{' and runs it' if a.actor and a.actor.running else ''}"
             for name, a in agents
         )
-        broken = f"L1 however long one waits, it does not come to one copy: {story}"
+        broken = f"L1: however long one waits, it does not come to one copy: {story}"
         self._vain[broken] = ("All that was sent so far is lost; from here on all goes well.", *dict.fromkeys(told))
         return broken
 
-    def _feed(
-        self, at: Configuration, i: int, event: Any, net: int, told: list[str]
-    ) -> tuple[Configuration, int]:
+    def _feed(self, at: Configuration, i: int, event: Any, net: int, told: list[str]) -> tuple[Configuration, int]:
         outcomes = self.steps.outcomes(i, at.agents[i], event)
         if not outcomes:
             return at, net

@@ -11,6 +11,7 @@ from typing import Any
 
 from model.parts import ALL, REQUEST, STREAM, TASK, Actor, Agent, App, Bounds, Core, Keep, Outcome, Violation, heard_of
 from model.words import cause, deeds, shows
+
 from pancakes.migration.effect import Ack, After, Discard, Effect, Freeze, Persist, Remember, Resume, Send, StartTask
 from pancakes.migration.event import (
     Award,
@@ -189,7 +190,7 @@ class Steps:
         agent, effects = self._handle(i, before, event)
         if not effects and agent == before:
             return
-        why = cause(self.names[i], event, retried=isinstance(event, Start | Ended | Born) and event in before.pending)
+        why = cause(self.names[i], event, late=event in before.pending)
         after, sends, acked, started = self._carry_out(i, agent, effects)
         kept = self._kept(event, agent)
         yield Outcome(_sentence(why, self.names[i], deeds(effects)), self.number(after), sends, acked, kept, started)
@@ -272,7 +273,7 @@ class Steps:
             match effect:
                 case Persist():
                     if self.strict and effect.record.seen < memory.seen:
-                        raise Violation("S2 the highest epoch seen went down on a disk")
+                        raise Violation("S2: the highest epoch seen went down on a disk")
                     disk = memory = effect.record
                 case Keep():
                     memory = effect.record
@@ -294,7 +295,9 @@ class Steps:
                     actor = actor._replace(running=False)
                 case Discard():
                     if actor is not None and actor.running:
-                        raise Violation(f"S1 {self.names[i]} lets go of the task while it runs: it has changed since it was sent")
+                        raise Violation(
+                            f"S1: {self.names[i]} lets go of the task while it runs: it has changed since it was sent"
+                        )
                     actor = None
                 case Ack():
                     acked = max(acked, effect.packet.seq)

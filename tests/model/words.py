@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from model.parts import Keep
+
 from pancakes.migration.effect import Ack, Discard, Effect, Freeze, Persist, Resume, Send, StartTask
 from pancakes.migration.event import (
     Adopt,
@@ -23,10 +24,12 @@ from pancakes.migration.event import (
 from pancakes.migration.record import Phase, Record, Wanted
 
 
-def cause(me: str, event: Any, retried: bool = False) -> str:
-    """Returns what happens, in words, before anything is done about it; `retried`: after a write that failed."""
-    if retried:
-        return f"agent {me} tries again what it could not write before ({cause(me, event)})"
+def cause(me: str, event: Any, late: bool = False) -> str:
+    """Returns what happens, in words, before anything is done about it; `late`: it was under way in the agent."""
+    if late and isinstance(event, Checkpoint):
+        return f"the checkpoint that was stuck on agent {me} comes through"
+    if late:
+        return f"agent {me} tries once more to write down what it could not write before"
     match event:
         case Born():
             return f"the task is started on agent {me} for the first time in its life"

@@ -274,6 +274,7 @@ def test_a_task_that_fails_is_started_again_and_both_are_told(fleet, service):
 def test_a_task_that_fails_too_often_is_given_up(fleet, service):
     spec = {"type": Fragile, "settings": {"fail_at_start": True}, "restart": {"at_most": 2, "within_s": 5}}
     agent = start(fleet, service, Fragile=spec, Count=Count)
+    fleet.run_for(1.0)
     assert [event["then"] for event in agent.events("task_failed")] == ["restart", "restart", "give up"]
     assert agent.events("task_given_up", task="Fragile")
     assert any("a/%s/Fragile is given up: RuntimeError: no luck" % service in line for line in agent.lines("error"))
@@ -281,6 +282,7 @@ def test_a_task_that_fails_too_often_is_given_up(fleet, service):
     assert agent.running(service) == ["Count"]
     # A person may try once more, with other settings.
     assert not agent.ask(Start("Fragile")).ok
+    fleet.run_for(1.0)
     assert agent.ask(Start("Fragile", {"fail_at_start": False})).ok
 
 

@@ -1,0 +1,226 @@
+"""Tasks that outlive their agent: what the journal keeps over a stop, a crash, and an operator's word."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from pancakes.control import Configure, Describe, Reschedule, Start, Stop
+from pancakes.devices.types import Load, Pose
+from pancakes.journal import JournalError
+from pancakes.migration.record import Record, Wanted
+from pancakes.service import Service
+from pancakes.services.durable import DurableService
+from pancakes.task import Task, TaskSpec, every, on
+from pancakes.testing import FleetInTest, threaded_agent
+
+
+class Count(Task):
+    """Counts its ticks, and says each number."""
+
+    @dataclass
+    class Settings:
+        step: int = 1
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += self.settings.step
+        self.publish("system", Load(float(self.state.n)))
+
+    @on("system", Pose)
+    def fail(self, packet):
+        raise RuntimeError("lost")
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=4) as made:
+        yield made
+
+
+def records(fleet, name="a"):
+    """What lies on an agent's disk, by task."""
+    found = {}
+    from pancakes.journal import MemoryJournal
+
+    disk = {key: value for key, value in fleet.fleet.disk(name).items() if key != "lock"}
+    for entry in MemoryJournal(disk, "").entries("record"):
+        record = Record.decode(entry.data)
+        found[record.task_id.name] = record
+    return found
+
+
+def test_a_stopped_agent_goes_on_where_it_was(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(2.55)
+    assert agent.ask(Configure("Count", {"step": 2})).ok
+    assert agent.ask(Reschedule("Count", 5.0)).ok
+    fleet.run_for(1.0)
+    n = agent.task("Count").state.n
+    fleet.stop("a")
+    fleet.run_for(60.0)
+    agent = fleet.restart("a")
+    assert agent.task("Count").state.n == n
+    fleet.run_for(2.0)
+    assert agent.task("Count").state.n == n + 2 * 10
+
+
+def test_not_a_tick_is_lost_however_the_stop_falls_between_two_checkpoints():
+    """The last checkpoint may have to wait until the one before it is on disk."""
+    for step in range(12):
+        with FleetInTest(seed=step) as fleet:
+            agent = fleet.start("a", tasks={"Count": Count})
+            fleet.run_for(2.9995 + 0.0005 * step)  # the checkpoint of the third second is being written
+            n = agent.task("Count").state.n
+            fleet.stop("a")
+            assert fleet.restart("a").task("Count").state.n == n
+
+
+def test_a_crash_costs_no_more_than_the_last_second(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(5.55)
+    n = agent.task("Count").state.n
+    fleet.crash("a")
+    fleet.run_for(1.0)
+    agent = fleet.restart("a")
+    assert n - 12 <= agent.task("Count").state.n < n
+
+
+def test_packets_of_a_source_are_not_numbered_from_one_again(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(3.05)
+    last = agent.probe.packets(Load)[-1].seq
+    fleet.stop("a")
+    agent = fleet.restart("a")
+    fleet.run_for(1.0)
+    assert agent.probe.packets(Load)[0].seq > last
+
+
+def test_an_operators_stop_outlives_a_reboot(fleet):
+    agent = fleet.start("a", tasks={"Count": Count, "Other": Count})
+    assert agent.ask(Stop("Count")).ok
+    fleet.stop("a")
+    agent = fleet.restart("a")
+    assert agent.running() == ["Other"]
+    assert agent.ask(Start("Count")).ok
+    fleet.stop("a")
+    assert fleet.restart("a").running() == ["Count", "Other"]
+
+
+@pytest.mark.parametrize("how", ["stop", "crash"])
+def test_so_does_an_operators_start(fleet, how):
+    agent = fleet.start("a", tasks={"Count": {"type": Count, "start": False}})
+    assert agent.ask(Start("Count", {"step": 7})).ok
+    getattr(fleet, how)("a")
+    agent = fleet.restart("a")
+    assert agent.running() == ["Count"]
+    assert agent.task("Count").settings.step == 7
+
+
+def test_a_stop_while_a_task_is_being_restarted_outlives_a_reboot(fleet):
+    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"at_most": 9}}})
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(0.0005)  # it has failed; that it is to run again is being written
+    assert agent.ask(Stop("Count")).ok
+    assert agent.running() == []
+    fleet.stop("a")
+    assert fleet.restart("a").running() == []
+
+
+def test_a_task_that_was_given_up_stays_given_up(fleet):
+    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "temporary"}}})
+    fleet.run_for(3.55)
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(0.1)
+    fleet.stop("a")
+    assert records(fleet)["Count"].wanted is Wanted.FAILED
+    agent = fleet.restart("a")
+    assert agent.running() == []
+    # Its last checkpoint is still good.
+    assert agent.ask(Start("Count")).ok
+    assert agent.task("Count").state.n >= 25
+
+
+def test_a_failed_task_begins_from_its_checkpoint(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(5.55)
+    n = agent.task("Count").state.n
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(0.05)
+    assert n - 12 <= agent.task("Count").state.n < n
+    assert agent.slot("Count").incarnation > 1
+
+
+def test_stopping_the_client_service_is_no_stop_of_its_tasks(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(1.05)
+    assert agent.ask(Stop("client")).ok
+    fleet.crash("a")
+    agent = fleet.restart("a")
+    assert agent.running() == ["Count"]
+    assert agent.task("Count").state.n >= 10
+
+
+def test_a_client_service_that_fails_loses_no_task(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(3.05)
+
+    def fail():
+        raise RuntimeError("the service itself")
+
+    agent.component("client").call(fail)
+    fleet.run_for(1.0)
+    assert agent.events("service_failed", service="client")
+    assert agent.task("Count").state.n >= 30
+
+
+def test_a_journal_that_is_in_use_is_not_shared(fleet):
+    fleet.start("a")
+    with pytest.raises(JournalError, match="two agents cannot share one"):
+        fleet.fleet.start(fleet.agents["a"].agent.config)
+
+
+def test_a_state_directory_that_is_in_use_is_not_shared(tmp_path):
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:
+        assert agent.running() == ["Count"]
+        with pytest.raises(JournalError, match="is in use"):
+            with threaded_agent("a", state_dir=tmp_path / "a"):
+                pass
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:
+        assert agent.ask(Stop("Count")).ok
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:
+        assert agent.running() == []
+
+
+def test_on_threads_the_state_outlives_the_agent(tmp_path):
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path, speed=20.0) as agent:
+        agent.wait_for(Load, lambda load: load.cpu >= 20)
+    n = int(agent.probe.packets(Load)[-1].body.cpu)
+    with threaded_agent("a", tasks={"Count": {"type": Count, "rate_hz": 0.001}}, state_dir=tmp_path) as agent:
+        assert agent.ask(Describe("Count")).ok
+        assert agent.task("Count").state.n >= n
+
+
+class Fields(DurableService):
+    """A user's own service whose tasks are durable; it brings one itself."""
+
+    def own_tasks(self):
+        return [TaskSpec("Own", Count, type="test.Count")]
+
+
+def test_a_users_own_service_may_keep_durable_tasks_its_own_among_them(fleet):
+    tasks = {"Count": {"type": Count, "service": "fields"}}
+    agent = fleet.start("a", tasks=tasks, services={"fields": Fields})
+    assert isinstance(agent.component("fields"), Service)
+    assert agent.running("fields") == ["Own", "Count"]
+    fleet.run_for(2.05)
+    assert agent.ask(Stop("fields/Own")).ok
+    fleet.stop("a")
+    agent = fleet.restart("a")
+    assert agent.running("fields") == ["Count"]
+    assert agent.task("Count", "fields").state.n == 20
+    assert agent.ask(Start("fields/Own")).ok
+    assert agent.task("Own", "fields").state.n == 20

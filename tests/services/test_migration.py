@@ -1,0 +1,467 @@
+"""Tasks that move: found a host, frozen, carried over with all they have, and started there; or left where they are."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.devices.types import Battery, Load, Pose, Twist
+from pancakes.migration.record import Phase, TaskId
+from pancakes.net.memory import Quality
+from pancakes.packet import SYSCTRL
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest
+
+
+class Circle(Task):
+    """Drives, counts, and keeps what it has learnt."""
+
+    requires = ("motors",)
+
+    @dataclass
+    class Settings:
+        radius_m: float = 0.5
+
+    @dataclass
+    class State:
+        n: int = 0
+        centre_m: tuple[float, float] | None = None
+
+    @every(hz=10)
+    def drive(self, tick):
+        self.state.n += 1
+        self.publish("ctrl", Twist(0.1, 0.0))
+        self.publish("system", Load(float(self.state.n)))
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.state.centre_m = (packet.body.x_m, packet.body.y_m)
+        if packet.body.x_m < 0:
+            raise RuntimeError("lost")
+
+
+class Home(Task):
+    requires = ("motors",)
+
+    @every(hz=10)
+    def drive(self, tick):
+        self.publish("ctrl", Twist(-0.1, 0.0))
+
+
+CLASSES = {"test.Circle": Circle, "test.Home": Home}
+WHEELS = {"wheels": "null.motors"}
+
+
+def fleet_of(seed=1, robots=("a", "b"), tasks=None, **others):
+    """A fleet with wheels each, whose first robot runs `Circle`."""
+    fleet = FleetInTest(seed, classes=CLASSES, **others)
+    for name in robots:
+        mine = tasks if tasks is not None else {"Circle": Circle, "Home": {"type": Home, "start": False}}
+        fleet.start(name, devices=WHEELS, tasks=mine if name == robots[0] else {})
+    fleet.connect()
+    return fleet
+
+
+@pytest.fixture
+def fleet():
+    with fleet_of() as made:
+        yield made
+
+
+def phase(fleet, agent, name="Circle", birthplace="a"):
+    """What an agent's record of a task says."""
+    hand_off = fleet.agents[agent].component("client").hand_offs.get(TaskId(birthplace, name))
+    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+
+
+def hosts(fleet, name="Circle"):
+    """The agents on which a task has an actor that does not stand still."""
+    return [
+        agent.name
+        for agent in fleet.agents.values()
+        if (task := agent.component(f"client/{name}")) is not None and not task.actor_inbox.paused
+    ]
+
+
+def test_a_task_moves_with_its_settings_state_rate_and_numbers(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Configure("Circle", {"radius_m": 0.8})).ok
+    assert a.ask(Reschedule("Circle", 5.0)).ok
+    a.publish("system", Pose(1.0, 2.0, 0.0))
+    fleet.run_for(3.0)
+    reply = a.ask(Migrate("Circle"))
+    assert reply.ok and reply.result["winner"] == "b"
+    fleet.run_for(1.0)
+    moved = b.task("Circle")
+    assert (moved.settings.radius_m, moved.state.centre_m) == (0.8, (1.0, 2.0))
+    assert moved.timers["drive"].rate_hz == 5.0
+    before, after = a.probe.packets(Load), b.probe.packets(Load)
+    # Not a tick is forgotten, and the numbers of its packets go on.
+    assert after[0].body.cpu == before[-1].body.cpu + 1
+    assert after[0].seq > before[-1].seq
+    (arrived,) = b.events("task_arrived")
+    assert (arrived["source_agent"], arrived["epoch"]) == ("a", 1)
+    assert tuple(arrived["state"]["centre_m"]) == (1.0, 2.0)
+    assert hosts(fleet) == ["b"]
+    assert (phase(fleet, "a"), phase(fleet, "b")) == (Phase.RELEASED, Phase.OWNER)
+
+
+def test_it_stands_still_for_less_than_half_a_second(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    fleet.run_for(1.0)
+    assert a.ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+    last_s = a.kernel.mission.host_time(a.probe.packets(Twist)[-1].stamp)
+    first_s = b.kernel.mission.host_time(b.probe.packets(Twist)[0].stamp)
+    assert 0.0 < first_s - last_s < 0.5
+
+
+def test_then_another_task_follows_where_it_was(fleet):
+    a = fleet.agents["a"]
+    assert a.ask(Migrate("Circle", then="Home")).ok
+    fleet.run_for(0.1)
+    assert a.running() == ["Home"]
+    assert a.kernel.registry.holder("wheels") == "a/client/Home"
+    assert a.ask(Migrate("Home", then="Nobody")).reason == "a/client has no task 'Nobody' that could follow Home"
+
+
+def test_its_place_of_birth_says_where_it_went(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    a.ask(Migrate("Circle"))
+    for asked in (Start("Circle"), Restart("Circle")):
+        assert a.ask(asked).reason == "a/Circle moved to b"
+    assert "stopped" in a.ask(Migrate("Circle")).reason
+    fleet.stop("a")
+    assert fleet.restart("a").running() == []
+    fleet.connect()
+    assert hosts(fleet) == ["b"]
+    # And it may be stopped and started where it is now.
+    assert b.ask(Stop("Circle")).ok
+    assert b.ask(Start("Circle")).ok
+
+
+def test_it_may_come_home_again(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    fleet.run_for(1.0)
+    assert a.ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+    assert b.ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+    assert hosts(fleet) == ["a"]
+    assert a.task("Circle").state.n >= 25
+    assert "Circle" not in b.ask(Describe("client")).result
+    assert a.ask(Migrate("Circle")).ok
+    fleet.run_for(0.1)
+    assert hosts(fleet) == ["b"]
+
+
+def test_a_guest_may_come_back_to_an_agent_that_was_started_anew_meanwhile(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Migrate("Circle")).ok
+    fleet.stop("b")
+    b = fleet.restart("b")
+    fleet.connect()
+    assert hosts(fleet) == ["b"]
+    assert b.ask(Migrate("Circle")).ok
+    fleet.run_for(0.1)
+    assert hosts(fleet) == ["a"]
+    assert a.ask(Migrate("Circle")).ok
+    fleet.run_for(0.1)
+    assert hosts(fleet) == ["b"]
+
+
+def test_who_cannot_take_it_says_why_and_the_task_goes_on(fleet):
+    fleet.start("sensor")
+    fleet.start("world", role="environment", devices=WHEELS)
+    fleet.agents["b"].ask(Stop("wheels"))
+    fleet.connect()
+    fleet.run_for(1.0)
+    a = fleet.agents["a"]
+    n = a.task("Circle").state.n
+    reply = a.ask(Migrate("Circle"))
+    assert reply.reason == (
+        "no neighbour can take Circle: b: lacks the device type motors; sensor: lacks the device type motors"
+    )
+    assert a.task("Circle").state.n > n - 1
+    assert hosts(fleet) == ["a"]
+    ledger = a.events("migration")[-1]
+    assert [(line["peer"], line["answer"]) for line in ledger["lines"]] == [("b", "refused"), ("sensor", "refused")]
+    assert ledger["outcome"] == "stayed"
+
+
+@pytest.mark.parametrize(
+    ("prepare", "reason"),
+    [
+        (lambda b: b.publish("system", Battery(11.0, 0.7)), "has 70% of its battery, too near to the 65%"),
+        (lambda b: b.ask(Start("Mine")), "wheels is held by b/client/Mine"),
+    ],
+)
+def test_a_host_that_could_but_should_not_refuses(prepare, reason):
+    rule = {"when": "battery", "below": 0.65}
+    with FleetInTest(2, classes=CLASSES) as fleet:
+        a = fleet.start("a", devices=WHEELS, tasks={"Circle": {"type": Circle, "migrate": rule}})
+        b = fleet.start("b", devices=WHEELS, tasks={"Mine": {"type": Home, "start": False}})
+        fleet.connect()
+        prepare(b)
+        fleet.run_for(0.1)
+        assert reason in a.ask(Migrate("Circle")).reason
+
+
+def test_a_name_that_is_taken_is_taken(fleet):
+    fleet.stop("b")
+    fleet.start("b", devices=WHEELS, tasks={"Circle": {"type": Circle, "start": False}})
+    fleet.connect()
+    assert "b: has a task named Circle already (b/Circle)" in fleet.agents["a"].ask(Migrate("Circle")).reason
+
+
+def test_alone_there_is_nobody_to_ask():
+    with FleetInTest(2) as fleet:
+        a = fleet.start("a", tasks={"Home": Task})
+        assert a.ask(Migrate("Home")).reason == "no neighbour can take Home: there is no neighbour that hosts tasks"
+
+
+def test_a_dry_run_moves_nothing_and_tells_the_bids(fleet):
+    reply = fleet.agents["a"].ask(Migrate("Circle", dry_run=True))
+    assert reply.ok and reply.result["outcome"] == "dry run" and reply.result["winner"] == "b"
+    fleet.run_for(1.0)
+    assert hosts(fleet) == ["a"]
+
+
+def test_only_the_one_that_is_named_is_asked():
+    with fleet_of(robots=("a", "b", "c")) as fleet:
+        a = fleet.agents["a"]
+        assert "nobody is no neighbour that hosts tasks" in a.ask(Migrate("Circle", to="nobody")).reason
+        assert a.ask(Migrate("Circle", to="c")).ok
+        fleet.run_for(0.1)
+        assert hosts(fleet) == ["c"]
+
+
+def test_the_cheapest_takes_it():
+    with fleet_of(robots=("a", "b", "c")) as fleet:
+        fleet.stop("b")
+        fleet.start("b", devices=WHEELS, tasks={"Busy": Task})
+        fleet.connect()
+        assert fleet.agents["a"].ask(Migrate("Circle")).result["winner"] == "c"
+
+
+def test_a_silent_neighbour_is_not_waited_for():
+    with fleet_of(robots=("a", "b", "c")) as fleet:
+        fleet.network.partition(["b"])
+        a = fleet.agents["a"]
+        reply = a.ask(Migrate("Circle"))
+        assert reply.ok and reply.result["winner"] == "c"
+        assert [line["answer"] for line in reply.result["lines"]] == ["silent", "bid"]
+        assert reply.result["duration_s"] < 1.0
+
+
+def test_a_task_that_stands_still_or_moves_already_is_not_moved(fleet):
+    a = fleet.agents["a"]
+    assert a.ask(Migrate("Home")).reason == "a/client/Home is stopped, so it cannot move"
+    first = a.publish(SYSCTRL, Migrate("Circle"))
+    second = a.publish(SYSCTRL, Migrate("Circle"))
+    assert a.reply_to(second).reason == "a/client/Circle is being moved already"
+    assert a.reply_to(first).ok
+
+
+def test_a_task_may_ask_for_its_own_move():
+    class Tired(Circle):
+        @on("system", Battery)
+        def battery(self, packet):
+            self.migrate()
+
+    with fleet_of(tasks={"Circle": Tired}) as fleet:
+        fleet.agents["a"].publish("system", Battery(11.0, 0.5))
+        assert fleet.run_until(lambda: hosts(fleet) == ["b"])
+
+
+# Rules ---------------------------------------------------------------------------------------------------------
+
+
+def ruled(fleet, others=("b",)):
+    rule = {"when": "battery", "below": 0.65, "then": "Home"}
+    tasks = {"Circle": {"type": Circle, "migrate": rule}, "Home": {"type": Home, "start": False}}
+    a = fleet.start("a", devices=WHEELS, tasks=tasks)
+    for name in others:
+        fleet.start(name, devices=WHEELS)
+    fleet.connect()
+    return a
+
+
+def test_a_rule_moves_a_task_when_its_threshold_is_passed():
+    with FleetInTest(3, classes=CLASSES) as fleet:
+        a = ruled(fleet)
+        for level in (0.9, 0.7, 0.65):
+            a.publish("system", Battery(11.0, level))
+            fleet.run_for(1.0)
+        assert hosts(fleet) == ["a"]
+        for level in (0.64, 0.63, 0.62):
+            a.publish("system", Battery(11.0, level))
+        assert fleet.run_until(lambda: hosts(fleet) == ["b"] and a.running() == ["Home"])
+        assert [event["by"] for event in a.events("migration_asked")] == ["rule"]
+
+
+def test_after_a_refusal_a_rule_asks_again_only_after_a_minute():
+    with FleetInTest(3, classes=CLASSES) as fleet:
+        a = ruled(fleet, others=())
+        fleet.start("b")
+        fleet.connect()
+        begin_s = fleet.now()
+        times = []
+        for _ in range(1300):
+            before = len(a.events("migration_asked"))
+            a.publish("system", Battery(11.0, 0.5))
+            fleet.run_for(0.1)
+            if len(a.events("migration_asked")) > before:
+                times.append(fleet.now() - begin_s)
+            a.probe.forget() if before > 50 else None
+        assert len(times) == 3
+        assert all(59.0 < later - earlier < 61.5 for earlier, later in zip(times, times[1:], strict=False))
+        assert hosts(fleet) == ["a"]
+
+
+def test_another_agents_battery_is_no_reason_to_move():
+    with FleetInTest(3, classes=CLASSES) as fleet:
+        a = ruled(fleet)
+        fleet.agents["b"].publish("system", Battery(11.0, 0.1), to="*")
+        fleet.run_for(2.0)
+        assert a.events("migration_asked") == []
+
+
+def test_a_rule_moves_on_with_its_task():
+    with FleetInTest(3, classes=CLASSES) as fleet:
+        a = ruled(fleet, others=("b", "c"))
+        a.publish("system", Battery(11.0, 0.6))
+        assert fleet.run_until(lambda: hosts(fleet) == ["b"])
+        fleet.run_for(1.0)
+        fleet.agents["b"].publish("system", Battery(11.0, 0.6))
+        assert fleet.run_until(lambda: hosts(fleet) == ["c"])
+
+
+# Troubles on the way -------------------------------------------------------------------------------------------
+
+
+def until(fleet, condition, at_most_s=20.0, what=""):
+    """Runs step by step until a condition holds, so that the moment is caught as it comes."""
+    begin_s = fleet.now()
+    while not condition():
+        assert fleet.fleet.dispatcher.step(), "nothing happens any more"
+        assert fleet.now() < begin_s + at_most_s, what or "it did not come"
+
+
+@pytest.mark.parametrize("commanded", [Stop("Circle"), Restart("Circle"), Reschedule("Circle", 1.0)])
+def test_a_task_on_its_way_takes_no_commands(fleet, commanded):
+    a = fleet.agents["a"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
+    a.publish(SYSCTRL, Migrate("Circle"))
+    until(fleet, lambda: phase(fleet, "a") is Phase.FROZEN)
+    assert a.ask(commanded, at_most_s=0.09).reason == "a/client/Circle is being handed over between a and b"
+    fleet.run_for(2.0)
+    assert hosts(fleet) == ["b"]
+
+
+def test_a_stop_before_it_is_frozen_calls_the_move_off(fleet):
+    a = fleet.agents["a"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
+    moving = a.publish(SYSCTRL, Migrate("Circle"))
+    until(fleet, lambda: fleet.agents["b"].events("migration_bid"))
+    fleet.run_for(0.15)
+    assert a.ask(Stop("Circle")).ok
+    assert not a.reply_to(moving).ok
+    fleet.run_for(5.0)
+    assert hosts(fleet) == []
+    assert phase(fleet, "a") is Phase.OWNER
+    assert a.ask(Start("Circle")).ok
+    assert a.ask(Migrate("Circle")).ok
+
+
+def test_a_task_that_fails_on_its_way_is_not_lost(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
+    a.publish(SYSCTRL, Migrate("Circle", then="Home"))
+    until(fleet, lambda: phase(fleet, "a") is Phase.FROZEN)
+
+    def fail():
+        raise RuntimeError("while it stood still")
+
+    a.task("Circle").call(fail)
+    fleet.run_for(5.0)
+    assert hosts(fleet) == ["b"]
+    assert a.running() == ["Home"]
+    assert b.task("Circle").state.n > 0
+
+
+def test_a_network_that_is_cut_during_the_hand_off_heals():
+    for cut_at in (Phase.FROZEN, Phase.COMMITTED):
+        with fleet_of(seed=9) as fleet:
+            a = fleet.agents["a"]
+            fleet.network.set_quality("a", "b", Quality(latency_s=0.02))
+            a.publish(SYSCTRL, Migrate("Circle"))
+            until(fleet, lambda phase_=cut_at: phase(fleet, "a") is phase_)
+            fleet.network.partition(["a"], ["b"])
+            fleet.run_for(30.0)
+            assert len(hosts(fleet)) <= 1
+            if cut_at is Phase.FROZEN:
+                assert hosts(fleet) == ["a"]  # it took it back: nobody can have been told to run it
+            fleet.network.heal()
+            fleet.run_for(30.0)
+            assert len(hosts(fleet)) == 1
+            if cut_at is Phase.COMMITTED:
+                assert hosts(fleet) == ["b"]
+                assert (phase(fleet, "a"), phase(fleet, "b")) == (Phase.RELEASED, Phase.OWNER)
+
+
+MOMENTS = [
+    ("a", lambda fleet: phase(fleet, "a") is Phase.FROZEN),
+    ("a", lambda fleet: phase(fleet, "a") is Phase.COMMITTED),
+    ("a", lambda fleet: phase(fleet, "a") is Phase.RELEASED),
+    ("b", lambda fleet: phase(fleet, "b") is Phase.PREPARED),
+    ("b", lambda fleet: phase(fleet, "b") is Phase.OWNER),
+]
+
+
+@pytest.mark.parametrize("who", ["a", "b", "both"])
+@pytest.mark.parametrize("moment", range(len(MOMENTS)))
+@pytest.mark.parametrize("after_s", [0.0, 0.0015, 0.01])
+def test_whoever_is_killed_between_two_steps_exactly_one_copy_runs_in_the_end(who, moment, after_s):
+    seed = 100 * moment + int(after_s * 10_000)
+    with fleet_of(seed=seed) as fleet:
+        fleet.network.set_quality("a", "b", Quality(latency_s=0.004, jitter_s=0.004))
+        fleet.run_for(2.0)
+        fleet.agents["a"].publish(SYSCTRL, Migrate("Circle"))
+        until(fleet, lambda: MOMENTS[moment][1](fleet))
+        fleet.run_for(after_s)
+        killed = ["a", "b"] if who == "both" else [who]
+        for name in killed:
+            fleet.crash(name)
+        fleet.run_for(3.0)
+        assert len(hosts(fleet)) <= 1
+        for name in killed:
+            fleet.restart(name)
+            fleet.run_for(0.5)
+            assert len(hosts(fleet)) <= 1
+        fleet.run_for(30.0)
+        (host,) = hosts(fleet)
+        assert fleet.agents[host].task("Circle").state.n >= 250  # of what it had counted nothing much is lost
+        # It is in good order: it can be moved once more, either way.
+        other = "b" if host == "a" else "a"
+        assert fleet.agents[host].ask(Migrate("Circle")).ok
+        fleet.run_for(1.0)
+        assert hosts(fleet) == [other]
+
+
+def test_a_migrator_that_fails_leaves_nobody_waiting(fleet):
+    a = fleet.agents["a"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.2))
+    moving = a.publish(SYSCTRL, Migrate("Circle"))
+    fleet.run_for(0.1)
+
+    def fail():
+        raise RuntimeError("the migrator itself")
+
+    a.component("network/TaskMigrator").call(fail)
+    reply = a.reply_to(moving)
+    assert not reply.ok and "Task Migrator was started anew" in reply.reason
+    fleet.run_for(5.0)
+    assert hosts(fleet) == ["a"]
+    fleet.network.set_quality("a", "b", Quality())
+    assert a.ask(Migrate("Circle")).ok

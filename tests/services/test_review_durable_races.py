@@ -1,0 +1,176 @@
+"""Durable tasks where two things happen at once: a busy disk, a start that was refused, a task that stands frozen."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from pancakes.control import Migrate, Restart, Start, Stop
+from pancakes.devices.driver import Actuator
+from pancakes.devices.types import Load, Twist
+from pancakes.migration.record import Phase, TaskId, Wanted
+from pancakes.net.memory import Quality
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest
+
+
+class Count(Task):
+    """Counts its ticks."""
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += 1
+
+
+class Odd(Task):
+    """Keeps in its state what nobody can write down."""
+
+    @dataclass
+    class State:
+        thing: Any = field(default=None)
+
+    @every(hz=1)
+    def tick(self, tick):
+        self.state.thing = object()
+        self.publish("system", Load(1.0))
+
+
+class Drives(Task):
+    """Holds the wheels while it runs."""
+
+    requires = ("motors",)
+
+    @on("system", Load)
+    def seen(self, packet):
+        self.publish("ctrl", Twist(0.1, 0.0))
+
+
+class Wheels(Actuator):
+    """Wheels that turn nothing."""
+
+    type = "motors"
+
+    def apply(self, command, ttl_s, source):
+        pass
+
+    def hold(self):
+        pass
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5, classes={"test.wheels": Wheels}) as made:
+        yield made
+
+
+def hand_off(agent, name, birthplace=""):
+    return agent.component("client").hand_offs[TaskId(birthplace or agent.name, name)]
+
+
+def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    found = hand_off(agent, "Count")
+    fleet.run_for(0.5)
+    assert fleet.run_until(lambda: found.writing)
+    n = agent.task("Count").state.n
+    reply = agent.ask(Restart("Count"))
+    assert reply.ok, reply.reason
+    assert agent.task("Count").state.n >= n
+    assert found.record.wanted is Wanted.RUNNING
+
+
+def test_a_state_that_cannot_be_written_down_is_told_and_does_not_end_the_task(fleet):
+    agent = fleet.start("a", tasks={"Odd": Odd})
+    fleet.run_for(3.5)
+    assert any("the state of a/client/Odd cannot be written down" in line for line in agent.lines("error"))
+    assert not agent.events("task_failed")
+    assert len(agent.probe.packets(Load, source="a/client/Odd")) == 3
+
+
+def test_a_task_whose_start_was_refused_can_be_started_once_its_actuator_is_free(fleet):
+    # Both are admitted, both are written down; then the first one gets the wheels.
+    agent = fleet.start("a", devices={"motors": "test.wheels"}, tasks={"Other": Drives, "Drives": Drives})
+    fleet.run_for(1.0)
+    assert agent.running() == ["Other"]
+    assert any("was not started: motors is held by a/client/Other" in line for line in agent.lines("error"))
+    assert agent.ask(Stop("Other")).ok
+    reply = agent.ask(Start("Drives"))
+    assert reply.ok, reply.reason
+    assert agent.running() == ["Drives"]
+
+
+def test_a_task_whose_start_was_refused_starts_by_itself_once_its_actuator_is_free(fleet):
+    agent = fleet.start("a", devices={"motors": "test.wheels"}, tasks={"Other": Drives, "Drives": Drives})
+    fleet.run_for(1.0)
+    assert agent.ask(Stop("Other")).ok
+    fleet.run_for(1.5)
+    assert agent.running() == ["Drives"]
+
+
+def test_a_task_whose_start_was_refused_can_be_stopped_for_good(fleet):
+    agent = fleet.start("a", devices={"motors": "test.wheels"}, tasks={"Other": Drives, "Drives": Drives})
+    fleet.run_for(1.0)
+    assert agent.ask(Stop("Drives")).ok
+    assert agent.ask(Stop("Other")).ok
+    fleet.run_for(3.0)
+    assert agent.running() == []
+    assert hand_off(agent, "Drives").record.wanted is Wanted.STOPPED
+
+
+def _move(fleet, task="Count", to="b"):
+    return fleet.agents["a"].publish("sysctrl", Migrate(task, to=to))
+
+
+def test_nobody_can_stop_a_task_between_its_freeze_and_its_new_host(fleet):
+    a = fleet.start("a", tasks={"Count": Count})
+    b = fleet.start("b")
+    fleet.connect()
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.05))
+    found = hand_off(a, "Count")
+    asked = _move(fleet)
+    assert fleet.run_until(lambda: found.volatile.freezing)
+    refused = a.ask(Stop("Count"))
+    assert not refused.ok and "is being handed over" in refused.reason
+    assert a.reply_to(asked).ok
+    fleet.run_for(1.0)
+    assert b.running() == ["Count"]
+    assert a.running() == []
+
+
+def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
+    a = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"policy": "temporary"}}})
+    fleet.start("b")
+    fleet.connect()
+    late = []
+    # Its actor on `a` takes long to end: the stop that belongs to the hand-off is held back.
+    before = a.task("Count")
+    stop = before.stop
+    before.stop = lambda: late.append(stop)
+    assert a.reply_to(_move(fleet)).ok
+    fleet.run_for(0.1)
+    assert late and a.running() == ["Count"]
+    back = fleet.agents["b"].publish("sysctrl", Migrate("Count", to="a"))
+    fleet.run_for(1.5)
+    late[0]()
+    assert fleet.agents["b"].reply_to(back).ok
+    fleet.run_for(0.5)
+    assert a.running() == ["Count"] and fleet.agents["b"].running() == []
+    assert a.task("Count") is not before
+    assert hand_off(a, "Count").record.phase is Phase.OWNER
+    assert not a.events("task_failed")
+    n = a.task("Count").state.n
+    fleet.run_for(1.0)
+    assert a.task("Count").state.n == n + 10
+
+
+def test_what_moves_names_every_setting_and_the_whole_state_defaults_too(fleet):
+    a = fleet.start("a", tasks={"Count": Count})
+    b = fleet.start("b")
+    fleet.connect()
+    assert a.task("Count").state.n == 0
+    assert a.reply_to(_move(fleet)).ok
+    assert b.wait_for_event("task_arrived")["state"] == {"n": 0}
