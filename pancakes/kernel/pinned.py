@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from pancakes.kernel.component import Component
 
 
+STOP_S = 0.3
+"""How long, in all, a stop waits for threads whose components do not come back."""
+
+
 class PinnedDispatcher(Dispatcher):
     """Gives each of its components a thread of its own, which ends with the component.
 
@@ -60,4 +64,5 @@ class PinnedDispatcher(Dispatcher):
             for wake in self._wakes.values():
                 wake.put(False)
         for thread in threads:
-            thread.join(timeout=0.2)
+            # However many are stuck: the agent has to be gone within two seconds.
+            thread.join(timeout=STOP_S / len(threads))

@@ -68,7 +68,7 @@ class Timer(pykka.Actor):
 
     @staticmethod
     def _create_actor_inbox() -> ActorInbox:
-        return SimpleQueue()  # type: ignore[return-value]
+        return SimpleQueue()
 
     @staticmethod
     def _create_future() -> pykka.Future[Any]:

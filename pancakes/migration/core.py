@@ -31,9 +31,10 @@ from pancakes.migration.event import (
     Resend,
     ReservationExpired,
     Start,
+    WriteAgain,
 )
 from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserve, Reserved, Transfer, Unknown
-from pancakes.migration.record import Phase, Record, Wanted
+from pancakes.migration.record import Phase, Record
 from pancakes.migration.times import Times
 from pancakes.migration.volatile import Volatile
 
@@ -85,6 +86,8 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
             return owner.adopt(me, record, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)
+        case WriteAgain():
+            return owner.write_again(record, volatile, event)
 
 
 def recover(record: Record, times: Times = TIMES) -> list[Effect]:
@@ -169,12 +172,6 @@ def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | 
     """Returns what to try again by itself; in the other phases the other side's next message does it."""
     if record.phase is Phase.FROZEN:
         return GiveUp(record.offer, f"the journal could not write: {event.reason}")
-    if event.record.phase is not Phase.OWNER or volatile.running:
-        return None
-    if record.phase is Phase.ABSENT:
-        return Born(event.record.snapshot)
-    if record.phase is Phase.OWNER and event.record.wanted is Wanted.RUNNING:
-        return Start()
-    if record.phase is Phase.OWNER:
-        return Ended(event.record.wanted, event.record.snapshot)
+    if record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER and not volatile.running:
+        return WriteAgain(record, event.record)
     return None

@@ -107,6 +107,19 @@ class PersistFailed:
     record: Record
 
 
+@dataclass(frozen=True, slots=True)
+class WriteAgain:
+    """Time to try a write again that failed, of a task that does not run here.
+
+    Attributes:
+        old: the record that was to be replaced; where another has come since, or the task runs, nothing is done.
+        record: what should have been written.
+    """
+
+    old: Record
+    record: Record
+
+
 # The source's side of a hand-off.
 
 
@@ -219,6 +232,7 @@ Event = (
     | Arrived
     | Adopt
     | PersistFailed
+    | WriteAgain
     | Award
     | Frozen
     | FreezeFailed

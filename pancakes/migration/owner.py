@@ -16,7 +16,7 @@ from pancakes.migration.effect import (
     Send,
     StartTask,
 )
-from pancakes.migration.event import Adopt, Arrived, Born, Checkpoint, Ended, Start
+from pancakes.migration.event import Adopt, Arrived, Born, Checkpoint, Ended, Start, WriteAgain
 from pancakes.migration.messages import Moved
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
 from pancakes.migration.volatile import Volatile
@@ -63,6 +63,13 @@ def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
             volatile, f"the task was {'stopped' if event.wanted is Wanted.STOPPED else 'given up by its service'}"
         ),
     ]
+
+
+def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[Effect]:
+    """Writes down what failed to be written, and goes on from there, unless somebody has decided otherwise since."""
+    if record != event.old or volatile.running:
+        return []
+    return [Persist(event.record), *recover(event.record)]
 
 
 def checkpoint(record: Record, volatile: Volatile, event: Checkpoint) -> list[Effect]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pancakes.control import Hold
 from pancakes.devices.driver import Actuator, Driver, Sensor
+from pancakes.errors import MailboxFull
 from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
@@ -136,6 +137,7 @@ class DeviceTask(Task):
         self.driver: Driver | None = None
         self._command_s = 0.0
         self._guarded = False
+        self._crowded = False
         self._refused: dict[str, str] = {}
 
     def on_start(self) -> None:
@@ -173,8 +175,17 @@ class DeviceTask(Task):
 
     def deliver(self, reading: Any) -> None:
         """Publishes a reading on `system`. Any thread."""
-        if not self.actor_stopped.is_set():
+        if self.actor_stopped.is_set():
+            return
+        try:
             self.publish(SYSTEM, reading)
+        except MailboxFull as error:
+            # A sensor goes on although a reader is slow. Said once: at 10 readings a second it would drown the rest.
+            if not self._crowded:
+                self._crowded = True
+                self.log("warning", f"readings of {self.name} are lost: {error}")
+        else:
+            self._crowded = False
 
     @on(SYSTEM, None, addressed=True)
     def receive(self, packet: Packet) -> None:

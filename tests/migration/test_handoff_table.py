@@ -480,17 +480,28 @@ class TestFailedWrites:
         assert at_source(FROZEN, REST, after.event)[0] == Persist(TAKEN_BACK)
 
     @pytest.mark.parametrize(
-        ("record", "wanted", "again"),
+        ("record", "wanted"),
         [
-            (ABSENT, OWNER, Born(b"checkpoint")),
-            (OWNER, replace(OWNER, incarnation=1), Start()),
-            (OWNER, replace(OWNER, wanted=Wanted.STOPPED), Ended(Wanted.STOPPED, b"checkpoint")),
+            (ABSENT, OWNER),
+            (OWNER, replace(OWNER, incarnation=1)),
+            (OWNER, replace(OWNER, wanted=Wanted.STOPPED)),
         ],
         ids=["birth", "start", "stop"],
     )
-    def test_a_birth_a_start_and_a_stop_are_tried_again(self, record: Record, wanted: Record, again: object) -> None:
+    def test_a_birth_a_start_and_a_stop_are_tried_again(self, record: Record, wanted: Record) -> None:
         _, after = at_source(record, REST, PersistFailed("disk full", wanted))
-        assert isinstance(after, After) and after.event == again
+        assert isinstance(after, After)
+        run = [Remember(RUNNING), StartTask(BIRTH, wanted.incarnation, b"checkpoint")]
+        assert at_source(record, REST, after.event) == [
+            Persist(wanted),
+            *(run if wanted.wanted is Wanted.RUNNING else []),
+        ]
+
+    def test_a_write_is_not_tried_again_where_somebody_has_decided_otherwise_since(self) -> None:
+        stopped = replace(OWNER, wanted=Wanted.STOPPED)
+        _, after = at_source(OWNER, REST, PersistFailed("disk full", stopped))
+        assert isinstance(after, After)
+        assert at_source(replace(OWNER, incarnation=1), RUNNING, after.event) == []
 
     def test_a_checkpoint_that_failed_is_only_reported(self) -> None:
         (warn,) = at_source(OWNER, RUNNING, PersistFailed("disk full", OWNER))

@@ -36,7 +36,8 @@ class Storm:
     def __init__(self, seed):
         self.random = random.Random(f"storm/{seed}")
         self.fleet = FleetInTest(
-            seed, quality=Quality(latency_s=self.random.choice([0.0005, 0.01, 0.08]), jitter_s=self.random.random() * 0.05)
+            seed,
+            quality=Quality(latency_s=self.random.choice([0.0005, 0.01, 0.08]), jitter_s=self.random.random() * 0.05),
         )
         self.tasks = {"One": "a", "Two": "b"}
         for name in ROBOTS:

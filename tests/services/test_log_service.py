@@ -1,0 +1,89 @@
+"""The Log Service: what is said on `log`, on the console and in a file."""
+
+import json
+from dataclasses import dataclass
+
+from pancakes.control import Stop
+from pancakes.devices.types import Pose
+from pancakes.events import Event, LogLine
+from pancakes.packet import Packet, packet_type
+from pancakes.services.log import line_of, record_of
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest, threaded_agent
+
+
+@packet_type("test_log.note")
+@dataclass(frozen=True)
+class Note:
+    """Something else that a task may say on `log`."""
+
+    text: str
+
+
+class Talkative(Task):
+    @every(hz=1)
+    def talk(self, tick):
+        for level in ("debug", "info", "warning", "error"):
+            self.log(level, f"{level} at {tick.time_s:g}")
+        self.event("talked", times=int(tick.time_s), nothing=None)
+        self.publish("log", Note("by the way"))
+
+
+def talk(capsys, **settings):
+    with FleetInTest(1) as fleet:
+        fleet.start("a", tasks={"Talkative": Talkative}, services={"log": {"settings": settings}})
+        fleet.run_for(1.5)
+    return capsys.readouterr().err
+
+
+def test_the_console_shows_lines_and_events_with_their_time_and_place(capsys):
+    shown = talk(capsys).splitlines()
+    assert "    1.000 warning a/client/Talkative: warning at 1" in shown
+    assert "    1.000 info    a/client/Talkative: talked times=1" in shown
+    assert any("by the way" in line for line in shown)
+    assert not any("debug at" in line for line in shown)
+
+
+def test_the_console_shows_what_is_of_its_level_or_above(capsys):
+    shown = talk(capsys, level="error")
+    assert "error at 1" in shown
+    assert "warning at" not in shown and "talked" not in shown
+    assert "debug at 1" in talk(capsys, level="debug")
+
+
+def test_the_console_may_be_silent(capsys):
+    assert talk(capsys, console=False) == ""
+
+
+def test_the_file_has_everything_one_object_a_line_to_the_last(tmp_path):
+    path = tmp_path / "logs" / "a.jsonl"
+    services = {"log": {"settings": {"console": False, "file": str(path)}}}
+    with threaded_agent("a", tasks={"Talkative": Talkative}, services=services, speed=50.0) as agent:
+        agent.wait_for(Event, lambda event: event.kind == "talked")
+    records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    kinds = {record["kind"] for record in records}
+    assert {"line", "talked", "service_started", "ready", "test_log.note", "task_stopped"} <= kinds
+    assert all({"t_s", "agent", "source"} <= set(record) for record in records)
+    talked = next(record for record in records if record["kind"] == "talked")
+    assert (talked["agent"], talked["source"], talked["times"]) == ("a", "a/client/Talkative", 1)
+    # It is appended to at the next start.
+    with threaded_agent("a", services=services):
+        pass
+    assert len(path.read_text(encoding="utf-8").splitlines()) > len(records)
+
+
+def test_a_record_is_json_whatever_is_said():
+    packet = Packet("log", "event", "a/client/T", "", 1.25, 3, Event("odd", {"what": Pose(1.0, 2.0, 3.0), "ü": {1, 2}}))
+    record = json.loads(line_of(record_of(packet)))
+    assert (record["t_s"], record["kind"]) == (1.25, "odd")
+    line = Packet("log", "line", "a/client/T", "", 0.1 + 0.2, 3, LogLine("info", 'a "quote"\nand a line'))
+    assert json.loads(line_of(record_of(line)))["t_s"] == 0.3
+    assert "\n" not in line_of(record_of(line))
+
+
+def test_the_log_may_be_turned_off_and_the_rest_goes_on():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Talkative": Talkative})
+        assert agent.ask(Stop("log")).ok
+        fleet.run_for(3.0)
+        assert len(agent.events("talked")) == 3

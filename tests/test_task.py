@@ -1,0 +1,159 @@
+"""What a task's author writes, and what comes of it."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from pancakes.control import Configure, Reply, Reschedule, Stop
+from pancakes.devices.types import Load, Pose, Twist
+from pancakes.settings import SettingsError
+from pancakes.task import Task, every, on, queue, reliable
+from pancakes.testing import FleetInTest, assert_published
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=6) as made:
+        yield made
+
+
+class Follow(Task):
+    """Turns towards what it sees: event-driven, time-driven, with settings and state."""
+
+    requires = ("motors",)
+
+    @dataclass
+    class Settings:
+        gain: float = 1.0
+
+    @dataclass
+    class State:
+        seen: int = 0
+        where: list[tuple[float, float]] = field(default_factory=list)
+
+    def on_start(self):
+        self.log("info", f"gain is {self.settings.gain}")
+
+    @on("system", Pose, keep="latest")
+    def steer(self, packet):
+        self.state.seen += 1
+        self.state.where.append((packet.body.x_m, packet.body.y_m))
+        self.publish("ctrl", Twist(0.1, self.settings.gain * packet.body.theta_rad))
+
+    @every(hz=2)
+    def report(self, tick):
+        self.event("report", seen=self.state.seen)
+
+
+def test_a_task_reacts_to_packets_and_to_time(fleet):
+    agent = fleet.start(
+        "a", tasks={"Follow": {"type": Follow, "settings": {"gain": 2.0}}}, devices={"m": "null.motors"}
+    )
+    agent.publish("system", Pose(1.0, 2.0, 0.25))
+    fleet.run_for(1.0)
+    assert "gain is 2.0" in agent.lines("info")
+    assert_published(agent, Twist, lambda twist: twist == Twist(0.1, 0.5), source="a/client/Follow", times=1)
+    assert [event["seen"] for event in agent.events("report")] == [1, 1]
+    assert agent.task("Follow").state == Follow.State(1, [(1.0, 2.0)])
+
+
+def test_of_what_it_wants_only_the_latest_of_it_gets_the_latest(fleet):
+    agent = fleet.start("a", tasks={"Follow": Follow}, devices={"m": "null.motors"})
+    for x_m in range(5):
+        agent.publish("system", Pose(float(x_m), 0.0, 0.0))
+    fleet.run_for(0.0)
+    assert agent.task("Follow").state.where == [(4.0, 0.0)]
+    assert agent.slot("Follow").mailbox.dropped() == 4
+
+
+def test_a_task_controls_others_by_packets_and_is_answered(fleet):
+    class Watchdog(Task):
+        @every(hz=1)
+        def watch(self, tick):
+            if tick.time_s == 2.0:
+                self.asked = self.publish("sysctrl", Reschedule("Follow", 10.0))
+
+        @on("sysctrl", Reply)
+        def answered(self, packet):
+            assert packet.cause == (self.address, self.asked.seq)
+            self.event("answered", ok=packet.body.ok)
+
+    agent = fleet.start("a", tasks={"Follow": Follow, "Watchdog": Watchdog}, devices={"m": "null.motors"})
+    fleet.run_for(4.0)
+    assert agent.events("answered", ok=True)
+    assert len(agent.events("report")) == 4 + 20
+
+
+def test_a_task_may_put_off_and_draw(fleet):
+    class Dice(Task):
+        def on_start(self):
+            self.after(1.5, self.throw)
+
+        def throw(self):
+            self.event("thrown", eyes=self.random.randint(1, 6), at_s=round(self.now(), 3))
+            self.after(1.0, self.throw)
+
+    agent = fleet.start("a", tasks={"Dice": Dice})
+    fleet.run_for(5.0)
+    thrown = agent.events("thrown")
+    assert [event["at_s"] - thrown[0]["at_s"] for event in thrown] == pytest.approx([0.0, 1.0, 2.0, 3.0], abs=0.002)
+
+
+def test_a_task_may_open_a_channel_and_close_it_again(fleet):
+    class Mapper(Task):
+        def on_start(self):
+            self.open_channel("map")
+
+        def on_stop(self):
+            self.close_channel("map")
+
+        @every(hz=1)
+        def draw(self, tick):
+            self.publish("map", Load(1.0))
+
+    agent = fleet.start("a", tasks={"Mapper": Mapper})
+    agent.probe.follow("map")
+    fleet.run_for(3.0)
+    assert_published(agent, Load, channel="map", times=3)
+    assert agent.ask(Stop("Mapper")).ok
+    assert "map" not in agent.kernel.stream.channels()
+
+
+def test_settings_of_the_wrong_type_keep_a_task_from_starting(fleet):
+    agent = fleet.start(
+        "a", tasks={"Follow": {"type": Follow, "settings": {"gain": "much"}}}, devices={"m": "null.motors"}
+    )
+    fleet.run_for(1.0)
+    (given_up,) = agent.events("task_given_up")
+    assert "gain: expected a number" in given_up["error"]
+
+
+def test_settings_are_replaced_as_a_whole_and_the_task_is_told(fleet):
+    class Told(Follow):
+        def on_settings(self):
+            self.event("told", gain=self.settings.gain)
+
+    agent = fleet.start("a", tasks={"Told": Told}, devices={"m": "null.motors"})
+    before = agent.task("Told").settings
+    assert agent.ask(Configure("Told", {"gain": 3.0})).ok
+    assert agent.events("told", gain=3.0)
+    assert before.gain == 1.0
+    with pytest.raises(SettingsError, match="gian: unknown key, did you mean 'gain'"):
+        agent.task("Told").change_settings({"gian": 1.0})
+
+
+def test_a_task_inherits_what_its_base_listens_to(fleet):
+    class Keen(Follow):
+        @every(hz=20)
+        def report(self, tick):
+            super().report(tick)
+
+    agent = fleet.start("a", tasks={"Keen": Keen}, devices={"m": "null.motors"})
+    agent.publish("system", Pose(1.0, 0.0, 0.0))
+    fleet.run_for(1.0)
+    assert len(agent.events("report", seen=1)) in (19, 20)
+
+
+def test_the_words_that_a_tasks_author_needs_come_from_one_module():
+    assert (queue(3).limit, queue(3).reliable) == (3, False)
+    assert (reliable(3).limit, reliable(3).reliable) == (3, True)

@@ -1,0 +1,99 @@
+"""The helpers that ship with the library are tested like the rest of it."""
+
+import threading
+
+import pytest
+
+from pancakes.control import Stop
+from pancakes.devices.types import Load
+from pancakes.events import LogLine
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
+
+
+class Blink(Task):
+    @every(hz=2)
+    def blink(self, tick):
+        self.publish("system", Load(tick.time_s))
+
+
+def test_the_example_of_the_module():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blink": Blink})
+        fleet.run_for(10.0)
+        assert len(agent.probe.packets(Load)) == 20
+        assert agent.ask(Stop("Blink")).ok
+
+
+def test_the_same_on_threads():
+    with no_thread_left(), threaded_agent(tasks={"Blink": Blink}, speed=100.0) as agent:
+        first = agent.wait_for(Load, lambda load: load.cpu >= 5.0)
+        assert first.body.cpu == 5.0
+        assert agent.ask(Stop("Blink")).ok
+
+
+def test_assert_published_tells_what_there_was_instead():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blink": Blink})
+        fleet.run_for(1.0)
+        assert assert_published(agent, Load, channel="system").body == Load(1.0)
+        assert assert_published(agent.probe, Load, lambda load: load.cpu < 1.0, times=1).body == Load(0.5)
+        with pytest.raises(AssertionError, match=r"2 packets of the type 'load' fit, 3 wanted(.|\n)*Load\(cpu=0\.5\)"):
+            assert_published(agent, Load, times=3)
+        with pytest.raises(AssertionError, match="0 packets of the type 'line' fit, at least one wanted"):
+            assert_published(agent, LogLine, lambda line: line.text == "never said")
+        assert_published(agent, Load, source="a/client/Nobody", times=0)
+
+
+def test_what_does_not_come_fails_with_the_end_of_the_log():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blink": Blink})
+        with pytest.raises(AssertionError, match=r"a: a packet of the type 'line' did not come(.|\n)*ready"):
+            agent.wait_for(LogLine, lambda line: line.text == "never said", at_most_s=2.0)
+        with pytest.raises(AssertionError, match=r"Blonk does not run on a, only \['Blink'\]"):
+            agent.task("Blonk")
+
+
+def test_a_probe_may_listen_to_some_channels_only_and_forgets_on_demand():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Blink": Blink})
+        probe = agent.kernel.spawn(Probe, "a/test/Other", channels=("ctrl",))
+        fleet.run_for(1.0)
+        assert probe.packets() == []
+        agent.probe.forget()
+        fleet.run_for(1.0)
+        assert [packet.body.cpu for packet in agent.probe.packets(Load)] == [1.5, 2.0]
+
+
+def test_a_configuration_is_made_of_text_and_of_classes():
+    config = config_of(
+        "a",
+        '[task.One]\ntype = "x.One"\n',
+        tasks={"Two": Blink, "Three": {"type": Blink, "rate_hz": 5.0, "start": False}},
+        devices={"motors": "null.motors"},
+        speed=4.0,
+        fleet="test",
+    )
+    assert list(config.tasks) == ["One", "Two", "Three"]
+    assert (config.tasks["Two"].type, config.tasks["Three"].rate_hz) == ("test.Blink", 5.0)
+    assert config.devices["motors"].driver == "null.motors"
+    assert (config.clock.speed, config.agent.fleet, config.agent.seed) == (4.0, "test", 1)
+    assert config.services["log"].settings == {"console": False}
+
+
+def test_threads_that_are_left_are_named():
+    gate = threading.Event()
+    thread = threading.Thread(target=gate.wait, name="forgotten")
+    with pytest.raises(AssertionError, match="threads are left: forgotten"):
+        with no_thread_left(at_most_s=0.05):
+            thread.start()
+    gate.set()
+    thread.join()
+
+
+def test_agents_of_a_test_find_each_other():
+    with FleetInTest() as fleet:
+        for name in ("a", "b", "c"):
+            fleet.start(name)
+        fleet.connect()
+        assert sorted(hello.name for hello in fleet.agents["b"].agent.mesh.connected()) == ["a", "c"]
