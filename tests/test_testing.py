@@ -28,7 +28,7 @@ def test_the_example_of_the_module():
 def test_the_same_on_threads():
     with no_thread_left(), threaded_agent(tasks={"Blink": Blink}, speed=100.0) as agent:
         first = agent.wait_for(Load, lambda load: load.cpu >= 5.0)
-        assert first.body.cpu == 5.0
+        assert first.body.cpu >= 5.0
         assert agent.ask(Stop("Blink")).ok
 
 

@@ -154,7 +154,14 @@ def _run(
 
 
 def _on_signal(interrupted: threading.Event) -> None:
+    """Lets SIGINT and SIGTERM stop the mission in good order; the second one ends the launcher at once.
+
+    Its agents end with it in either case.
+    """
+
     def stop(number: int, frame: Any) -> None:
+        if interrupted.is_set():
+            os._exit(INTERRUPTED)
         interrupted.set()
 
     signal.signal(signal.SIGINT, stop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -89,7 +90,7 @@ class Processes:
         logs = self._plan.out / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         for agent, path in self._plan.files.items():
-            command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(path), "--die-with-parent"]
+            command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(path), f"--die-with-parent={os.getpid()}"]
             for change in self._plan.sets[agent]:
                 command += ["--set", change]
             with (logs / f"{agent}.txt").open("wb") as output:

@@ -384,13 +384,17 @@ class Mesh:
         if session.link is None or session.number not in self._sessions:
             return
         now_s = self._now()
+        was_up = session.is_up
         actions = session.link.receive(data, now_s)
-        if session.is_up and self._peers is not None:
+        if was_up and self._peers is not None:
             rivals = self._peers.heard(session.number, now_s)
             if rivals:
                 self._carry_out(rivals)
         if actions:
             self._act(session, actions)
+        if was_up and session.is_up:
+            # Of two agents the one with the lower name takes a link to stand before the other has had its say.
+            self._established = True
 
     def session_closed(self, session: Session, reason: str) -> None:
         """See `Owner`."""
@@ -457,7 +461,6 @@ class Mesh:
         name = session.link.peer.name
         hello = next(peer for peer in self._peers.connected() if peer.name == name)
         session.stood_up(hello, self._counters.setdefault(name, Counters()))
-        self._established = True
         self._set_up({**self._up, name: session})
         self._on_log("info", f"{name} ({hello.role}, {session.remote}) is connected")
         self._call(self._on_peer_up, hello)

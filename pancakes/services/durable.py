@@ -17,6 +17,7 @@ import msgspec
 from pancakes.control import Describe, Migrate
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.mailbox import LATEST
+from pancakes.migration.candidate import would_take
 from pancakes.migration.effect import (
     After,
     AttemptFailed,
@@ -135,6 +136,7 @@ class DurableService(Service):
         for hand_off in self.hand_offs.values():
             if self._slot_of(hand_off.record.task_id) is None:
                 hand_off.recover()
+        self._tell_migrator(lambda migrator: migrator.service_began(self))
         self.after_host(CHECKPOINT_S, self._checkpoint_all)
 
     def _is_ours(self, record: Record) -> bool:
@@ -620,7 +622,8 @@ class DurableService(Service):
     def receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
         """Takes a hand-off message from a peer. In this actor."""
         task_id = message.task_id
-        if isinstance(message, Transfer) and not refusal:
+        news = isinstance(message, Transfer) and would_take(self.hand_off(task_id).record, message.offer)
+        if isinstance(message, Transfer) and news and not refusal:
             refusal = self._cannot_build(message)
             if not refusal:
                 self._arriving[task_id] = peer

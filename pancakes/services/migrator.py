@@ -131,6 +131,12 @@ class TaskMigrator(Task):
         if task_id in self._negotiations:
             self._finish(task_id, reason)
 
+    def service_began(self, service: DurableService) -> None:
+        """A service has started anew, and knows of no move that its predecessor asked for. In this actor."""
+        for task_id, (_, owner) in list(self._negotiations.items()):
+            if owner is not service and owner.name == service.name:
+                self._finish(task_id, f"{owner.address} was started anew")
+
     def send(self, peer: str, message: HandOffMessage) -> None:
         """Sends a message of a hand-off; it may be lost, and whoever needs it says it again. In this actor."""
         if isinstance(message, Transfer):

@@ -18,15 +18,11 @@ HEADER: Final = "t_s,name,x_m,y_m,theta_rad,v_mps,omega_radps,battery_v,driven_b
 
 def row(time_s: float, body: BodyState) -> str:
     """Returns the row of a body, with fixed decimals, so that equal runs give equal files."""
-    battery = "" if body.battery_v is None else _fixed(body.battery_v, 4)
-    numbers = (body.x_m, body.y_m, body.theta_rad, body.v_mps, body.omega_radps)
-    cells = [_fixed(time_s, 3), body.name, *(_fixed(number, 6) for number in numbers), battery, body.driven_by]
-    return ",".join(cells)
-
-
-def _fixed(number: float, decimals: int) -> str:
-    text = f"{number:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text  # no minus before a zero
+    battery = "" if body.battery_v is None else f"{body.battery_v:.4f}"
+    numbers = f"{body.x_m:.6f},{body.y_m:.6f},{body.theta_rad:.6f},{body.v_mps:.6f},{body.omega_radps:.6f}"
+    # No minus before a zero; with all six decimals, these can only be a whole cell.
+    numbers = numbers.replace("-0.000000", "0.000000")
+    return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
 
 
 class Trajectory(Task):

@@ -145,7 +145,9 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
         current, status = int(line[1:].split()[0]), int(line.split()[1])
         progress.went_on()
         if status:
-            failures.append(f"{name}:{all_statements[current].line}: ended with {status}: {all_statements[current].text}")
+            failures.append(
+                f"{name}:{all_statements[current].line}: ended with {status}: {all_statements[current].text}"
+            )
         current += 1
         if current == len(all_statements):
             break

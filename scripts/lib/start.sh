@@ -1,6 +1,7 @@
 # Sourced by the scripts: goes to the project's root, finds a Python that is new enough, and keeps the environment.
 # shellcheck shell=sh
 
+here=$PWD
 root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd) || exit 1
 cd "$root" || exit 1
 

@@ -51,6 +51,9 @@ settings = { x_m = 1.0, y_m = 2.0 }
 [service.log]
 settings = { console = false }
 
+[service.network]
+settings = { insecure = true }
+
 [task.Chatty]
 type = "test.Chatty"
 rate_hz = 5
@@ -85,9 +88,9 @@ def test_services_start_in_order_log_first_and_stop_last():
         assert stopped == order[::-1]
 
 
-def run(seed, **others):
+def run(order, **others):
     """All that is published on two agents in 5 s of virtual time."""
-    with FleetInTest(seed, Quality(0.01, 0.01)) as fleet:
+    with FleetInTest(order, Quality(0.01, 0.01)) as fleet:
         for name in ("a", "b"):
             fleet.start(name, tasks={"Chatty": Chatty}, **others)
         fleet.run_for(5.0)

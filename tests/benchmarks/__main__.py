@@ -1,4 +1,4 @@
-"""`scripts/bench`: measures how fast Pancakes is, each figure beside something bare that was measured in turns with it."""
+"""`scripts/bench`: measures how fast Pancakes is, each figure beside one of something bare, taken in turns with it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def main() -> None:
             print(_line(figure), flush=True)
         print()
     if options.json:
-        options.json.write_text(json.dumps([figure.record() for figure in figures], indent=1, ensure_ascii=False) + "\n")
+        options.json.write_text(
+            json.dumps([figure.record() for figure in figures], indent=1, ensure_ascii=False) + "\n"
+        )
 
 
 def _options() -> argparse.Namespace:

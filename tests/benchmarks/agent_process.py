@@ -38,7 +38,11 @@ def offer_tasks(directory: Path) -> Mapping[str, str]:
 
 @contextmanager
 def agent_process(
-    config: str, directory: Path, environment: Mapping[str, str], core: int | None = None, pass_fds: tuple[int, ...] = ()
+    config: str,
+    directory: Path,
+    environment: Mapping[str, str],
+    core: int | None = None,
+    pass_fds: tuple[int, ...] = (),
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Runs `pancakes-agent`.
 

@@ -64,8 +64,9 @@ def test_the_file_has_everything_one_object_a_line_to_the_last(tmp_path):
     kinds = {record["kind"] for record in records}
     assert {"line", "talked", "service_started", "ready", "test_log.note", "task_stopped"} <= kinds
     assert all({"t_s", "agent", "source"} <= set(record) for record in records)
-    talked = next(record for record in records if record["kind"] == "talked")
-    assert (talked["agent"], talked["source"], talked["times"]) == ("a", "a/client/Talkative", 1)
+    talked = [record for record in records if record["kind"] == "talked"]
+    assert {(record["agent"], record["source"]) for record in talked} == {("a", "a/client/Talkative")}
+    assert talked[0]["times"] == round(talked[0]["t_s"])
     # It is appended to at the next start.
     with threaded_agent("a", services=services):
         pass

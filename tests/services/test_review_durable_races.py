@@ -8,7 +8,8 @@ import pytest
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Load, Twist
-from pancakes.migration.record import Phase, TaskId, Wanted
+from pancakes.migration.messages import Transfer
+from pancakes.migration.record import Epoch, Phase, TaskId, Wanted
 from pancakes.net.memory import Quality
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
@@ -174,3 +175,33 @@ def test_what_moves_names_every_setting_and_the_whole_state_defaults_too(fleet):
     assert a.task("Count").state.n == 0
     assert a.reply_to(_move(fleet)).ok
     assert b.wait_for_event("task_arrived")["state"] == {"n": 0}
+
+
+def test_a_transfer_that_comes_late_brings_no_second_arrival(fleet):
+    a = fleet.start("a", tasks={"Count": Count})
+    b = fleet.start("b")
+    fleet.connect()
+    assert a.reply_to(_move(fleet)).ok
+    record = hand_off(b, "Count", "a").record
+    service = b.component("client")
+    service.call(lambda: service.receive("a", Transfer(record.task_id, Epoch(1, "a"), record.snapshot), ""))
+    assert b.ask(Restart("Count")).ok
+    assert len(b.events("task_arrived")) == 1
+
+
+def test_a_service_that_fails_in_the_middle_of_a_move_leaves_the_network_free_to_sleep(fleet):
+    a = fleet.start("a", tasks={"Count": Count})
+    fleet.start("b")
+    fleet.connect()
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
+    service = a.component("client")
+    _move(fleet)
+    assert fleet.run_until(lambda: bool(a.component("network/TaskMigrator").refuse_stop()))
+
+    def fails():
+        raise RuntimeError("no luck")
+
+    service.call(fails)
+    fleet.run_for(5.0)
+    assert a.component("client") is not service
+    assert a.ask(Stop("network", for_s=1.0)).ok

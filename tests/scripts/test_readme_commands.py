@@ -1,0 +1,102 @@
+"""`scripts/readme` runs what the README tells its readers to type."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TEXT = """\
+A command, and what it prints:
+
+```sh
+# a comment
+echo one \\
+  two
+for n in 1 2
+do
+  echo $n
+done
+cat > hello.txt <<'END'
+echo not a command
+END
+```
+
+```console
+$ false
+```
+
+```python tasks/blink.py
+print("blink")
+```
+
+  ```sh
+  false
+  ```
+"""
+
+
+@pytest.fixture(scope="module")
+def readme() -> ModuleType:
+    """The script's module; it is no part of any package."""
+    library = ROOT / "scripts" / "lib"
+    sys.path.insert(0, str(library))
+    try:
+        spec = importlib.util.spec_from_file_location("readme_commands", library / "readme.py")
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module  # dataclasses look there
+        spec.loader.exec_module(module)
+        return module
+    finally:
+        sys.path.remove(str(library))
+
+
+def test_blocks_have_their_info_string_and_the_line_they_begin_at(readme):
+    found = [(block.info, block.line) for block in readme.blocks(TEXT)]
+    assert found == [("sh", 4), ("console", 16), ("python tasks/blink.py", 20), ("sh", 24)]
+    assert readme.blocks(TEXT)[2].text == 'print("blink")\n'
+    assert readme.blocks(TEXT)[3].text == "false\n"
+
+
+def test_a_statement_keeps_all_of_its_lines(readme):
+    first = readme.blocks(TEXT)[0]
+    assert [(it.line, it.text) for it in readme.statements(first)] == [
+        (5, "echo one \\\n  two"),
+        (7, "for n in 1 2\ndo\n  echo $n\ndone"),
+        (11, "cat > hello.txt <<'END'\necho not a command\nEND"),
+    ]
+
+
+def run(readme, tmp_path, *commands, limit_s=20.0):
+    """Runs commands as those of a README; returns what failed."""
+    for name in ("copy", "home", "run"):
+        (tmp_path / name).mkdir()
+    statements = [readme.Statement(number, text) for number, text in enumerate(commands, 1)]
+    return readme.run(statements, "README.md", tmp_path / "copy", tmp_path, limit_s)
+
+
+def test_commands_run_in_one_shell_in_the_copy_and_all_failures_are_named(readme, tmp_path):
+    failures = run(readme, tmp_path, "word=yes", "ls nothing", "echo $word > answer", "exit 3", "true")
+    assert failures == ["README.md:2: ended with 2: ls nothing", "README.md:4: ended the shell: exit 3"]
+    assert (tmp_path / "copy" / "answer").read_text() == "yes\n"
+
+
+def test_a_command_that_takes_too_long_is_ended_with_all_it_started(readme, tmp_path):
+    failures = run(readme, tmp_path, "sleep 1001 &", "echo $! > pid", "sleep 1000", limit_s=0.3)
+    assert failures == ["README.md:3: took longer than 0.3 s: sleep 1000"]
+    pid = (tmp_path / "copy" / "pid").read_text().strip()
+    listed = subprocess.run(["ps", "-o", "stat=", "-p", pid], capture_output=True, text=True)
+    assert listed.stdout.strip() in ("", "Z")
+
+
+def test_the_readme_of_the_project_can_be_read(readme):
+    for block in readme.blocks((ROOT / "README.md").read_text()):
+        if block.info == "sh":
+            assert all(readme.is_whole(statement.text) for statement in readme.statements(block))
