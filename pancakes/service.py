@@ -185,6 +185,10 @@ class Service(Component):
         self.slots[spec.name] = slot
         return slot
 
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        """Returns what a task's class wants besides what every task gets."""
+        return slot.spec.arguments
+
     def launch(self, slot: Slot, then: Callable[[str], None] | None = None) -> None:
         """Starts the task of a slot, with what it carries.
 
@@ -221,7 +225,7 @@ class Service(Component):
                 fence=slot.fence,
                 started=lambda task: self.call(lambda: self._task_started(slot, task)),
                 exited=lambda task, error: self._hear_end(slot, task, error),
-                **slot.spec.arguments,
+                **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
             self._task_failed(slot, str(error) if isinstance(error, PancakesError) else describe(error))

@@ -90,7 +90,14 @@ class Processes:
         logs = self._plan.out / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         for agent, path in self._plan.files.items():
-            command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(path), f"--die-with-parent={os.getpid()}"]
+            command = [
+                sys.executable,
+                "-m",
+                "pancakes.cli.agent",
+                "--config",
+                str(path),
+                f"--die-with-parent={os.getpid()}",
+            ]
             for change in self._plan.sets[agent]:
                 command += ["--set", change]
             with (logs / f"{agent}.txt").open("wb") as output:

@@ -71,6 +71,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         service: the service that supervises it.
         requires: the device types that it depends on.
         settings: its settings.
+        configured: the settings that its configuration gave it; what differs from these was changed while it ran.
         state: its state.
         timers: the phases of its periodic handlers.
         held: packets addressed to it and not acknowledged.
@@ -87,6 +88,7 @@ class Snapshot(msgspec.Struct, frozen=True):
     service: str
     requires: tuple[str, ...] = ()
     settings: dict[str, Any] = {}
+    configured: dict[str, Any] = {}
     state: dict[str, Any] = {}
     timers: tuple[TimerPhase, ...] = ()
     held: tuple[HeldPacket, ...] = ()

@@ -7,7 +7,7 @@ in order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
@@ -53,6 +53,8 @@ CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
+SETTLE_S = 10.0
+"""How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
 MIGRATOR = "TaskMigrator"
 
 
@@ -109,6 +111,7 @@ class DurableService(Service):
         self._asks = 0
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
+        self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
         self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
         self._residents: set[str] = set()
         self._when_written: Callable[[], None] | None = None
@@ -179,7 +182,7 @@ class DurableService(Service):
             cls=cls,
             type=snapshot.type,
             version=version,
-            settings=snapshot.settings,
+            settings=snapshot.configured,
             start=False,
             restart=msgspec.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
             durability=snapshot.durability,
@@ -197,6 +200,7 @@ class DurableService(Service):
             service=self.name,
             requires=spec.cls.requires,
             settings=dict(carried.settings),
+            configured=dict(spec.settings),
             state=dict(carried.state),
             timers=tuple(
                 TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
@@ -326,6 +330,11 @@ class DurableService(Service):
     def _written(self, done: Callable[[], None]) -> None:
         done()
         self._look_written()
+        late, self._late = list(self._late), {}
+        for name in late:
+            slot = self.slots.get(name)
+            if slot is not None and slot.spec.durability == "each":
+                self._checkpoint_some([name])
 
     # Checkpoints -----------------------------------------------------------------------------------------------
 
@@ -351,6 +360,9 @@ class DurableService(Service):
 
     def stop_asked(self, slot: Slot, request: Request) -> None:
         task_id = self.id_of(slot)
+        record = self.hand_off(task_id).record
+        if record.phase is Phase.RELEASED:
+            raise ControlRefused(f"{slot.name} moved to {record.peer}")
         if task_id not in self._owed or slot.state is not TaskState.STOPPED:
             super().stop_asked(slot, request)
             return
@@ -364,6 +376,23 @@ class DurableService(Service):
             slot = self.slots.get(name)
             if slot is not None and slot.task is not None and slot.state is TaskState.RUNNING:
                 self.checkpoint(slot, slot.task)
+
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        arguments = super().arguments_of(slot)
+        if slot.spec.durability != "each":
+            return arguments
+        return {**arguments, "handled": lambda task: self._handled(slot, task)}
+
+    def _handled(self, slot: Slot, task: Task) -> None:
+        """A task with `durability = "each"` has handled something (in its own turn)."""
+        if task.actor_stopped.is_set() or task.actor_inbox.paused:
+            return
+        try:
+            carried = task.carry()
+        except Exception as error:  # what a task keeps in its state may be anything
+            self.log("error", f"the state of {slot.address} cannot be written down: {error}")
+            return
+        self.call(lambda: self._save(slot, task, carried))
 
     def checkpoint(self, slot: Slot, task: Task) -> None:
         """Has a running task written down, if anything has changed."""
@@ -386,7 +415,8 @@ class DurableService(Service):
         task_id = self.id_of(slot)
         hand_off = self.hand_off(task_id)
         if not hand_off.idle:
-            # The disk is slow, or a hand-off under way: the next second will do, and nothing piles up meanwhile.
+            # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
+            self._late[slot.name] = None
             return
         try:
             plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s])
@@ -454,7 +484,9 @@ class DurableService(Service):
         self._saved.pop(task_id, None)
         self._owed.pop(task_id, None)
         slot.carried = Carried(
-            snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers}
+            self._settings_now(slot, snapshot),
+            snapshot.state,
+            {timer.name: timer.period_s for timer in snapshot.timers},
         )
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
         slot.incarnation = effect.incarnation
@@ -463,6 +495,7 @@ class DurableService(Service):
         arrived = task_id in self._arriving
         if arrived:
             peer = self._arriving.pop(task_id)
+            self._ask_again_s[task_id] = self.kernel.host.now() + SETTLE_S
             self.event(
                 "task_arrived", task=slot.name, source_agent=peer, epoch=effect.epoch.n, state=dict(snapshot.state)
             )
@@ -488,6 +521,21 @@ class DurableService(Service):
         self.launch(slot, launched)
         # From here on the record is what counts, and this grows old.
         slot.carried = None
+
+    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> dict[str, Any]:
+        """Returns the settings that a task goes on with: its own, but what was changed in its configuration since wins."""
+        settings, before, now = dict(snapshot.settings), snapshot.configured, slot.spec.settings
+        if slot.name not in self._residents or before == now:
+            return settings
+        changed = [key for key in now if key not in before or before[key] != now[key]]
+        settings.update((key, now[key]) for key in changed)
+        removed = [key for key in before if key not in now]
+        for key in removed:
+            settings.pop(key, None)
+        if changed or removed:
+            names = ", ".join([*changed, *removed])
+            self.log("info", f"{slot.address} takes what has changed in its configuration: {names}")
+        return settings
 
     def _freeze(self, slot: Slot | None, effect: Freeze) -> None:
         task = slot.task if slot is not None else None
