@@ -42,7 +42,8 @@ from pancakes.kernel.mailbox import Mailbox, queue
 from pancakes.net.memory import Quality
 from pancakes.packet import LOG, SYSCTRL, Packet, join, type_name
 from pancakes.plugins import Plugins
-from pancakes.service import Service, Slot
+from pancakes.service import Service
+from pancakes.slot import Slot
 from pancakes.task import Task
 
 __all__ = [

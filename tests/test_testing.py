@@ -84,9 +84,8 @@ def test_a_configuration_is_made_of_text_and_of_classes():
 def test_threads_that_are_left_are_named():
     gate = threading.Event()
     thread = threading.Thread(target=gate.wait, name="forgotten")
-    with pytest.raises(AssertionError, match="threads are left: forgotten"):
-        with no_thread_left(at_most_s=0.05):
-            thread.start()
+    with pytest.raises(AssertionError, match="threads are left: forgotten"), no_thread_left(at_most_s=0.05):
+        thread.start()
     gate.set()
     thread.join()
 

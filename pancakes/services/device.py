@@ -16,8 +16,9 @@ from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.net.transport import Transport
 from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
-from pancakes.service import Service, Slot
+from pancakes.service import Service
 from pancakes.settings import make_settings
+from pancakes.slot import Slot
 from pancakes.supervision import RestartSpec
 from pancakes.task import Carried, Task, TaskSpec
 

@@ -7,10 +7,9 @@ in order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -19,55 +18,33 @@ from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.mailbox import LATEST
 from pancakes.migration.candidate import would_take
 from pancakes.migration.effect import (
-    After,
     AttemptFailed,
     Decline,
     Discard,
     Effect,
     Freeze,
     HandedOver,
-    Persist,
     Resume,
     Send,
-    StartTask,
-    Warn,
 )
-from pancakes.migration.event import Award, Born, Checkpoint, Ended, FreezeFailed, Frozen, Received
-from pancakes.migration.event import Start as StartAgain
-from pancakes.migration.handoff import HandOff
+from pancakes.migration.event import Award, FreezeFailed, Frozen, Received
 from pancakes.migration.messages import HandOffMessage, Solicit, Transfer
-from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
-from pancakes.migration.rule import ASK_AGAIN_S, MigrationRule
-from pancakes.migration.snapshot import Snapshot, TimerPhase
-from pancakes.packet import SYSTEM, Fence, Packet, agent_of, join
-from pancakes.service import STUCK_S, Request, Service, Slot, TaskState
-from pancakes.services.records import Records
+from pancakes.migration.record import NO_EPOCH, Phase, TaskId
+from pancakes.migration.rule import ASK_AGAIN_S
+from pancakes.migration.snapshot import Snapshot
+from pancakes.packet import SYSTEM, Packet, agent_of, join
+from pancakes.services.recorded import RecordedService
 from pancakes.settings import make_settings
-from pancakes.supervision import RestartSpec
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.slot import Request, Slot, TaskState
+from pancakes.supervisor import STUCK_S
+from pancakes.task import Carried
 
 if TYPE_CHECKING:
     from pancakes.services.migrator import TaskMigrator
 
-CHECKPOINT_S = 1.0
-"""How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
-CHECKPOINTS_AT_ONCE = 20
-"""So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 SETTLE_S = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
 MIGRATOR = "TaskMigrator"
-
-
-class Catalogue(Protocol):
-    """Where task classes are found by name."""
-
-    def find(self, type_name: str) -> tuple[type[Task], str]:
-        """Returns the class of an entry point, and the version of the distribution that it comes from.
-
-        Raises:
-            PancakesError: there is none, or it cannot be loaded.
-        """
-        ...
 
 
 @dataclass
@@ -87,365 +64,30 @@ class Move:
     dry_run: bool
 
 
-class DurableService(Service):
-    """A service whose tasks have durable records and can move.
+class DurableService(RecordedService):
+    """A service whose tasks have durable records and can move to other agents.
 
     Args:
         records: where the records are kept.
         catalogue: where the classes of tasks that arrive are found.
     """
 
-    durable: ClassVar[bool] = True
-
-    def __init__(self, *args: Any, records: Records, catalogue: Catalogue, **others: Any) -> None:
+    def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
-        self._records = records
-        self._catalogue = catalogue
-        self.hand_offs: dict[TaskId, HandOff] = {}
-        self._ids: dict[str, list[TaskId]] = {}  # of all hand-offs, by the task's name
-        self._starting: dict[TaskId, list[Callable[[str], None]]] = {}
         self._moves: dict[TaskId, Move] = {}
         self._ask_again_s: dict[TaskId, float] = {}
         self._watched: list[str] = []
-        self._saved: dict[TaskId, bytes] = {}
         self._asks = 0
-        self._arriving: dict[TaskId, str] = {}
-        self._leaving: set[str] = set()
-        self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
-        self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
-        self._residents: set[str] = set()
-        self._when_written: Callable[[], None] | None = None
-
-    # Records and slots -----------------------------------------------------------------------------------------
-
-    def specs(self) -> Sequence[TaskSpec]:
-        specs = super().specs()
-        self._residents = {spec.name for spec in specs}
-        for record in self._records.all().values():
-            if self._is_ours(record):
-                self._add_hand_off(record)
-        for hand_off in list(self.hand_offs.values()):
-            name = hand_off.record.task_id.name
-            if name not in self._residents and hand_off.record.snapshot:
-                try:
-                    specs = (*specs, self._spec_of(Snapshot.decode(hand_off.record.snapshot)))
-                except PancakesError as error:
-                    self.log("error", f"{hand_off.record.task_id} rests in the journal and cannot be started: {error}")
-        return specs
 
     def after_start(self) -> None:
         super().after_start()
-        # A tombstone has no slot, and answers all the same.
-        for hand_off in self.hand_offs.values():
-            if self._slot_of(hand_off.record.task_id) is None:
-                hand_off.recover()
         self._tell_migrator(lambda migrator: migrator.service_began(self))
-        self.after_host(CHECKPOINT_S, self._checkpoint_all)
 
-    def _is_ours(self, record: Record) -> bool:
-        if record.snapshot:
-            try:
-                return Snapshot.decode(record.snapshot).service == self.name
-            except PancakesError as error:
-                self.log("error", f"the snapshot of {record.task_id} in the journal is not used: {error}")
-                return False
-        return self.name == "client" or record.task_id.name in self._residents
+    def task_arrived(self, task_id: TaskId) -> None:
+        self._ask_again_s[task_id] = self.kernel.host.now() + SETTLE_S
 
-    def id_of(self, slot: Slot) -> TaskId:
-        """Returns a task's identity for life: of one that came from elsewhere, its birthplace's."""
-        for task_id in self._ids.get(slot.name, ()):
-            if self.hand_offs[task_id].record.phase not in (Phase.ABSENT, Phase.RELEASED):
-                return task_id
-        return TaskId(self.agent, slot.name)
-
-    def hand_off(self, task_id: TaskId) -> HandOff:
-        """Returns the hand-off of a task, making it where this agent has never heard of the task."""
-        hand_off = self.hand_offs.get(task_id)
-        if hand_off is None:
-            hand_off = self._add_hand_off(Record(task_id))
-        return hand_off
-
-    def _add_hand_off(self, record: Record) -> HandOff:
-        hand_off = self.hand_offs[record.task_id] = HandOff(self.agent, record, self)
-        self._ids.setdefault(record.task_id.name, []).append(record.task_id)
-        return hand_off
-
-    def _slot_of(self, task_id: TaskId) -> Slot | None:
-        slot = self.slots.get(task_id.name)
-        return slot if slot is not None and self.id_of(slot) == task_id else None
-
-    def _spec_of(self, snapshot: Snapshot) -> TaskSpec:
-        cls, version = self._catalogue.find(snapshot.type)
-        rule = msgspec.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
-        return TaskSpec(
-            name=snapshot.task_id.name,
-            cls=cls,
-            type=snapshot.type,
-            version=version,
-            settings=snapshot.configured,
-            start=False,
-            restart=msgspec.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
-            durability=snapshot.durability,
-            rule=rule,
-        )
-
-    def _snapshot(self, slot: Slot, carried: Carried | None) -> bytes:
-        spec = slot.spec
-        carried = carried or Carried(spec.settings, {})
-        now_s = self.now()
-        return Snapshot(
-            task_id=self.id_of(slot),
-            type=spec.type,
-            version=spec.version,
-            service=self.name,
-            requires=spec.cls.requires,
-            settings=dict(carried.settings),
-            configured=dict(spec.settings),
-            state=dict(carried.state),
-            timers=tuple(
-                TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
-            ),
-            sent={slot.address: self.kernel.seq_of(slot.address).value - 1},
-            restart=asdict(spec.restart),
-            durability=spec.durability,
-            migrate=asdict(spec.rule) if spec.rule is not None else None,
-        ).encode()
-
-    # Starting and ending ---------------------------------------------------------------------------------------
-
-    def wants(self, slot: Slot) -> bool:
-        hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is None:
-            return slot.spec.start
-        # The journal wins over `start` in the configuration: a stop that somebody asked for outlives a reboot.
-        record = hand_off.record
-        return record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING
-
-    def start_configured(self, slot: Slot) -> None:
-        hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is None:
-            self.begin(slot, lambda reason: self._report(slot, reason))
-            return
-        runs = hand_off.record.phase in (Phase.OWNER, Phase.FROZEN)
-        if runs:
-            slot.state = TaskState.STARTING
-        hand_off.recover()
-        if not runs:
-            self.settle(slot)
-
-    def _report(self, slot: Slot, reason: str) -> None:
-        if slot.state is TaskState.RESTARTING:
-            return  # it failed, and is tried again
-        if reason:
-            self.log("error", f"{slot.address} was not started: {reason}")
-        self.settle(slot)
-
-    def begin(self, slot: Slot, then: Callable[[str], None]) -> None:
-        """Starts a task as its record allows; `then` is told an empty string, or the reason why not."""
-        reason = self.admit(slot) or self._held_by_another(slot)
-        if reason:
-            then(reason)
-            return
-        hand_off = self.hand_off(self.id_of(slot))
-        lost = self._records.lost(hand_off.record.task_id)
-        if lost and hand_off.record.phase is Phase.ABSENT:
-            then(f"it may run elsewhere, and what this agent knew of it is lost: {lost}")
-            return
-        self._starting.setdefault(hand_off.record.task_id, []).append(then)
-        record = hand_off.record
-        slot.state = TaskState.STARTING
-        if record.phase is Phase.ABSENT and record.seen == NO_EPOCH:
-            hand_off.feed(Born(self._snapshot(slot, slot.carried)))
-        else:
-            if slot.carried is not None and record.phase is Phase.OWNER:
-                hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
-            hand_off.feed(StartAgain())
-
-    def _held_by_another(self, slot: Slot) -> str:
-        registry = self.kernel.registry
-        for device in registry.devices():
-            holder = registry.holder(device.name)
-            if device.actuator and device.type in slot.spec.cls.requires and holder not in ("", slot.address):
-                return f"{device.name} is held by {holder}"
-        return ""
-
-    def relaunch(self, slot: Slot) -> None:
-        slot.state = TaskState.STARTING
-        self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
-
-    def carried_of(self, slot: Slot) -> Carried:
-        record = self.hand_off(self.id_of(slot)).record
-        if slot.carried is not None or not record.snapshot:
-            return super().carried_of(slot)
-        snapshot = Snapshot.decode(record.snapshot)
-        return Carried(snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers})
-
-    def drop_state(self, slot: Slot) -> None:
-        slot.carried = Carried(slot.spec.settings, {})
-
-    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
-        self.begin(slot, then)
-
-    def task_ended(self, slot: Slot) -> None:
-        if slot.name in self._leaving:
-            self._leaving.discard(slot.name)
-            self._forget(slot)
-            return
-        hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is None or hand_off.record.phase is not Phase.OWNER:
-            return
-        snapshot = self._snapshot(slot, slot.carried) if slot.carried is not None else b""
-        if self.closing:
-            # Nobody asked for an end of the task itself: it goes on when its service comes back.
-            if snapshot:
-                hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
-            return
-        wanted = Wanted.FAILED if slot.state is TaskState.FAILED else Wanted.STOPPED
-        hand_off.feed(Ended(wanted, snapshot))
-
-    def _forget(self, slot: Slot) -> None:
-        """A task was given away: what is left of it here is the tombstone in the journal."""
-        self._let_go(slot)
-        slot.state = TaskState.STOPPED
-        slot.carried = None
-        slot.mailbox.clear_data()
-        if slot.name not in self._residents:
-            del self.slots[slot.name]
-
-    def settle_all(self, then: Callable[[], None]) -> None:
-        # The last checkpoint of each task may wait for the one before it to be written.
-        self._when_written = then
-        self._look_written()
-
-    def _look_written(self) -> None:
-        then = self._when_written
-        if then is not None and not any(hand_off.writing for hand_off in self.hand_offs.values()):
-            self._when_written = None
-            then()
-
-    def _not_written(self, hand_off: HandOff, reason: str) -> None:
-        self._saved.pop(hand_off.record.task_id, None)
-        hand_off.failed(reason)
-
-    def _written(self, done: Callable[[], None]) -> None:
-        done()
-        self._look_written()
-        late, self._late = list(self._late), {}
-        for name in late:
-            slot = self.slots.get(name)
-            if slot is not None and slot.spec.durability == "each":
-                self._checkpoint_some([name])
-
-    # Checkpoints -----------------------------------------------------------------------------------------------
-
-    def _checkpoint_all(self) -> None:
-        names = list(self.slots)
-        batches = [names[start : start + CHECKPOINTS_AT_ONCE] for start in range(0, len(names), CHECKPOINTS_AT_ONCE)]
-        for number, batch in enumerate(batches):
-            if number == 0:
-                self._checkpoint_some(batch)
-            else:
-                self.after_host(number * CHECKPOINT_S / len(batches), partial(self._checkpoint_some, batch))
-        self.after_host(CHECKPOINT_S, self._checkpoint_all)
-        self._start_owed()
-
-    def _start_owed(self) -> None:
-        """Starts what was refused before, such as a task that came while another still held its actuators."""
-        for task_id in list(self._owed):
-            slot = self._slot_of(task_id)
-            if slot is None or slot.state is not TaskState.STOPPED:
-                del self._owed[task_id]
-            elif not slot.busy and not (self.admit(slot) or self._held_by_another(slot)):
-                self.begin(slot, lambda reason, slot=slot: self._report(slot, reason))  # type: ignore[misc]
-
-    def stop_asked(self, slot: Slot, request: Request) -> None:
-        task_id = self.id_of(slot)
-        record = self.hand_off(task_id).record
-        if record.phase is Phase.RELEASED:
-            raise ControlRefused(f"{slot.name} moved to {record.peer}")
-        if task_id not in self._owed or slot.state is not TaskState.STOPPED:
-            super().stop_asked(slot, request)
-            return
-        del self._owed[task_id]
-        self.tell_asked("stop", slot, request)
-        self.hand_off(task_id).feed(Ended(Wanted.STOPPED))
-        self.reply(request)
-
-    def _checkpoint_some(self, names: Sequence[str]) -> None:
-        for name in names:
-            slot = self.slots.get(name)
-            if slot is not None and slot.task is not None and slot.state is TaskState.RUNNING:
-                self.checkpoint(slot, slot.task)
-
-    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
-        arguments = super().arguments_of(slot)
-        if slot.spec.durability != "each":
-            return arguments
-        return {**arguments, "handled": lambda task: self._handled(slot, task)}
-
-    def _handled(self, slot: Slot, task: Task) -> None:
-        """A task with `durability = "each"` has handled something (in its own turn)."""
-        if task.actor_stopped.is_set() or task.actor_inbox.paused:
-            return
-        try:
-            carried = task.carry()
-        except Exception as error:  # what a task keeps in its state may be anything
-            self.log("error", f"the state of {slot.address} cannot be written down: {error}")
-            return
-        self.call(lambda: self._save(slot, task, carried))
-
-    def checkpoint(self, slot: Slot, task: Task) -> None:
-        """Has a running task written down, if anything has changed."""
-
-        def look() -> None:
-            if task.actor_inbox.paused:
-                return
-            try:
-                carried = task.carry()
-            except Exception as error:  # what a task keeps in its state may be anything
-                self.log("error", f"the state of {slot.address} cannot be written down: {error}")
-                return
-            self.call(lambda: self._save(slot, task, carried))
-
-        task.call(look)
-
-    def _save(self, slot: Slot, task: Task, carried: Carried) -> None:
-        if slot.task is not task or slot.state is not TaskState.RUNNING:
-            return
-        task_id = self.id_of(slot)
-        hand_off = self.hand_off(task_id)
-        if not hand_off.idle:
-            # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
-            self._late[slot.name] = None
-            return
-        try:
-            plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s])
-            if self._saved.get(task_id) == plain:
-                return
-            snapshot = self._snapshot(slot, carried)
-        except (PancakesError, TypeError, OverflowError) as error:
-            self.log("error", f"the state of {slot.address} cannot be written down: {error}")
-            return
-        self._saved[task_id] = plain
-        hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
-
-    # What the core asks for ------------------------------------------------------------------------------------
-
-    def carry_out(self, task_id: TaskId, effect: Effect, done: Callable[[], None]) -> None:
-        """Begins to carry out one effect; `done` lets the next one follow."""
-        slot = self.slots.get(task_id.name)
+    def carry_out_move(self, task_id: TaskId, slot: Slot | None, effect: Effect) -> None:
         match effect:
-            case Persist():
-                hand_off = self.hand_offs[task_id]
-                self._records.persist(
-                    effect.record,
-                    lambda: self.call(lambda: self._written(done)),
-                    lambda reason: self.call(lambda: self._written(lambda: self._not_written(hand_off, reason))),
-                )
-                return
-            case StartTask():
-                self._start_task(task_id, effect, done)
-                return
             case Send():
                 self._send(effect.peer, effect.message)
             case Freeze():
@@ -454,88 +96,12 @@ class DurableService(Service):
                 self._resume(slot)
             case Discard():
                 self._discard(task_id, slot)
-            case After():
-                event = effect.event
-                self.after_host(effect.drawn_s(self.random), lambda: self.hand_off(task_id).feed(event))
-            case Warn():
-                self.log("warning", effect.text)
             case Decline():
                 self._declined(task_id, effect.reason)
             case AttemptFailed():
                 self._tell_migrator(lambda migrator: migrator.attempt_failed(task_id, effect.peer, effect.reason))
             case HandedOver():
                 self._handed_over(task_id, effect)
-        done()
-
-    def _start_task(self, task_id: TaskId, effect: StartTask, done: Callable[[], None]) -> None:
-        snapshot = Snapshot.decode(effect.snapshot)
-        slot = self.slots.get(task_id.name)
-        if slot is None:
-            try:
-                slot = self.open_slot(self._spec_of(snapshot))
-            except PancakesError as error:
-                self.log("error", f"{task_id} is ours, but cannot be started: {error}")
-                done()
-                return
-        elif slot.task is not None:
-            # It came back before the actor that was given away has ended.
-            self.halt(slot, lambda: self._start_task(task_id, effect, done), "it comes back")
-            return
-        self._saved.pop(task_id, None)
-        self._owed.pop(task_id, None)
-        slot.carried = Carried(
-            self._settings_now(slot, snapshot),
-            snapshot.state,
-            {timer.name: timer.period_s for timer in snapshot.timers},
-        )
-        slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
-        slot.incarnation = effect.incarnation
-        for seq in snapshot.sent.values():
-            self.kernel.continue_seq(slot.address, seq + 1)
-        arrived = task_id in self._arriving
-        if arrived:
-            peer = self._arriving.pop(task_id)
-            self._ask_again_s[task_id] = self.kernel.host.now() + SETTLE_S
-            self.event(
-                "task_arrived", task=slot.name, source_agent=peer, epoch=effect.epoch.n, state=dict(snapshot.state)
-            )
-
-        def launched(reason: str) -> None:
-            waiting = self._starting.pop(task_id, [])
-            if reason and not waiting:
-                self.log("error", f"{task_id} is ours, but was not started: {reason}")
-            for then in waiting:
-                then(reason)
-            if reason and slot.state is TaskState.STOPPED:
-                # It was refused, so it does not run, but it is still wanted: a start that is asked for may follow.
-                self.hand_off(task_id).feed(Ended(Wanted.RUNNING))
-                self._owed[task_id] = None
-            done()
-
-        if slot.state is TaskState.STOPPING:
-            # Its service was told to stop while the record of its start was being written.
-            slot.carried = None
-            slot.on_running.append(launched)
-            self._rest(slot, slot.reason)
-            return
-        self.launch(slot, launched)
-        # From here on the record is what counts, and this grows old.
-        slot.carried = None
-
-    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> dict[str, Any]:
-        """Returns the settings that a task goes on with: its own, but what was changed in its configuration since wins."""
-        settings, before, now = dict(snapshot.settings), snapshot.configured, slot.spec.settings
-        if slot.name not in self._residents or before == now:
-            return settings
-        changed = [key for key in now if key not in before or before[key] != now[key]]
-        settings.update((key, now[key]) for key in changed)
-        removed = [key for key in before if key not in now]
-        for key in removed:
-            settings.pop(key, None)
-        if changed or removed:
-            names = ", ".join([*changed, *removed])
-            self.log("info", f"{slot.address} takes what has changed in its configuration: {names}")
-        return settings
 
     def _freeze(self, slot: Slot | None, effect: Freeze) -> None:
         task = slot.task if slot is not None else None

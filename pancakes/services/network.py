@@ -14,8 +14,9 @@ from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChan
 from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
-from pancakes.service import Request, Service, Slot
+from pancakes.service import Service
 from pancakes.services.migrator import Hosting, TaskMigrator
+from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
 
 

@@ -32,7 +32,8 @@ from pancakes.control import (
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component, describe
 from pancakes.packet import SYSCTRL, Packet, agent_of, join
-from pancakes.service import Request, Service, ServiceSpec, Slot
+from pancakes.service import Service, ServiceSpec
+from pancakes.slot import Request, Slot
 from pancakes.suggestion import suggestion
 from pancakes.supervision import Next, Supervision
 

@@ -155,6 +155,7 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
     progress.end()
     _end_session(shell.pid)
     shell.wait()
+    shell.stdout.close()
     if current < len(all_statements):
         why = f"took longer than {limit_s:g} s" if progress.is_late else "ended the shell"
         failures.append(f"{name}:{all_statements[current].line}: {why}: {all_statements[current].text}")

@@ -7,7 +7,6 @@ import importlib
 import json
 import os
 import platform
-import sys
 from pathlib import Path
 
 from benchmarks.figure import Figure, Plan
@@ -58,4 +57,4 @@ def _short(value: float) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -33,7 +33,12 @@ def offer_tasks(directory: Path) -> Mapping[str, str]:
     path = [str(directory), str(Path(__file__).resolve().parents[1])]
     runtime = directory / "run"
     runtime.mkdir(mode=0o700)
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+    return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+
+
+def usual_environment() -> dict[str, str]:
+    """Returns this process's environment, in which Python keeps what it has compiled, as it does by itself."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 @contextmanager

@@ -102,4 +102,5 @@ def near(port: int, report_fd: int, round_trips: int, packets: int, size: int) -
 
 
 if __name__ == "__main__":
-    {"far": far, "near": near}[sys.argv[1]](*map(int, sys.argv[2:]))
+    side, *numbers = sys.argv[1:]
+    (far if side == "far" else near)(*map(int, numbers))

@@ -14,7 +14,7 @@ from pathlib import Path
 from subprocess import Popen
 
 import psutil
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report
+from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, usual_environment
 from benchmarks.figure import Figure, Plan, in_turns
 
 TITLE = "an idle agent: pancakes-agent with its four services and one task"
@@ -62,11 +62,13 @@ def bare_python() -> list[float]:
     """One run of the baseline. Returns the same."""
     reader, writer = os.pipe()
     began_s = time.perf_counter()
-    with process([sys.executable, "-c", _BARE, str(writer)], os.environ, pass_fds=(writer,)) as started:
+    with process([sys.executable, "-c", _BARE, str(writer)], usual_environment(), pass_fds=(writer,)) as started:
         return _measure(started, began_s, reader, writer)
 
 
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
     figures = [Figure("start to the first tick", "ms", wanted=3.0), Figure("resident memory", "MiB", wanted=1.8)]
+    pancakes()  # the first one compiles what has changed
+    bare_python()
     yield from in_turns(plan, figures, pancakes, bare_python)

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, two_cores
+from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, two_cores, usual_environment
 from benchmarks.figure import Figure, Plan, in_turns
 
 TITLE = "a task to a task in another process, over loopback"
@@ -76,10 +76,10 @@ def bare_sockets(size: int, round_trips: int, packets: int) -> dict[str, Any]:
     port_reader, port_writer = os.pipe()
     reader, writer = os.pipe()
     numbers = [str(number) for number in (round_trips, packets, size)]
-    with process([*command, "far", str(port_writer)], os.environ, far_core, (port_writer,)):
+    with process([*command, "far", str(port_writer)], usual_environment(), far_core, (port_writer,)):
         port = read_report(port_reader)["port"]
         near = [*command, "near", str(port), str(writer), *numbers]
-        with process(near, os.environ, near_core, (writer,)):
+        with process(near, usual_environment(), near_core, (writer,)):
             try:
                 return read_report(reader)
             finally:

@@ -351,7 +351,7 @@ def test_what_was_put_off_comes_in_the_actor_and_never_after_its_end(rig):
 
 def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
     def drawn(seed, address):
-        return Rig(seed=seed, **{}).spawn(Component, address).random.random()
+        return Rig(seed=seed).spawn(Component, address).random.random()
 
     assert drawn(1, "a/client/T") == drawn(1, "a/client/T")
     assert drawn(1, "a/client/T") != drawn(1, "a/client/U")

@@ -130,6 +130,9 @@ def test_the_count_of_what_fell_out_outlives_a_restart():
     waiting.put(packet(2))
     mailbox.subscribe("system", {"pose": LATEST})
     assert mailbox.dropped() == 1
+    # And so it does where one more type is listened to.
+    mailbox.subscribe("system", {"load": queue(9)})
+    assert mailbox.dropped() == 1
 
 
 def test_a_new_component_begins_with_what_its_predecessor_left():

@@ -232,7 +232,7 @@ class StreamModel(RuleBasedStateMachine):
         self.stream = InformationStream("a")
         self.mailboxes = {}
         self.wants = {}  # (address, channel) -> types
-        self.open = {name: None for name in CORE_CHANNELS}
+        self.open = dict.fromkeys(CORE_CHANNELS)
         self.seq = 0
 
     @rule(target=channels, name=st.sampled_from(["system", "map", "plan"]))

@@ -60,7 +60,7 @@ def readme() -> ModuleType:
 
 def test_blocks_have_their_info_string_and_the_line_they_begin_at(readme):
     found = [(block.info, block.line) for block in readme.blocks(TEXT)]
-    assert found == [("sh", 4), ("console", 16), ("python tasks/blink.py", 20), ("sh", 24)]
+    assert found == [("sh", 4), ("console", 17), ("python tasks/blink.py", 21), ("sh", 25)]
     assert readme.blocks(TEXT)[2].text == 'print("blink")\n'
     assert readme.blocks(TEXT)[3].text == "false\n"
 

@@ -1,4 +1,4 @@
-"""Devices: sampled, held by one task at a time, brought to their safe hold, and virtual where another agent has them."""
+"""Devices: sampled, held by one task at a time, brought to their safe hold, and virtual where they are elsewhere."""
 
 from dataclasses import dataclass
 
@@ -349,7 +349,7 @@ def test_a_virtual_actuator_drives_another_agents_wheels(fleet):
 
 
 def test_wheels_that_a_task_holds_here_do_not_obey_from_elsewhere(fleet):
-    far = fleet.start("far", devices={"wheels": Wheels}, tasks={"Driving": Driving})
+    fleet.start("far", devices={"wheels": Wheels}, tasks={"Driving": Driving})
     remote = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
     near = fleet.start(
         "near", devices={"wheels": remote}, tasks={"Remote": {"type": Driving, "settings": {"v_mps": 0.3}}}

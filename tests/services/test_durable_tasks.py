@@ -186,9 +186,8 @@ def test_a_journal_that_is_in_use_is_not_shared(fleet):
 def test_a_state_directory_that_is_in_use_is_not_shared(tmp_path):
     with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:
         assert agent.running() == ["Count"]
-        with pytest.raises(JournalError, match="is in use"):
-            with threaded_agent("a", state_dir=tmp_path / "a"):
-                pass
+        with pytest.raises(JournalError, match="is in use"), threaded_agent("a", state_dir=tmp_path / "a"):
+            pass
     with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:
         assert agent.ask(Stop("Count")).ok
     with threaded_agent("a", tasks={"Count": Count}, state_dir=tmp_path / "a") as agent:

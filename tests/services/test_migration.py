@@ -107,10 +107,13 @@ def test_a_task_moves_with_its_settings_state_rate_and_numbers(fleet):
 
 
 def test_it_stands_still_for_less_than_half_a_second(fleet):
+    """Also over a slow link; what it does is not forgotten, because from the snapshot on it does nothing."""
     a, b = fleet.agents["a"], fleet.agents["b"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
     fleet.run_for(1.0)
     assert a.ask(Migrate("Circle")).ok
     fleet.run_for(1.0)
+    assert b.probe.packets(Load)[0].body.cpu == a.probe.packets(Load)[-1].body.cpu + 1
     last_s = a.kernel.mission.host_time(a.probe.packets(Twist)[-1].stamp)
     first_s = b.kernel.mission.host_time(b.probe.packets(Twist)[0].stamp)
     assert 0.0 < first_s - last_s < 0.5
@@ -332,6 +335,10 @@ def test_a_rule_moves_on_with_its_task():
         a = ruled(fleet, others=("b", "c"))
         a.publish("system", Battery(11.0, 0.6))
         assert fleet.run_until(lambda: hosts(fleet) == ["b"])
+        fleet.run_for(9.0)
+        fleet.agents["b"].publish("system", Battery(11.0, 0.6))
+        fleet.run_for(0.5)
+        assert hosts(fleet) == ["b"], "a rule leaves a task alone that has just arrived"
         fleet.run_for(1.0)
         fleet.agents["b"].publish("system", Battery(11.0, 0.6))
         assert fleet.run_until(lambda: hosts(fleet) == ["c"])

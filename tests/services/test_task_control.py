@@ -277,7 +277,7 @@ def test_a_task_that_fails_too_often_is_given_up(fleet, service):
     fleet.run_for(1.0)
     assert [event["then"] for event in agent.events("task_failed")] == ["restart", "restart", "give up"]
     assert agent.events("task_given_up", task="Fragile")
-    assert any("a/%s/Fragile is given up: RuntimeError: no luck" % service in line for line in agent.lines("error"))
+    assert any(f"a/{service}/Fragile is given up: RuntimeError: no luck" in line for line in agent.lines("error"))
     assert agent.ask(Describe("Fragile")).result["state"] == "failed"
     assert agent.running(service) == ["Count"]
     # A person may try once more, with other settings.

@@ -188,6 +188,8 @@ def test_what_was_written_is_on_the_disk_within_a_second(tmp_path):
     agent = WorldAgent(trajectory=str(path))
     agent.run_until(3.05)
     assert len(path.read_text().splitlines()) > 4 * 20
+    agent.trajectory.actor_ref.stop(block=False)
+    agent.dispatcher.settle()
 
 
 def test_the_same_seed_writes_the_same_bytes(tmp_path):

@@ -1,0 +1,79 @@
+"""The place of one task in its service, and what the service knows about it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.packet import Cause, Fence
+from pancakes.supervision import Supervision
+from pancakes.task import Carried, Task, TaskSpec
+
+
+class TaskState(Enum):
+    """What a task does now, as its service sees it."""
+
+    STOPPED = "stopped"
+    STARTING = "starting"
+    RUNNING = "running"
+    STOPPING = "stopping"
+    STUCK = "stuck"
+    """It was asked to stop and does not come back from what it is doing. Python cannot end its thread."""
+    RESTARTING = "restarting"
+    FAILED = "failed"
+    """It failed too often, and its service gave up on it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Who asked for something, and which packet of theirs it was.
+
+    Attributes:
+        by: the asker's address.
+        cause: the packet.
+        number: its place in the order of all commands to this agent.
+    """
+
+    by: str
+    cause: Cause
+    number: int = 0
+
+
+@dataclass
+class Slot:
+    """The place of one task in its service: it outlives the actors that fill it.
+
+    Attributes:
+        carried: what its next actor begins with; None: what the configuration says.
+        on_running: told when its task runs, or with the reason why it does not.
+        on_ended: told when its task has ended.
+        on_stuck: told when its task does not end.
+        on_lost: told when its task ends before it has done what it was asked.
+        busy: whether a command that starts or stops the task is being carried out.
+        commands: those that wait for that.
+    """
+
+    spec: TaskSpec
+    address: str
+    supervision: Supervision
+    mailbox: Mailbox = field(default_factory=Mailbox)
+    state: TaskState = TaskState.STOPPED
+    task: Task | None = None
+    carried: Carried | None = None
+    fence: Fence | None = None
+    incarnation: int = 0
+    reason: str = ""
+    on_running: list[Callable[[str], None]] = field(default_factory=list)
+    on_ended: list[Callable[[], None]] = field(default_factory=list)
+    on_stuck: list[Callable[[str], None]] = field(default_factory=list)
+    on_lost: list[Callable[[str], None]] = field(default_factory=list)
+    busy: bool = False
+    commands: deque[Callable[[], None]] = field(default_factory=deque)
+
+    @property
+    def name(self) -> str:
+        """The task's name."""
+        return self.spec.name

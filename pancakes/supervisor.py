@@ -1,0 +1,415 @@
+"""The life of tasks under a service: they are started, stood by, and stopped (paper §3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pancakes.control import Hold
+from pancakes.errors import ControlRefused, PancakesError
+from pancakes.kernel.component import Component, describe
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.packet import CTRL, join
+from pancakes.settings import make_settings
+from pancakes.slot import Slot, TaskState
+from pancakes.supervision import Next, Supervision
+from pancakes.task import Carried, Nothing, Task, TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.kernel.kernel import Kernel
+
+
+STUCK_S = 2.0
+"""A task that has not ended so long after it was asked to, in host time, is stuck."""
+STUCK_AT_THE_END_S = 0.4
+"""Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
+
+
+class Supervisor(Component):
+    """Keeps a registry of tasks, starts and stops them, and stands by them (paper §3.3, duties 1 and 2).
+
+    Attributes:
+        settings: an instance of the class's `Settings`.
+        slots: its tasks, by name.
+        stopped_for_s: while it stops: after how many seconds of mission time it will be started again; None: it
+            will not by itself.
+    """
+
+    Settings: ClassVar[type] = Nothing
+
+    settings: Any
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        settings: Mapping[str, Any] | None = None,
+        tasks: Sequence[TaskSpec] = (),
+        ready: Callable[[Supervisor], None] | None = None,
+    ) -> None:
+        super().__init__(kernel, address, mailbox)
+        self.settings = make_settings(self.Settings, settings or {})
+        self._configured = tuple(tasks)
+        self._on_ready = ready
+        self._unsettled: set[str] = set()
+        self._told_ready = False
+        self.closing = False
+        self.slots: dict[str, Slot] = {}
+        self.stopped_for_s: float | None = None
+
+    # For subclasses --------------------------------------------------------------------------------------------
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        """Returns the tasks that the service brings itself; called once, before they start."""
+        return ()
+
+    def specs(self) -> Sequence[TaskSpec]:
+        """Returns all tasks that have a place from the start on; called once."""
+        return (*self.own_tasks(), *self._configured)
+
+    def admit(self, slot: Slot) -> str:
+        """Says why a task must not be started now; empty: it may."""
+        lacking = self.kernel.registry.lacking(slot.spec.cls.requires)
+        if lacking:
+            return f"{self.agent} lacks the device types {', '.join(lacking)}, which {slot.name} requires"
+        return ""
+
+    def refuse_stop(self) -> str:
+        """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
+        return ""
+
+    def open_slot(self, spec: TaskSpec) -> Slot:
+        """Makes the place for a task, without starting it.
+
+        Raises:
+            ControlRefused: the service has a task of this name.
+        """
+        if spec.name in self.slots:
+            raise ControlRefused(f"{self.address} already has a task {spec.name}")
+        slot = Slot(spec, join(self.agent, self.name, spec.name), Supervision(spec.restart))
+        self.slots[spec.name] = slot
+        return slot
+
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        """Returns what a task's class wants besides what every task gets."""
+        return slot.spec.arguments
+
+    def launch(self, slot: Slot, then: Callable[[str], None] | None = None) -> None:
+        """Starts the task of a slot, with what it carries.
+
+        Args:
+            slot: a slot whose task does not run.
+            then: called in this actor once it runs, with an empty string, or when it did not start, with the reason.
+        """
+        reason = "its service stops" if self.closing else self.admit(slot)
+        reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        if reason:
+            slot.state = TaskState.STOPPED
+            slot.reason = reason
+            # Its predecessor may have left subscriptions and actuators to it.
+            self._let_go(slot)
+            if then is not None:
+                then(reason)
+            else:
+                self.log("error", f"{slot.address} was not started: {reason}")
+            self.settle(slot)
+            return
+        carried = slot.carried or Carried(slot.spec.settings, {})
+        slot.state = TaskState.STARTING
+        slot.incarnation += 1
+        slot.reason = ""
+        if then is not None:
+            slot.on_running.append(then)
+        try:
+            component = self.kernel.spawn(
+                slot.spec.cls,
+                slot.address,
+                mailbox=slot.mailbox,
+                carried=carried,
+                rate_hz=slot.spec.rate_hz,
+                fence=slot.fence,
+                started=lambda task: self.call(lambda: self._task_started(slot, task)),
+                exited=lambda task, error: self._hear_end(slot, task, error),
+                **self.arguments_of(slot),
+            )
+        except Exception as error:  # what a task's author wrote in __init__ may raise anything
+            self._task_failed(slot, str(error) if isinstance(error, PancakesError) else describe(error))
+            return
+        assert isinstance(component, Task)
+        slot.task = component
+
+    def halt(
+        self,
+        slot: Slot,
+        then: Callable[[], None] | None = None,
+        reason: str = "asked for",
+        stuck: Callable[[str], None] | None = None,
+    ) -> None:
+        """Stops the task of a slot once it has finished the message in hand; a stop that was meant restarts nothing.
+
+        Args:
+            slot: the slot.
+            then: called in this actor once the task has ended.
+            reason: why, for the log.
+            stuck: called in this actor, with a sentence, where it does not end in time; `then` still comes if it ever
+                ends.
+        """
+        if slot.state is TaskState.STUCK and stuck is not None:
+            stuck(f"{slot.address} is stuck")
+        if slot.state in (TaskState.STOPPED, TaskState.FAILED):
+            self._let_go(slot)
+            if then is not None:
+                then()
+            return
+        if then is not None:
+            slot.on_ended.append(then)
+        if slot.state is TaskState.RESTARTING:
+            self._rest(slot, reason)
+            return
+        if slot.state in (TaskState.STOPPING, TaskState.STUCK):
+            return
+        if stuck is not None:
+            slot.on_stuck.append(stuck)
+        slot.state = TaskState.STOPPING
+        slot.reason = reason
+        task = slot.task
+        if task is not None and task.actor_ref.is_alive():
+            task.stop()
+            self.after_host(STUCK_S, lambda: self._look_for_end(slot, task))
+
+    def _look_for_end(self, slot: Slot, task: Task) -> None:
+        """A task should have ended by now. One that has not may say nothing more; no second copy starts beside it."""
+        if slot.task is not task or slot.state is not TaskState.STOPPING:
+            return
+        slot.state = TaskState.STUCK
+        task.revoke()
+        self.hold_actuators(slot, f"{slot.name} is stuck")
+        text = f"{slot.address} is stuck: it was asked to stop and is still busy"
+        self.log("error", text)
+        self.event("task_stuck", task=slot.name)
+        waiting, slot.on_stuck = slot.on_stuck, []
+        for stuck in waiting:
+            stuck(text)
+
+    def close(self, then: Callable[[], None]) -> None:
+        """Stops all tasks, last first, then the service itself; `then` is called in its actor just before that."""
+        self.closing = True
+        slots = [slot for slot in reversed(self.slots.values()) if slot.state is not TaskState.STOPPED]
+
+        def next_one() -> None:
+            if slots:
+                stop_one(slots.pop(0))
+            else:
+                self.settle_all(end)
+
+        def stop_one(slot: Slot) -> None:
+            gone_on = False
+
+            def go_on() -> None:
+                nonlocal gone_on
+                if not gone_on:
+                    gone_on = True
+                    next_one()
+
+            def give_up() -> None:
+                # One that does not end must not keep the others from ending.
+                if not gone_on and slot.task is not None:
+                    self._look_for_end(slot, slot.task)
+                go_on()
+
+            self.halt(slot, go_on, "its service stops")
+            if not gone_on:
+                self.after_host(STUCK_AT_THE_END_S if self.kernel.stopping else STUCK_S, give_up)
+
+        def end() -> None:
+            then()
+            self.stop()
+
+        next_one()
+
+    def settle_all(self, then: Callable[[], None]) -> None:
+        """For subclasses: calls `then`, once, when nothing is under way that must be finished before it ends."""
+        then()
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        """Returns what is to be known about a task, as plain values."""
+        task = slot.task
+        # A copy: the task makes its timers in its own thread.
+        timers = list(task.timers.values()) if task is not None else []
+        first = timers[0] if timers else None
+        return {
+            "agent": self.agent,
+            "service": self.name,
+            "task": slot.name,
+            "type": slot.spec.type or slot.spec.cls.__name__,
+            "state": slot.state.value,
+            "rate_hz": first.rate_hz if first is not None else None,
+            "incarnation": slot.incarnation,
+            "reason": slot.reason,
+            "missed": sum(timer.missed_total for timer in timers),
+            "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
+            "dropped": slot.mailbox.dropped(),
+        }
+
+    # Its life --------------------------------------------------------------------------------------------------
+
+    def after_start(self) -> None:
+        for spec in self.specs():
+            slot = self.open_slot(spec)
+            if self.wants(slot):
+                self._unsettled.add(slot.name)
+        self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
+        for slot in list(self.slots.values()):
+            if slot.name in self._unsettled:
+                self.start_configured(slot)
+        if not self._unsettled and not self._told_ready:
+            self._tell_ready()
+
+    def wants(self, slot: Slot) -> bool:
+        """Returns whether a task is to be started with the service."""
+        return slot.spec.start
+
+    def start_configured(self, slot: Slot) -> None:
+        """Starts a task that is to be started with the service."""
+        self.launch(slot)
+
+    def settle(self, slot: Slot) -> None:
+        """A task that was to start with the service has come to run, or has not."""
+        if slot.name in self._unsettled:
+            self._unsettled.discard(slot.name)
+            if not self._unsettled:
+                self._tell_ready()
+
+    def _tell_ready(self) -> None:
+        self._told_ready = True
+        if self._on_ready is not None:
+            self._on_ready(self)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        # As OTP does: the tasks of a service that failed end with it, and begin anew with its successor.
+        for slot in self.slots.values():
+            if slot.task is not None and slot.task.actor_ref.is_alive():
+                slot.task.stop()
+
+    def _task_started(self, slot: Slot, task: Task) -> None:
+        if slot.task is not task or slot.state is not TaskState.STARTING:
+            return
+        slot.state = TaskState.RUNNING
+        self.event(
+            "task_started",
+            task=slot.name,
+            service=self.name,
+            type=slot.spec.type,
+            incarnation=slot.incarnation,
+            epoch=slot.fence.epoch[0] if slot.fence is not None else None,
+        )
+        self.settle(slot)
+        self.task_running(slot)
+        waiting, slot.on_running = slot.on_running, []
+        for then in waiting:
+            then("")
+
+    def task_running(self, slot: Slot) -> None:
+        """For subclasses: a task has come to run."""
+
+    def task_ended(self, slot: Slot) -> None:
+        """For subclasses: a task has ended, and what it carried last is in the slot."""
+
+    def _hear_end(self, slot: Slot, task: Component, error: BaseException | None) -> None:
+        """A task's actor has ended (in that actor's thread)."""
+        if self.actor_stopped.is_set():
+            self.kernel.stream.unsubscribe(slot.address)
+            self.kernel.registry.release(slot.address)
+            return
+        self.call(lambda: self._task_ended(slot, task, error))
+
+    def _task_ended(self, slot: Slot, task: Component, error: BaseException | None) -> None:
+        if slot.task is not task:
+            return
+        assert isinstance(task, Task)
+        slot.task = None
+        slot.carried = task.last or slot.carried
+        lost, slot.on_lost = slot.on_lost, []
+        for tell in lost:
+            tell(f"{slot.address} ended before it had done so" + (f": {describe(error)}" if error is not None else ""))
+        asked = slot.state in (TaskState.STOPPING, TaskState.STUCK)
+        slot.on_stuck = []
+        if error is not None and not asked:
+            text = str(error) if isinstance(error, PancakesError) else describe(error)
+            self._task_failed(slot, text)
+            return
+        if error is not None:
+            self.log("warning", f"{slot.address} failed while it stopped: {describe(error)}")
+        if asked:
+            self._rest(slot, slot.reason)
+        else:
+            self._decide(slot, failed=False, text="it stopped itself")
+
+    def _task_failed(self, slot: Slot, text: str) -> None:
+        self._decide(slot, failed=True, text=text)
+
+    def _decide(self, slot: Slot, failed: bool, text: str) -> None:
+        """A task ended unasked: restart it, let it rest, or give up on it."""
+        slot.reason = text
+        following = slot.supervision.ended(failed, self.kernel.host.now())
+        restart = following is Next.RESTART and not self.closing
+        if restart:
+            slot.state = TaskState.RESTARTING
+        waiting, slot.on_running = slot.on_running, []
+        if failed:
+            self.event("task_failed", task=slot.name, error=text, then=following.value)
+        for then in waiting:
+            then(f"{slot.address} failed to start: {text}")
+        if restart:
+            self.log("warning", f"{slot.address} is started again: {text}")
+            # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.
+            self.call(lambda: self._relaunch(slot))
+            return
+        if following is Next.GIVE_UP:
+            slot.state = TaskState.FAILED
+            spec = slot.supervision.spec
+            self.log(
+                "error",
+                f"{slot.address} is given up: {text} ({spec.policy}, {spec.at_most} restarts in {spec.within_s:g} s)",
+            )
+            self.event("task_given_up", task=slot.name, error=text)
+            self._let_go(slot)
+            self.settle(slot)
+            self.task_ended(slot)
+            return
+        self._rest(slot, text)
+
+    def _relaunch(self, slot: Slot) -> None:
+        if slot.state is TaskState.RESTARTING:
+            slot.state = TaskState.STOPPED
+            self.relaunch(slot)
+
+    def relaunch(self, slot: Slot) -> None:
+        """Starts a task again that has failed."""
+        self.launch(slot)
+
+    def _rest(self, slot: Slot, reason: str) -> None:
+        slot.state = TaskState.STOPPED
+        self._let_go(slot)
+        self.event("task_stopped", task=slot.name, service=self.name, reason=reason)
+        unstarted, slot.on_running = slot.on_running, []
+        for then_not in unstarted:
+            then_not(f"{slot.address} was stopped before it ran: {reason}")
+        self.settle(slot)
+        self.task_ended(slot)
+        waiting, slot.on_ended = slot.on_ended, []
+        for then in waiting:
+            then()
+
+    def _let_go(self, slot: Slot) -> None:
+        """Takes back what a task held, once it has ended."""
+        self.kernel.stream.unsubscribe(slot.address)
+        self.hold_actuators(slot, f"{slot.name} let go of it")
+        self.kernel.registry.release(slot.address)
+
+    def hold_actuators(self, slot: Slot, reason: str) -> None:
+        """Brings the actuators that a task holds to their safe hold."""
+        for device in self.kernel.registry.held_by(slot.address):
+            self.publish(CTRL, Hold(reason), to=join(self.agent, "device", device))
