@@ -120,11 +120,11 @@ class Task(Component):
         carried = carried or Carried({}, {})
         self.settings = make_settings(self.Settings, carried.settings)
         self.state = make_settings(self.State, carried.state, allow_nan=True)
-        self._periods_s = carried.periods_s
-        self._rate_hz = rate_hz
-        self._fence = fence
-        self._on_started = started
-        self._on_handled = handled
+        self.__periods_s = carried.periods_s
+        self.__rate_hz = rate_hz
+        self.fence = fence
+        self.__on_started = started
+        self.__on_handled = handled
         self.last: Carried | None = None
 
     def on_settings(self) -> None:
@@ -144,19 +144,19 @@ class Task(Component):
         self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then))
 
     def initial_period_s(self, method: str, period_s: float) -> float:
-        carried_s = self._periods_s.get(method)
+        carried_s = self.__periods_s.get(method)
         if carried_s is not None:
             return carried_s
-        return period_of(self._rate_hz) if self._rate_hz is not None and not self.timers else period_s
+        return period_of(self.__rate_hz) if self.__rate_hz is not None and not self.timers else period_s
 
     def take_turn(self, slice_s: float | None) -> None:
         super().take_turn(slice_s)
-        if self._on_handled is not None:
-            self._on_handled(self)
+        if self.__on_handled is not None:
+            self.__on_handled(self)
 
     def after_start(self) -> None:
-        if self._on_started is not None:
-            self._on_started(self)
+        if self.__on_started is not None:
+            self.__on_started(self)
 
     def change_settings(self, changes: Mapping[str, Any]) -> None:
         """Changes some settings: all of them are good, or nothing changes. In the actor.
@@ -176,10 +176,10 @@ class Task(Component):
             {name: timer.period_s for name, timer in self.timers.items()},
         )
 
-    def _end(self, error: BaseException | None) -> None:
+    def end_actor(self, error: BaseException | None) -> None:
         if error is None:
             try:
                 self.last = self.carry()
             except Exception as failure:  # what a task keeps in its state may be anything
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
-        super()._end(error)
+        super().end_actor(error)

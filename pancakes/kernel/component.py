@@ -154,21 +154,21 @@ class Component(pykka.Actor):
         self.actor_stopped = Flag()  # type: ignore[assignment]
         self._actor_ref = pykka.ActorRef(self)
         self.timers: dict[str, TaskTimer] = {}
-        self._handlers: dict[str, dict[str | None, list[Callable[[Packet], None]]]] = {}
-        self._started = False
+        self.__handlers: dict[str, dict[str | None, list[Callable[[Packet], None]]]] = {}
+        self.__started = False
         # Looked up once, because every packet needs them.
-        self._now = kernel.mission.now
-        self._take_seq = kernel.seq_of(address).take
-        self._give = kernel.stream.publish
-        self._cause: Cause | None = None
-        self._fence: Fence | None = None
+        self.__now = kernel.mission.now
+        self.__take_seq = kernel.seq_of(address).take
+        self.__give = kernel.stream.publish
+        self.__cause: Cause | None = None
+        self.fence: Fence | None = None
         self.exited: Callable[[Component, BaseException | None], None] = lambda component, error: None
 
     # What a component uses -------------------------------------------------------------------------------------
 
     def now(self) -> float:
         """Returns the mission time in seconds. Any thread."""
-        return self._now()
+        return self.__now()
 
     @cached_property
     def random(self) -> random.Random:
@@ -197,24 +197,24 @@ class Component(pykka.Actor):
             type_name(body),
             self.address,
             to,
-            self._now(),
-            self._take_seq(),
+            self.__now(),
+            self.__take_seq(),
             body,
-            cause or self._cause,
-            self._fence,
+            cause or self.__cause,
+            self.fence,
         )
-        self._give(packet)
+        self.__give(packet)
         return packet
 
     def log(self, level: str, text: str) -> None:
         """Publishes a line for people on `log`; `level` is debug, info, warning or error. Any thread."""
-        self._tell_log(LogLine(level, text))
+        self.__tell_log(LogLine(level, text))
 
     def event(self, kind: str, /, **fields: Any) -> None:
         """Publishes an event for programs on `log`. Any thread."""
-        self._tell_log(Event(kind, fields))
+        self.__tell_log(Event(kind, fields))
 
-    def _tell_log(self, body: Any) -> None:
+    def __tell_log(self, body: Any) -> None:
         try:
             self.publish(LOG, body)
         except PancakesError:
@@ -230,7 +230,7 @@ class Component(pykka.Actor):
             UnknownChannel: the stream has no such channel.
         """
         name = body if body is None or isinstance(body, str) else type_name(body)
-        self._listen(Subscription(channel, name, keep or Keep(256)), handler)
+        self.__listen(Subscription(channel, name, keep or Keep(256)), handler)
 
     def open_channel(self, name: str) -> None:
         """Adds a channel to the information stream; one that is there already is left alone."""
@@ -280,7 +280,7 @@ class Component(pykka.Actor):
         if name not in self.timers:
             raise ValueError(f"{self.address} has no timer {name!r}, only {', '.join(self.timers)}")
         self.timers[name].period_s = period_s
-        self._tick(self.timers[name])
+        self.__tick(self.timers[name])
 
     def revoke(self) -> None:
         """Takes the right to publish away from an actor that cannot be ended. Any thread."""
@@ -300,7 +300,7 @@ class Component(pykka.Actor):
         """Goes on after `pause`. In the actor."""
         self.actor_inbox.paused = False
         for timer in self.timers.values():
-            self._tick(timer)
+            self.__tick(timer)
 
     # Hooks -----------------------------------------------------------------------------------------------------
 
@@ -330,28 +330,28 @@ class Component(pykka.Actor):
             slice_s: after this time the turn ends even if more waits; None: no limit.
         """
         try:
-            if not self._started:
-                self._begin()
-            self._handle_control()
+            if not self.__started:
+                self.__begin()
+            self.__handle_control()
             mailbox = self.actor_inbox
             if mailbox.waiting and not mailbox.paused and not self.actor_stopped.is_set():
-                self._handle_data(slice_s)
+                self.__handle_data(slice_s)
         except BaseException as error:  # SystemExit in one actor must not end the others.
-            self._fail(error)
+            self.__fail(error)
 
-    def _begin(self) -> None:
-        self._started = True
+    def __begin(self) -> None:
+        self.__started = True
         # Its predecessor may have ended while it stood still.
         self.actor_inbox.paused = False
         subscriptions, periods = plan_of(type(self))
         self.before_start()
         for subscription, method in subscriptions:
-            self._listen(subscription, getattr(self, method))
+            self.__listen(subscription, getattr(self, method))
         self.on_start()
         for method, period in periods.items():
             timer = TaskTimer(self, method, Period(self.initial_period_s(method, period.period_s)))
             self.timers[method] = timer
-            self._tick(timer)
+            self.__tick(timer)
         self.after_start()
 
     def before_start(self) -> None:
@@ -364,17 +364,17 @@ class Component(pykka.Actor):
         """For subclasses: the period that a time-driven method begins with; `period_s` is what the class says."""
         return period_s
 
-    def _tick(self, timer: TaskTimer) -> None:
+    def __tick(self, timer: TaskTimer) -> None:
         if timer.period_s < float("inf"):
             self.kernel.timer.every(timer, timer.period_s)
         else:
             self.kernel.timer.cancel(timer)
 
-    def _listen(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
+    def __listen(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
         channel = subscription.channel
         if subscription.addressed:
             handler = self._only_addressed(handler)
-        self._handlers.setdefault(channel, {}).setdefault(subscription.type, []).append(handler)
+        self.__handlers.setdefault(channel, {}).setdefault(subscription.type, []).append(handler)
         self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
 
     def _only_addressed(self, handler: Callable[[Packet], None]) -> Callable[[Packet], None]:
@@ -386,7 +386,7 @@ class Component(pykka.Actor):
 
         return handle
 
-    def _handle_control(self) -> None:
+    def __handle_control(self) -> None:
         control = self.actor_inbox.control
         # Only what waits now: one that tells itself something must not starve the others.
         for _ in range(len(control)):
@@ -400,9 +400,9 @@ class Component(pykka.Actor):
                 if item.component is self:
                     item.function()
             else:
-                self._handle_envelope(item)
+                self.__handle_envelope(item)
 
-    def _handle_envelope(self, envelope: Envelope[Any]) -> None:
+    def __handle_envelope(self, envelope: Envelope[Any]) -> None:
         """Handles what came by pykka: `tell`, `ask`, a proxy, `stop`."""
         try:
             response = self._handle_receive(envelope.message)
@@ -417,7 +417,7 @@ class Component(pykka.Actor):
         if envelope.reply_to is not None:
             envelope.reply_to.set(response)
 
-    def _handle_data(self, slice_s: float | None) -> None:
+    def __handle_data(self, slice_s: float | None) -> None:
         mailbox = self.actor_inbox
         waiting = mailbox.waiting
         clock = self.kernel.host
@@ -426,13 +426,13 @@ class Component(pykka.Actor):
         for _ in range(len(waiting)):
             queue = waiting.popleft()
             queue.listed = False
-            handlers = self._handlers.get(queue.channel, {})
+            handlers = self.__handlers.get(queue.channel, {})
             for_all_types = handlers.get(None, ())
             for _ in range(len(queue)):
                 packet = queue.pop()
                 if packet is None:
                     break
-                self._cause = (packet.source, packet.seq)
+                self.__cause = (packet.source, packet.seq)
                 try:
                     for handler in handlers.get(packet.type, ()):
                         handler(packet)
@@ -442,22 +442,22 @@ class Component(pykka.Actor):
                     self.kernel.letters.failed(self.address, queue, packet)
                     raise
                 finally:
-                    self._cause = None
+                    self.__cause = None
                 if mailbox.control:
-                    self._handle_control()
+                    self.__handle_control()
                     if self.actor_stopped.is_set():
-                        self._list_again(queue)
+                        self.__list_again(queue)
                         return
                 if mailbox.paused:
-                    self._list_again(queue)
+                    self.__list_again(queue)
                     return
                 handled += 1
                 if until_s is not None and handled % SLICE_CHECK == 0 and clock.now() > until_s:
-                    self._list_again(queue)
+                    self.__list_again(queue)
                     return
-            self._list_again(queue)
+            self.__list_again(queue)
 
-    def _list_again(self, queue: ChannelQueue) -> None:
+    def __list_again(self, queue: ChannelQueue) -> None:
         if len(queue) and not queue.listed:
             queue.listed = True
             self.actor_inbox.waiting.append(queue)
@@ -469,7 +469,7 @@ class Component(pykka.Actor):
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
         for queue in self.actor_inbox.queues.values():
-            handlers = self._handlers.get(queue.channel, {})
+            handlers = self.__handlers.get(queue.channel, {})
             while (packet := queue.pop()) is not None:
                 for handler in (*handlers.get(packet.type, ()), *handlers.get(None, ())):
                     handler(packet)
@@ -482,9 +482,9 @@ class Component(pykka.Actor):
             self.on_stop()
         except BaseException as failure:  # SystemExit, too, ends no more than this actor
             error = failure
-        self._end(error)
+        self.end_actor(error)
 
-    def _fail(self, error: BaseException) -> None:
+    def __fail(self, error: BaseException) -> None:
         if self.actor_stopped.is_set():
             self.kernel.log("error", f"{self.address} failed while it stopped: {describe(error)}")
             return
@@ -492,7 +492,7 @@ class Component(pykka.Actor):
             self.on_failure(type(error), error, error.__traceback__)
         except BaseException as second:
             self.kernel.log("error", f"on_failure of {self.address} failed as well: {describe(second)}")
-        self._end(error)
+        self.end_actor(error)
 
     def on_failure(
         self,
@@ -502,7 +502,7 @@ class Component(pykka.Actor):
     ) -> None:
         """Called in the actor where one of its methods raised; it ends after that, and its service decides."""
 
-    def _end(self, error: BaseException | None) -> None:
+    def end_actor(self, error: BaseException | None) -> None:
         self.actor_stopped.set()
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)

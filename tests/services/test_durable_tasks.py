@@ -6,7 +6,7 @@ import pytest
 
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
 from pancakes.devices.types import Load, Pose
-from pancakes.journal import JournalError
+from pancakes.journal import JournalError, MemoryJournal
 from pancakes.migration.record import Record, Wanted
 from pancakes.service import Service
 from pancakes.services.durable import DurableService
@@ -44,8 +44,6 @@ def fleet():
 def records(fleet, name="a"):
     """What lies on an agent's disk, by task."""
     found = {}
-    from pancakes.journal import MemoryJournal
-
     disk = {key: value for key, value in fleet.fleet.disk(name).items() if key != "lock"}
     for entry in MemoryJournal(disk, "").entries("record"):
         record = Record.decode(entry.data)

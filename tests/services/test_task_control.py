@@ -259,7 +259,7 @@ def test_a_hail_of_commands_leaves_what_the_last_one_said(seed, service):
 def test_a_task_that_fails_is_started_again_and_both_are_told(fleet, service):
     agent = start(fleet, service, Fragile=Fragile)
     agent.publish("system", Pose(1.0, 0.0, 0.0))
-    agent.kernel.letters  # noqa: B018  a reliable packet comes three times: so many times it fails
+    # It comes under a reliable subscription, so three times: so often it fails.
     agent.publish("system", Pose(-1.0, 0.0, 0.0))
     agent.publish("system", Pose(2.0, 0.0, 0.0))
     fleet.run_for(1.0)
