@@ -8,8 +8,13 @@ from collections.abc import Callable
 from itertools import count
 
 from pancakes.clock import VirtualClock
+from pancakes.errors import PancakesError
 from pancakes.kernel.dispatch import Dispatcher
 from pancakes.kernel.mailbox import Mailbox
+
+
+MOST_TURNS = 1_000_000
+"""More turns than this at one moment of virtual time are an endless loop."""
 
 
 class VirtualCall:
@@ -55,9 +60,21 @@ class VirtualDispatcher(Dispatcher):
         return call
 
     def settle(self) -> None:
-        """Lets everybody work until nobody has anything to do at the present time."""
+        """Lets everybody work until nobody has anything to do at the present time.
+
+        Raises:
+            PancakesError: that never ends: somebody tells himself something again and again.
+        """
         work = self._work
+        turns = 0
         while work:
+            turns += 1
+            if turns > MOST_TURNS:
+                component = work[-1].component
+                who = component.address if component is not None else "a task between restarts"
+                raise PancakesError(
+                    f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {who} still has work"
+                )
             if len(work) > 1:
                 index = int(self._random.random() * len(work))
                 work[index], work[-1] = work[-1], work[index]

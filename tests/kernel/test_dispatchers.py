@@ -4,6 +4,7 @@ import threading
 
 import pytest
 
+from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
@@ -226,3 +227,18 @@ def test_a_virtual_clock_never_goes_back():
     clock.advance_to(4.0)
     with pytest.raises(ValueError, match="cannot go back"):
         clock.advance_to(3.5)
+
+
+class Restless(Component):
+    """Tells itself to go on, for ever."""
+
+    def on_start(self):
+        self.call(self.on_start)
+
+
+def test_an_endless_loop_at_one_moment_is_named_and_does_not_hang(monkeypatch):
+    monkeypatch.setattr("pancakes.kernel.virtual.MOST_TURNS", 1000)
+    dispatcher = VirtualDispatcher()
+    Kernel("a", virtual=dispatcher).spawn(Restless, "a/test")
+    with pytest.raises(PancakesError, match="stands still at 0.0 s: after 1000 turns a/test still has work"):
+        dispatcher.settle()
