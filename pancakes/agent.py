@@ -14,19 +14,25 @@ from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, par
 from pancakes.errors import PancakesError, PluginError
 from pancakes.events import Event
 from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.kernel.component import Component, describe
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
+from pancakes.migration.post import Outgoing
 from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, join
 from pancakes.plugins import Plugins
 from pancakes.service import ServiceSpec
+from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceSpec
 from pancakes.services.durable import DurableService
+from pancakes.services.fences import Fences
+from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting
 from pancakes.services.network import NetworkService
+from pancakes.services.postbox import COURIER
 from pancakes.services.records import Records
 from pancakes.services.root import Root
 from pancakes.task import Task, TaskSpec
@@ -110,6 +116,10 @@ class Agent:
             store = ThreadedStore(journal, name=f"{self.name}-journal")
         self._store = store
         self.records = Records(journal, store, lambda level, text: self.skipped.append(text))
+        self.ledgers = Ledgers(journal, store, self.kernel.log)
+        self.skipped.extend(self.ledgers.unread)
+        self.fences = Fences(journal, store)
+        self.skipped.extend(self.fences.unread)
         self.skipped.extend(str(aside) for aside in journal.set_aside)
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
@@ -125,6 +135,8 @@ class Agent:
             on_log=self.kernel.log,
             defer=defer,
         )
+        # A stream's name never comes again, because what was numbered in it is forgotten with this process.
+        self._outgoing = Outgoing(f"{self.name}/{journal.uuid}.{journal.boot}")
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         for channel in config.channels:
             self.kernel.stream.open(channel)
@@ -145,11 +157,29 @@ class Agent:
             self.kernel.transport.close()
             self.kernel.stop()
             raise
+        self._spawn_courier()
         root = self.kernel.spawn(
-            Root, join(self.name, "kernel"), specs=self._specs, identity=self._identity, ready=self._become_ready
+            Root,
+            join(self.name, "kernel"),
+            specs=self._specs,
+            identity=self._identity,
+            migrations=self.ledgers.plain,
+            ready=self._become_ready,
         )
         assert isinstance(root, Root)
         self._root = root
+
+    def _spawn_courier(self) -> None:
+        self.kernel.spawn(
+            Courier, join(self.name, COURIER), outgoing=self._outgoing, mesh=self.mesh, exited=self._courier_ended
+        )
+
+    def _courier_ended(self, courier: Component, error: BaseException | None) -> None:
+        self.kernel.stream.unsubscribe(courier.address)
+        if error is not None and not self.stopping.is_set():
+            # What it carried is not lost with it.
+            self.kernel.log("error", f"{courier.address} failed and is started again: {describe(error)}")
+            self._spawn_courier()
 
     def _become_ready(self) -> None:
         # Only now does the Log Service listen to what was found wrong before.
@@ -175,6 +205,9 @@ class Agent:
                 self.kernel.virtual.run_while(lambda: not ended.is_set(), self.kernel.host.now() + CLOSE_S)
             elif not ended.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
+        courier = self.kernel.registry.get(join(self.name, COURIER))
+        if courier is not None:
+            courier.stop()
         self.mesh.stop()
         self._store.close()
         if self.kernel.virtual is not None:
@@ -267,10 +300,11 @@ class Agent:
         arguments: dict[str, Any] = {}
         if config.name == "device":
             devices = [self._device(device) for device in self.config.devices.values()]
-            arguments = {"devices": tuple(device for device in devices if device is not None)}
+            known = tuple(device for device in devices if device is not None)
+            arguments = {"devices": known, "fences": self.fences}
         elif config.name == "network":
             hosting = Hosting(self.config.agent.role, self._has_type, self._costs)
-            arguments = {"mesh": self.mesh, "hosting": hosting}
+            arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}
         if issubclass(cls, DurableService):
             arguments = {**arguments, "records": self.records, "catalogue": self}
         return ServiceSpec(config.name, cls, config.settings, tasks, config.restart, arguments)

@@ -3,7 +3,8 @@
 A task, a service, another agent and a person at a terminal all publish the same packets on `sysctrl`, and
 get a `Reply` whose `cause` is the packet that asked. There is no second way in.
 
-A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`.
+A `target` is read on the agent that the packet reaches: `task`, `service/task` or `service`. Where a task bears the
+name of a service, `service/` means the service.
 """
 
 from __future__ import annotations
@@ -91,15 +92,43 @@ class Migrate:
         target: the task.
         to: the only neighbour to ask; empty: all of them.
         then: a task to start here once this one has gone.
-        cost: the cost function that the neighbours answer with.
+        cost: the cost function that the neighbours answer with, or the weight of each of several.
         dry_run: only asks for bids, and moves nothing.
     """
 
     target: str
     to: str = ""
     then: str = ""
-    cost: str = "tasks"
+    cost: str | dict[str, float] = "tasks"
     dry_run: bool = False
+
+
+@packet_type("adopt")
+@dataclass(frozen=True, slots=True)
+class Adopt:
+    """Runs a task here whose hand-off stands in doubt, on a person's word that the other agent is gone for good.
+
+    The one request that can make two of a task, namely where that person is wrong.
+
+    Attributes:
+        target: the task.
+        force: whether to do it; without, the refusal says what it would mean.
+        birthplace: the agent that the task was born on, where two tasks of its name are in doubt here.
+    """
+
+    target: str
+    force: bool = False
+    birthplace: str = ""
+
+
+@packet_type("migrations")
+@dataclass(frozen=True, slots=True)
+class Migrations:
+    """Asks an agent for the newest accounts of moves from it, those of earlier boots too.
+
+    The reply's `result` is a list of plain mappings, oldest first: the fields of `Ledger`, and `number`, `boot`,
+    `mission_s` and `reason`.
+    """
 
 
 @packet_type("describe")
@@ -175,6 +204,8 @@ CONTROLS: tuple[type, ...] = (
     Reschedule,
     Configure,
     Migrate,
+    Adopt,
+    Migrations,
     Describe,
     Begin,
     Follow,

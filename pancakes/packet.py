@@ -7,6 +7,7 @@ Addresses read `agent/service/task`. A destination may be
 
 * empty: whoever subscribes on this agent;
 * `agent`, `agent/service` or `agent/service/task`: whoever subscribes there, under that address;
+* `task:birthplace/name`: that task, on whatever agent it is now (see `task_address`);
 * `*`: every neighbour (not this agent).
 """
 
@@ -35,6 +36,9 @@ CORE_CHANNELS: Final = (SYSTEM, SYSCTRL, CTRL, NETWORK, LOG)
 
 NEIGHBOURS: Final = "*"
 """The destination that means every neighbour."""
+
+TO_TASK: Final = "task:"
+"""What a destination begins with that means a task and not a place."""
 
 Cause = tuple[str, int]
 """The (source, seq) of the packet that was being handled when another was published."""
@@ -154,6 +158,18 @@ def body_from_plain(name: str, plain: Any) -> Any:
 def join(agent: str, service: str = "", task: str = "") -> str:
     """Returns the address of an agent, one of its services, or a task."""
     return "/".join(part for part in (agent, service, task) if part)
+
+
+def task_address(task_id: str) -> str:
+    """Returns the destination that means a task, wherever it is.
+
+    Such a packet is kept by its sender until the task has handled it: it waits while the task moves, and takes effect
+    once, in the order in which this agent's packets to the task were published.
+
+    Args:
+        task_id: the task's identity for life, `birthplace/name`: the agent that it was born on, and its name there.
+    """
+    return TO_TASK + task_id
 
 
 def agent_of(address: str) -> str:

@@ -105,6 +105,8 @@ class Service(Supervisor):
         elif isinstance(body, Start):
             self.start_asked(slot, body, request)
         elif isinstance(body, Stop):
+            if body.for_s is not None:
+                raise ControlRefused(f"{slot.address} is a task: only a service can be stopped for a time")
             self.stop_asked(slot, request)
         elif isinstance(body, Restart):
             self.restart_asked(slot, body, request)

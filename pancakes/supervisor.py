@@ -80,6 +80,10 @@ class Supervisor(Component):
         """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
         return ""
 
+    def has(self, name: str) -> bool:
+        """Returns whether the service has a task of this name, at rest or not. Any thread."""
+        return name in self.slots
+
     def open_slot(self, spec: TaskSpec) -> Slot:
         """Makes the place for a task, without starting it.
 

@@ -22,10 +22,11 @@ import msgspec
 
 from pancakes.control import Migrate
 from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import Tick, every, on, period_of
+from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
-from pancakes.packet import SYSCTRL, Fence
+from pancakes.packet import SYSCTRL, Fence, Packet
 from pancakes.settings import change_settings, make_settings
 from pancakes.supervision import RestartSpec
 
@@ -79,11 +80,13 @@ class Carried:
         settings: its settings, as plain values.
         state: its state, as plain values.
         periods_s: the periods of its timers, by method.
+        heard: its duplicate filter: up to which number it has handled the packets addressed to it, by stream.
     """
 
     settings: Mapping[str, Any]
     state: Mapping[str, Any]
     periods_s: Mapping[str, float] = field(default_factory=dict)
+    heard: Mapping[str, int] = field(default_factory=dict)
 
 
 class Task(Component):
@@ -121,6 +124,7 @@ class Task(Component):
         self.settings = make_settings(self.Settings, carried.settings)
         self.state = make_settings(self.State, carried.state, allow_nan=True)
         self.__periods_s = carried.periods_s
+        self.__heard = Incoming(carried.heard)
         self.__rate_hz = rate_hz
         self.fence = fence
         self.__on_started = started
@@ -146,7 +150,7 @@ class Task(Component):
     def initial_period_s(self, method: str, period_s: float) -> float:
         carried_s = self.__periods_s.get(method)
         if carried_s is not None:
-            return carried_s
+            return checked_period(carried_s)  # it may come from another agent
         return period_of(self.__rate_hz) if self.__rate_hz is not None and not self.timers else period_s
 
     def take_turn(self, slice_s: float | None) -> None:
@@ -174,7 +178,31 @@ class Task(Component):
             msgspec.to_builtins(asdict(self.settings)),
             msgspec.to_builtins(asdict(self.state)),
             {name: timer.period_s for name, timer in self.timers.items()},
+            self.__heard.heard(),
         )
+
+    def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None) -> bool:
+        """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.
+
+        Args:
+            stream: its sender's stream.
+            seq: its number in that stream.
+            first: the lowest number that may still come.
+            packet: the packet; None: it is given up, and the next one may follow.
+
+        Returns:
+            Whether it has had its effect, now or before.
+        """
+        if self.actor_inbox.paused or self.actor_stopped.is_set():
+            return False
+        if self.__heard.is_old(stream, seq):
+            return True
+        if not self.__heard.is_next(stream, seq, first):
+            return False
+        if packet is not None:
+            self.run_handlers(packet)
+        self.__heard.took(stream, seq)
+        return True
 
     def end_actor(self, error: BaseException | None) -> None:
         if error is None:

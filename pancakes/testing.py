@@ -468,6 +468,7 @@ class FleetInTest:
         def make(virtual: Any) -> Agent:
             agent = Agent(config, plugins, virtual)
             probes.append(_with_probe(agent))
+            self.fleet.dispatcher.settle()  # it listens before the agent says anything
             return agent
 
         made = self.fleet.add(config.agent.name, make)

@@ -7,7 +7,7 @@ import pytest
 from pancakes.control import Configure, Reply, Reschedule, Stop
 from pancakes.devices.types import Load, Pose, Twist
 from pancakes.settings import SettingsError
-from pancakes.task import Task, every, on, queue, reliable
+from pancakes.task import Carried, Task, every, on, queue, reliable
 from pancakes.testing import FleetInTest, assert_published
 
 
@@ -157,3 +157,25 @@ def test_a_task_inherits_what_its_base_listens_to(fleet):
 def test_the_words_that_a_tasks_author_needs_come_from_one_module():
     assert (queue(3).limit, queue(3).reliable) == (3, False)
     assert (reliable(3).limit, reliable(3).reliable) == (3, True)
+
+
+@pytest.mark.parametrize("period_s", [0.0, -1.0, 1e-300, float("nan")])
+def test_a_period_that_is_none_ends_the_task_that_brings_it_and_no_timer(fleet, period_s):
+    """A snapshot from another agent may say anything."""
+
+    class Ticking(Task):
+        @every(hz=2)
+        def tick(self, tick):
+            self.event("tick")
+
+    agent = fleet.start("a", tasks={"Ticking": Ticking})
+    ends = []
+    agent.kernel.spawn(
+        Ticking,
+        "a/client/Strange",
+        carried=Carried({}, {}, {"tick": period_s}),
+        exited=lambda component, error: ends.append(str(error)),
+    )
+    fleet.run_for(2.0)
+    assert len(ends) == 1 and "a period must be at least 0.0001 s" in ends[0]
+    assert len(agent.events("tick")) == 4

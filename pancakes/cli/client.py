@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pancakes.cli.door import Door
-from pancakes.cli.errors import Unreachable
+from pancakes.cli.errors import NoAnswer, Unreachable
 from pancakes.cli.greeting import Greeting
 from pancakes.clock import MonotonicClock
 from pancakes.control import Describe, Reply
@@ -121,7 +121,8 @@ class Client:
             Its reply; where `ok` is False, its `reason` says why not.
 
         Raises:
-            Unreachable: there is no such agent, or it does not answer in time.
+            Unreachable: there is no such agent.
+            NoAnswer: it was asked, and does not answer in time.
             ControlRefused: agents of two fleets bear this name.
         """
         until_s = self._until_s(timeout_s)
@@ -131,7 +132,7 @@ class Client:
         answer = door.answer(number)
         if isinstance(answer, Reply):
             return answer
-        raise Unreachable(f"{agent} did not answer: {answer or self._late(timeout_s)}")
+        raise NoAnswer(f"{agent} did not answer: {answer or self._late(timeout_s)}")
 
     def survey(self, agent: str = "", timeout_s: float | None = None) -> Survey:
         """Asks all agents what they are and run; those that agents know of are asked as well.

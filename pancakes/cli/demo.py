@@ -154,7 +154,7 @@ def _run(
 
 
 def _on_signal(interrupted: threading.Event) -> None:
-    """Lets SIGINT and SIGTERM stop the mission in good order; the second one ends the launcher at once.
+    """Lets SIGINT, SIGTERM and SIGHUP stop the mission in good order; the second one ends the launcher at once.
 
     Its agents end with it in either case.
     """
@@ -166,6 +166,7 @@ def _on_signal(interrupted: threading.Event) -> None:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGHUP, stop)
 
 
 def _nice(path: Path) -> str:

@@ -32,6 +32,10 @@ class Unreachable(PancakesError):
     """An agent that was asked for something did not answer."""
 
 
+class NoAnswer(Unreachable):
+    """An agent was asked for something, and whether it does it is not known."""
+
+
 def exit_code(error: PancakesError) -> int:
     """Returns the exit code that an error stands for."""
     if isinstance(error, ConfigError):

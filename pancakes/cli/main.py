@@ -11,6 +11,7 @@ from pancakes.cli.lazy import Later, LazyGroup
 COMMANDS = {
     "agent": Later("pancakes.cli.agent_verbs:agent", "Agents that run."),
     "task": Later("pancakes.cli.task_verbs:task", "Tasks that agents have."),
+    "service": Later("pancakes.cli.service_verbs:service", "Services that agents have."),
     "demo": Later("pancakes.cli.demo:demo", "Run a whole mission, and judge it."),
 }
 

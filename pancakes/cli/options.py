@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import click
 
@@ -29,8 +30,28 @@ class AgentAddress(click.ParamType):
         return text
 
 
-def asks_agents(function: _F) -> _F:
-    """Gives a verb the options `--at`, `--timeout` and `--format`; its parameters are `at`, `timeout`, `format_`."""
+class Duration(click.ParamType):
+    """A time such as `30s`, `500ms`, `2min` or `1h`; a number alone means seconds. It becomes seconds."""
+
+    name = "duration"
+
+    _UNITS_S: ClassVar = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(|ms|s|min|h)", str(value).strip())
+        if found is None or float(found[1]) == 0.0:
+            self.fail(f"{value!r} is no time: write it as 30s, 500ms, 2min or 1h", param, ctx)
+        return float(found[1]) * self._UNITS_S[found[2]]
+
+
+def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
+    """Gives a verb the options `--at`, `--timeout` and `--format`; its parameters are `at`, `timeout`, `format_`.
+
+    Args:
+        timeout_s: the time limit where none is given.
+    """
     options = (
         click.option(
             "--format",
@@ -51,11 +72,21 @@ def asks_agents(function: _F) -> _F:
             "--timeout",
             metavar="SECONDS",
             type=click.FloatRange(min=0.0, min_open=True, max=3600.0),
-            default=3.0,
+            default=timeout_s,
             show_default=True,
             help="How long to wait for answers.",
         ),
     )
-    for option in reversed(options):
-        function = option(function)
-    return function
+
+    def decorate(function: _F) -> _F:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+asks_agents = asks_agents_for(3.0)
+"""For verbs that only look."""
+orders_agents = asks_agents_for(10.0)
+"""For verbs that change something: a task may be busy before it can stop."""

@@ -10,6 +10,11 @@ from typing import Any
 import click
 
 
+def show_json(value: Any) -> None:
+    """Prints a plain value to standard output, as JSON."""
+    click.echo(json.dumps(value, indent=2, ensure_ascii=False))
+
+
 def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str) -> None:
     """Prints rows to standard output.
 
@@ -20,7 +25,7 @@ def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str
     """
     picked = [{column: row[column] for column in columns} for row in rows]
     if format_ == "json":
-        click.echo(json.dumps(picked, indent=2, ensure_ascii=False))
+        show_json(picked)
         return
     from rich.box import SIMPLE_HEAD
     from rich.console import Console

@@ -40,12 +40,13 @@ def apply_set(text: str, values: dict[str, Any], places: Places) -> Fault | None
         if not isinstance(inner, dict):
             return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
         table = inner
-    table[key[-1]] = _value(rest[1:].strip())
+    table[key[-1]] = value_of(rest[1:].strip())
     places.override(key, text)
     return None
 
 
-def _value(text: str) -> Any:
+def value_of(text: str) -> Any:
+    """Returns the value that a person has typed: what reads as TOML is taken as such, anything else as a string."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (tomllib.TOMLDecodeError, RecursionError):

@@ -148,7 +148,12 @@ class _Check:
             self._fault(("task", task.name, "type"), f"{needs}; this agent has {there}", near)
 
     def _check_rule(self, rule: MigrationRule, table: KeyPath) -> None:
-        self._get(COSTS, rule.cost, (*table, "cost"))
+        if isinstance(rule.cost, str):
+            if rule.cost:  # an empty one has been reported
+                self._get(COSTS, rule.cost, (*table, "cost"))
+        else:
+            for name in rule.cost:
+                self._get(COSTS, name, (*table, "cost", name))
         if not rule.when or self._broken:
             return  # a module that failed may have had this type
         body = body_class(rule.when)

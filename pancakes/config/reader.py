@@ -294,4 +294,5 @@ class _Reader:
             self._fault(key, f"has the same address as [device.{task.name}]: give one of them another name")
         if task.migrate:
             for name, problem, near in faults_of_rule(task.migrate, task.name, config.tasks):
-                self._fault((*key, "migrate", name) if name else (*key, "migrate"), problem, near)
+                path = name.split(".", 1) if name else ()
+                self._fault((*key, "migrate", *path), problem, near)

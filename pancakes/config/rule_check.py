@@ -6,12 +6,15 @@ from collections.abc import Iterator, Mapping
 from math import isfinite
 
 from pancakes.config.model import TaskConfig
+from pancakes.migration.cost import faults_of_weights
 from pancakes.migration.rule import MigrationRule
 from pancakes.suggestion import suggestion
 
 
 def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfig]) -> Iterator[tuple[str, str, str]]:
-    """Yields (key, problem, suggestion) for each mistake in the rule of a task; an empty key means the rule as a whole.
+    """Yields (key, problem, suggestion) for each mistake in the rule of a task.
+
+    An empty key means the rule as a whole; `cost.NAME` is a key of the table `cost`.
 
     Args:
         rule: the rule.
@@ -29,6 +32,11 @@ def faults_of_rule(rule: MigrationRule, task: str, tasks: Mapping[str, TaskConfi
             yield name, f"expected a number from 0 to 1 (a level is a share), not {bound:g}", ""
     if rule.below is not None and rule.above is not None and rule.below > rule.above:
         yield "below", f"is more than above ({rule.above:g}), so that the task would always move", ""
+    if rule.cost == "":
+        yield "cost", "is empty: name a cost function, such as 'tasks'", ""
+    elif not isinstance(rule.cost, str):
+        for name, problem in faults_of_weights(rule.cost):
+            yield f"cost.{name}" if name else "cost", problem, ""
     if rule.then == task:
         yield "then", "names the task itself, which has just left", ""
     elif rule.then and rule.then not in tasks:

@@ -157,6 +157,8 @@ class Conductor(Task):
         mission.behind_s = max(0.0, mission.now_s - mission.world_s)
         mission.behind_max_s = max(mission.behind_max_s, mission.behind_s)
         mission.changed()
+        if self._file is not None:
+            self._file.flush()
 
     @on(SYSTEM, "battery", keep=queue(64))
     def on_battery(self, packet: Packet) -> None:

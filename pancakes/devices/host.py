@@ -24,14 +24,24 @@ class HostLoad(Sensor):
     type = "load"
 
     def open(self) -> None:
-        import psutil
-
-        psutil.cpu_percent(interval=None)  # the first call has nothing to compare with
+        self._busy_s, self._all_s = _processor_times()
 
     def sample(self) -> Load:
-        import psutil
+        # Not `psutil.cpu_percent`: it compares with the call before in the same thread, and a pool has several.
+        before = self._busy_s, self._all_s
+        self._busy_s, self._all_s = _processor_times()
+        busy_s, all_s = self._busy_s - before[0], self._all_s - before[1]
+        return Load(min(max(busy_s / all_s, 0.0), 1.0) if all_s > 0 else 0.0)
 
-        return Load(psutil.cpu_percent(interval=None) / 100.0)
+
+def _processor_times() -> tuple[float, float]:
+    """Returns how long all processors have been busy, and how long they have been at all, in seconds."""
+    import psutil
+
+    times = psutil.cpu_times()
+    # What a guest used is in `user` already; waiting for a disk is no work.
+    whole_s = sum(times) - getattr(times, "guest", 0.0) - getattr(times, "guest_nice", 0.0)
+    return whole_s - times.idle - getattr(times, "iowait", 0.0), whole_s
 
 
 class HostMemory(Sensor):

@@ -189,7 +189,8 @@ class Component(pykka.Actor):
 
         Raises:
             UnknownChannel: the stream has no such channel.
-            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
+            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
+                wait already; nobody got the packet.
             LocalProtocolError: the body is of no registered type, or too large to travel.
         """
         packet = Packet(
@@ -465,6 +466,16 @@ class Component(pykka.Actor):
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
         raise TypeError(f"{self.address} takes packets, not {message!r}")
+
+    def run_handlers(self, packet: Packet) -> None:
+        """Handles a packet at once, past the queues and their bounds. In the actor."""
+        handlers = self.__handlers.get(packet.channel, {})
+        self.__cause = (packet.source, packet.seq)
+        try:
+            for handler in (*handlers.get(packet.type, ()), *handlers.get(None, ())):
+                handler(packet)
+        finally:
+            self.__cause = None
 
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""

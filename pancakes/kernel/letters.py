@@ -36,13 +36,16 @@ class DeadLetters:
             again = queue.reliable_for(packet) and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
-            else:
-                self.count += 1
         if again:
             queue.push_back(packet)
         else:
-            self._log(
-                "warning",
-                f"dead letter: {address} failed {failures} time{'s' * (failures > 1)} on {packet.type!r}"
-                f" #{packet.seq} from {packet.source}",
+            self.bury(
+                f"{address} failed {failures} time{'s' * (failures > 1)} on {packet.type!r}"
+                f" #{packet.seq} from {packet.source}"
             )
+
+    def bury(self, reason: str) -> None:
+        """Counts and logs a packet that is given up. Any thread."""
+        with self._lock:
+            self.count += 1
+        self._log("warning", f"dead letter: {reason}")

@@ -39,6 +39,7 @@ class Registry:
         self._components: dict[str, Component] = {}
         self._devices: dict[str, DeviceEntry] = {}
         self._holders: dict[str, str] = {}
+        self._reserved: dict[str, str] = {}
 
     def add(self, component: Component) -> None:
         """Enters an actor.
@@ -99,17 +100,58 @@ class Registry:
         with self._lock:
             wanted = [device.name for device in self._devices.values() if device.actuator and device.type in types]
             for name in wanted:
-                holder = self._holders.get(name, address)
-                if holder != address:
-                    return f"{name} is held by {holder}"
+                reason = self._taken(name, address)
+                if reason:
+                    return reason
             for name in wanted:
                 self._holders[name] = address
+            self._unreserve(address)
             return ""
 
-    def claim(self, device: str, address: str) -> str:
-        """Grants one actuator that nobody holds; returns who holds it then."""
+    def reserve(self, address: str, types: tuple[str, ...]) -> str:
+        """Keeps the actuators among the device types for a task that is about to arrive: all of them or none.
+
+        It does not hold them yet, so that they obey nobody. `hold` for the same address takes them, `unreserve` gives
+        them back.
+
+        Returns:
+            An empty string, or the reason why not.
+        """
         with self._lock:
-            return self._holders.setdefault(device, address)
+            wanted = [device.name for device in self._devices.values() if device.actuator and device.type in types]
+            for name in wanted:
+                reason = self._taken(name, address)
+                if reason:
+                    return reason
+            for name in wanted:
+                self._reserved[name] = address
+            return ""
+
+    def unreserve(self, address: str) -> None:
+        """Gives back what was kept for a task that does not arrive."""
+        with self._lock:
+            self._unreserve(address)
+
+    def _unreserve(self, address: str) -> None:
+        self._reserved = {name: kept_for for name, kept_for in self._reserved.items() if kept_for != address}
+
+    def taken(self, device: str, address: str) -> str:
+        """Returns why the task at `address` cannot have an actuator now; empty where it can."""
+        with self._lock:
+            return self._taken(device, address)
+
+    def _taken(self, device: str, address: str) -> str:
+        holder = self._holders.get(device, address)
+        if holder != address:
+            return f"{device} is held by {holder}"
+        kept_for = self._reserved.get(device, address)
+        return "" if kept_for == address else f"{device} is kept for {kept_for}, which is arriving"
+
+    def claim(self, device: str, address: str) -> str:
+        """Grants one actuator that nobody holds or is about to; returns who holds it then, or is about to."""
+        with self._lock:
+            kept_for = self._reserved.get(device, address)
+            return self._holders.setdefault(device, address) if kept_for == address else kept_for
 
     def held_by(self, address: str) -> list[str]:
         """Returns the names of the devices that a task holds."""

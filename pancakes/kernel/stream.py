@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
-from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, Packet, agent_of, covers
+from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
 
 Tap = Callable[[Packet], None]
 
@@ -54,11 +54,13 @@ class InformationStream:
     Attributes:
         gateway: takes packets whose destination is another agent; the Network Service sets it. Called in
             the publisher's thread, must not block.
+        courier: takes packets whose destination is a task, wherever it is; likewise.
     """
 
     def __init__(self, agent: str) -> None:
         self.agent = agent
         self.gateway: Tap | None = None
+        self.courier: Tap | None = None
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[Tap, ...]] = {}
@@ -97,8 +99,9 @@ class InformationStream:
 
         Raises:
             UnknownChannel: there is no such channel here.
-            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
-            LocalProtocolError: its destination is elsewhere and its body cannot travel.
+            MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
+                wait already; nobody got the packet.
+            LocalProtocolError: its destination is elsewhere and its body cannot travel, or is no task.
         """
         destination = packet.destination
         if not destination:
@@ -107,7 +110,7 @@ class InformationStream:
             return self._give(packet, destination)
         if packet.channel not in self._readers:
             raise self._unknown(packet)
-        gateway = self.gateway
+        gateway = self.courier if destination.startswith(TO_TASK) else self.gateway
         if gateway is None:
             self.undelivered += 1
         else:
@@ -180,6 +183,7 @@ class InformationStream:
             self._taps.clear()
             self._routes = {}
             self.gateway = None
+            self.courier = None
 
     def subscribers(self, channel: str) -> list[str]:
         """Returns the addresses of the components that read a channel."""

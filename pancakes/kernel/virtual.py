@@ -12,7 +12,6 @@ from pancakes.errors import PancakesError
 from pancakes.kernel.dispatch import Dispatcher
 from pancakes.kernel.mailbox import Mailbox
 
-
 MOST_TURNS = 1_000_000
 """More turns than this at one moment of virtual time are an endless loop."""
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from pancakes.migration.cost import fault_of_choice, names_of
 from pancakes.migration.messages import Solicit
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import LIMIT_BYTES
@@ -47,7 +48,7 @@ class Capability:
             self._devices(request),
             self._type(request),
             self._name(request),
-            "" if request.cost in self.costs else f"knows no cost function {request.cost!r}",
+            self._cost(request),
             self._battery(request),
             self._size(request),
         )
@@ -72,6 +73,13 @@ class Capability:
         if holder is None or holder == request.task_id:
             return ""
         return f"has a task named {request.task_id.name} already ({holder})"
+
+    def _cost(self, request: Solicit) -> str:
+        unknown = [name for name in names_of(request.cost) if name not in self.costs]
+        if unknown:
+            kind = "cost function" if len(unknown) == 1 else "cost functions"
+            return f"knows no {kind} {', '.join(repr(name) for name in unknown)}"
+        return fault_of_choice(request.cost)
 
     def _battery(self, request: Solicit) -> str:
         level, below = self.battery_level, request.moves_on_below

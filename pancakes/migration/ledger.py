@@ -45,7 +45,7 @@ class Ledger:
         task_id: the task, as `birthplace/name`.
         source: the agent that it was to move from.
         asked_by: who wanted the move: an address, or `rule`.
-        cost: the cost function that was used.
+        cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
         outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`.
         winner: the neighbour that has it, or (dry run) would get it; empty where none.
         lines: one for each neighbour that was asked, by name.

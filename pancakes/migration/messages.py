@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
+from pancakes.migration.cost import CostChoice
 from pancakes.migration.record import Epoch, TaskId
 from pancakes.packet import packet_type
 
@@ -29,7 +30,7 @@ class Solicit:
         version: version of the distribution that it comes from.
         requires: the device types that it depends on.
         size_bytes: size of its snapshot, about.
-        cost: name of the cost function to use.
+        cost: name of the cost function to use, or the weight of each of several.
         moves_on_below: battery level below which the task would have to move on at once; None where it has
             no such rule.
         journal: see the module's text.
@@ -41,7 +42,7 @@ class Solicit:
     version: str
     requires: tuple[str, ...] = ()
     size_bytes: int = 0
-    cost: str = "tasks"
+    cost: CostChoice = "tasks"
     moves_on_below: float | None = None
     journal: str = ""
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from pancakes.errors import NoCandidate
-from pancakes.migration.cost import fault_of
+from pancakes.migration.cost import cost_text, fault_of
 from pancakes.migration.ledger import Ledger, Line
 from pancakes.migration.messages import Solicit
 
@@ -72,7 +72,7 @@ class Negotiation:
         self._source = source
         self._asked_by = asked_by
         self._to = to
-        self._dry_run = dry_run
+        self.dry_run = dry_run
         self._window_s = window_s
         self._began_s = now_s
         self._ended_s: float | None = None
@@ -129,12 +129,12 @@ class Negotiation:
         elif not self._chosen:
             outcome = "stayed"
         else:
-            outcome = "dry run" if self._dry_run else "moved"
+            outcome = "dry run" if self.dry_run else "moved"
         return Ledger(
             task_id=str(self.request.task_id),
             source=self._source,
             asked_by=self._asked_by,
-            cost=self.request.cost,
+            cost=cost_text(self.request.cost),
             outcome=outcome,  # type: ignore[arg-type]  # mypy does not narrow the literals above
             winner=self._chosen,
             lines=tuple(self._explained(self._lines[peer]) for peer in self.asked if peer in self._lines),
@@ -170,7 +170,7 @@ class Negotiation:
             return Exhausted(NoCandidate(self._sentence()))
         self._chosen = bids[0][1]
         self._lines[self._chosen] = replace(self._lines[self._chosen], fate="won")
-        if self._dry_run:
+        if self.dry_run:
             self._ended_s = now_s
             return Exhausted(None)
         return Awarded(self._chosen)

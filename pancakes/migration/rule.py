@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pancakes.migration.cost import CostChoice
+
 ASK_AGAIN_S = 60.0
 """After nobody could take the task, the rule asks again only after this time."""
 
@@ -17,7 +19,7 @@ class MigrationRule:
         below: moves the task when the field lies below this.
         above: moves the task when the field lies above this.
         field: the field of the reading.
-        cost: the cost function that neighbours answer with.
+        cost: the cost function that neighbours answer with, or the weight of each of several.
         then: a task to start here once this one has gone; empty: none.
     """
 
@@ -25,7 +27,7 @@ class MigrationRule:
     below: float | None = None
     above: float | None = None
     field: str = "level"
-    cost: str = "tasks"
+    cost: CostChoice = "tasks"
     then: str = ""
 
     def met_by(self, reading: object) -> bool:

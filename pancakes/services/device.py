@@ -15,8 +15,9 @@ from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.net.transport import Transport
-from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
+from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.service import Service
+from pancakes.services.fences import Fences
 from pancakes.settings import make_settings
 from pancakes.slot import Slot
 from pancakes.supervision import RestartSpec
@@ -112,7 +113,8 @@ class DeviceTask(Task):
     """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
 
     An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
-    the highest it has seen. Without a fresh command it goes to its safe hold.
+    the highest it has seen. A new epoch is on disk before it is obeyed; the newest command waits that long. Without a
+    fresh command it goes to its safe hold.
     """
 
     def __init__(
@@ -123,7 +125,7 @@ class DeviceTask(Task):
         *,
         device: DeviceSpec,
         shared: SharedThings,
-        marks: dict[str, tuple[int, str]],
+        fences: Fences,
         carried: Carried | None = None,
         **others: Any,
     ) -> None:
@@ -134,10 +136,13 @@ class DeviceTask(Task):
         self.device = device
         self.blocking = device.cls.blocking
         self._shared = shared
-        self._marks = marks
+        self._fences = fences
+        self._put_up: Fence | None = None  # what is being written
+        self._waiting: tuple[Packet, float] | None = None  # for that, and since when
         self.driver: Driver | None = None
         self._command_s = 0.0
         self._guarded = False
+        self._holding = True
         self._crowded = False
         self._refused: dict[str, str] = {}
 
@@ -196,22 +201,56 @@ class DeviceTask(Task):
 
     def command(self, packet: Packet) -> None:
         """Carries out a command of the actuator's holder; refuses anybody else's."""
-        driver = self.driver
-        assert isinstance(driver, Actuator)
         refusal = self._refusal(packet)
         if refusal:
-            # Said once for each source and reason: at 10 commands a second it would drown everything else.
-            if self._refused.get(packet.source) != refusal:
-                self._refused[packet.source] = refusal
-                self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
-                self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
+            self._refuse(packet, refusal)
             return
+        fence = packet.fence
+        if fence is not None and not self._fences.holds(self.name, fence):
+            self._waiting = (packet, self.now())
+            if self._put_up != fence:
+                self._put_up = fence
+                self._fences.put_up(
+                    self.name,
+                    fence,
+                    lambda: self.call(lambda: self._fence_stands(fence)),
+                    lambda reason: self.call(lambda: self._fence_failed(fence, reason)),
+                )
+            return
+        driver = self.driver
+        assert isinstance(driver, Actuator)
         self._refused.pop(packet.source, None)
         self._command_s = self.now()
+        self._holding = False
         driver.apply(packet.body, self.device.hold_after_s, packet.source)
         if not self._guarded:
             self._guarded = True
             self.after(self.device.hold_after_s, self._guard)
+
+    def _refuse(self, packet: Packet, refusal: str) -> None:
+        # Said once for each source and reason: at 10 commands a second it would drown everything else.
+        if self._refused.get(packet.source) != refusal:
+            self._refused[packet.source] = refusal
+            self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
+            self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
+
+    def _fence_stands(self, fence: Fence) -> None:
+        """An epoch that is new here is on disk: what has waited for it is obeyed, if it still may be."""
+        if self._put_up != fence:
+            return  # a later one is being written
+        self._put_up = None
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None and self.now() - waiting[1] < self.device.hold_after_s:
+            self.command(waiting[0])
+
+    def _fence_failed(self, fence: Fence, reason: str) -> None:
+        if self._put_up != fence:
+            return
+        # The next command tries again.
+        self._put_up = None
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._refuse(waiting[0], f"the journal could not write its epoch: {reason}")
 
     def _refusal(self, packet: Packet) -> str:
         registry = self.kernel.registry
@@ -223,10 +262,9 @@ class DeviceTask(Task):
             return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
         fence = packet.fence
         if fence is not None:
-            mark = self._marks.get(fence.task_id)
+            mark = self._fences.highest(self.name, fence.task_id)
             if mark is not None and tuple(fence.epoch) < mark:
                 return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
-            self._marks[fence.task_id] = (fence.epoch[0], fence.epoch[1])
         return ""
 
     def _guard(self) -> None:
@@ -236,7 +274,8 @@ class DeviceTask(Task):
             self.after(left_s, self._guard)
             return
         self._guarded = False
-        self._hold("no fresh command")
+        if not self._holding:
+            self._hold("no fresh command")
 
     @on(CTRL, Hold, addressed=True)
     def hold(self, packet: Packet) -> None:
@@ -245,6 +284,8 @@ class DeviceTask(Task):
             self._hold(packet.body.reason)
 
     def _hold(self, reason: str) -> None:
+        self._holding = True
+        self._waiting = None
         if isinstance(self.driver, Actuator):
             self.driver.hold()
             self.event("safe_hold", device=self.name, reason=reason)
@@ -254,15 +295,20 @@ class DeviceTask(Task):
 
 
 class DeviceService(Service):
-    """Creates the device tasks and schedules them (paper §3.3)."""
+    """Creates the device tasks and schedules them (paper §3.3).
+
+    Args:
+        devices: the devices.
+        fences: what the actuators have seen of the tasks that command them.
+    """
 
     durable: ClassVar[bool] = False
 
-    def __init__(self, *args: Any, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
+    def __init__(self, *args: Any, fences: Fences, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
         super().__init__(*args, **others)
         self._devices = tuple(devices)
         self._shared = SharedThings()
-        self._marks: dict[str, dict[str, tuple[int, str]]] = {device.name: {} for device in self._devices}
+        self._fences = fences
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         return [
@@ -272,7 +318,7 @@ class DeviceService(Service):
                 type=device.type,
                 rate_hz=device.rate_hz,
                 restart=device.restart,
-                arguments={"device": device, "shared": self._shared, "marks": self._marks[device.name]},
+                arguments={"device": device, "shared": self._shared, "fences": self._fences},
             )
             for device in self._devices
         ]

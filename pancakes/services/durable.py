@@ -7,16 +7,17 @@ in order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pancakes.control import Describe, Migrate
+from pancakes.control import Adopt, Describe, Migrate
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.mailbox import LATEST
 from pancakes.migration.candidate import would_take
+from pancakes.migration.cost import cost_text, fault_of_choice
 from pancakes.migration.effect import (
     AttemptFailed,
     Decline,
@@ -26,18 +27,22 @@ from pancakes.migration.effect import (
     HandedOver,
     Resume,
     Send,
+    StartTask,
 )
+from pancakes.migration.event import Adopt as RunHere
 from pancakes.migration.event import Award, FreezeFailed, Frozen, Received
+from pancakes.migration.handoff import HandOff
 from pancakes.migration.messages import HandOffMessage, Solicit, Transfer
-from pancakes.migration.record import NO_EPOCH, Phase, TaskId
+from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
+from pancakes.services import adoption
 from pancakes.services.recorded import RecordedService
 from pancakes.settings import make_settings
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervisor import STUCK_S
-from pancakes.task import Carried
+from pancakes.task import Carried, TaskSpec
 
 if TYPE_CHECKING:
     from pancakes.services.migrator import TaskMigrator
@@ -82,6 +87,33 @@ class DurableService(RecordedService):
     def after_start(self) -> None:
         super().after_start()
         self._tell_migrator(lambda migrator: migrator.service_began(self))
+
+    def specs(self) -> Sequence[TaskSpec]:
+        specs = super().specs()
+        # A task that is in doubt may be started any moment: nobody here may take its actuators before.
+        for hand_off in self.hand_offs.values():
+            record = hand_off.record
+            if record.phase is Phase.PREPARED:
+                requires = Snapshot.decode(record.snapshot).requires
+                reason = self.kernel.registry.reserve(self._place_of(record.task_id), requires)
+                if reason:
+                    self.log("warning", f"no actuators are kept for {record.task_id}: {reason}")
+        return specs
+
+    def _place_of(self, task_id: TaskId) -> str:
+        return join(self.address, task_id.name)
+
+    def carry_out(self, task_id: TaskId, effect: Effect, done: Callable[[], None]) -> None:
+        if not isinstance(effect, StartTask):
+            super().carry_out(task_id, effect, done)
+            return
+
+        def begun() -> None:
+            # It holds its actuators now; where it could not be started they are not kept for it for ever.
+            self.kernel.registry.unreserve(self._place_of(task_id))
+            done()
+
+        super().carry_out(task_id, effect, begun)
 
     def task_arrived(self, task_id: TaskId) -> None:
         self._ask_again_s[task_id] = self.kernel.host.now() + SETTLE_S
@@ -168,6 +200,7 @@ class DurableService(RecordedService):
 
     def _discard(self, task_id: TaskId, slot: Slot | None) -> None:
         self._arriving.pop(task_id, None)
+        self.kernel.registry.unreserve(self._place_of(task_id))
         if slot is None:
             return
         if slot.task is None and slot.state is not TaskState.STARTING:
@@ -244,7 +277,7 @@ class DurableService(RecordedService):
         self.hand_off(task_id).feed(Received(peer, message, refusal))
 
     def _cannot_build(self, message: Transfer) -> str:
-        """Builds what arrives, dormant, to find out whether it can be built at all; says why not."""
+        """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
         try:
             snapshot = Snapshot.decode(message.snapshot)
             if snapshot.task_id != message.task_id:
@@ -257,7 +290,7 @@ class DurableService(RecordedService):
         slot = self.slots.get(message.task_id.name)
         if slot is not None and self.id_of(slot) != message.task_id and slot.name not in self._leaving:
             return f"has a task named {slot.name} already"
-        return ""
+        return self.kernel.registry.reserve(self._place_of(message.task_id), snapshot.requires)
 
     def award(self, task_id: TaskId, peer: str, request: Solicit) -> None:
         """The bids are compared: hands the task to `peer`. In this actor."""
@@ -282,6 +315,9 @@ class DurableService(RecordedService):
     # Asking for a move -----------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if isinstance(body, Adopt):
+            self._adopt(body, request)
+            return
         if slot is not None and not isinstance(body, Describe):
             hand_off = self.hand_off(self.id_of(slot))
             record, volatile = hand_off.record, hand_off.volatile
@@ -301,6 +337,9 @@ class DurableService(RecordedService):
             raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
         if task_id in self._moves:
             raise ControlRefused(f"{slot.address} is being moved already")
+        fault = fault_of_choice(body.cost)
+        if fault:
+            raise ControlRefused(f"{slot.address} cannot move: {fault}")
         if body.then and body.then not in self.slots:
             raise ControlRefused(f"{self.address} has no task {body.then!r} that could follow {slot.name}")
         migrator = self._migrator()
@@ -320,8 +359,62 @@ class DurableService(RecordedService):
         )
         self._moves[task_id] = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
-        self.event("migration_asked", task=slot.name, by=asked_by, cost=body.cost)
+        self.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost))
         migrator.call(lambda: migrator.negotiate(self, request, asked_by, body.to, body.dry_run))
+
+    # Adopting --------------------------------------------------------------------------------------------------
+
+    def has(self, name: str) -> bool:
+        # What was given away and stands in doubt has no slot any more.
+        return super().has(name) or bool(adoption.in_doubt(self._records_of(name)))
+
+    def _records_of(self, name: str) -> list[Record]:
+        return [self.hand_offs[task_id].record for task_id in list(self._ids.get(name, ()))]
+
+    def _adopt(self, body: Adopt, request: Request) -> None:
+        record = adoption.chosen(self.address, body.target, body.birthplace, self._records_of(body.target))
+        task_id, peer = record.task_id, record.peer
+        migrator = self._migrator()
+        if migrator is None:
+            raise ControlRefused(
+                f"{task_id} is not adopted: the Network Service of {self.agent} is stopped, so nobody knows whether"
+                f" {peer} is there"
+            )
+        if migrator.connected(peer):
+            raise ControlRefused(
+                f"{task_id} is not adopted: {peer} is connected, so it is not gone. The hand-off goes on by itself;"
+                f" where {peer} has lost its disk, switch it off first"
+            )
+        if not body.force:
+            raise ControlRefused(adoption.meaning(record, self.agent))
+        reason = f"{task_id} was adopted on {self.agent}, as {request.by} asked, because {peer} is gone for good"
+        self.log("warning", reason)
+        self.event("asked", what="adopt", task=task_id.name, service=self.name, by=request.by, number=request.number)
+
+        def begun(why_not: str) -> None:
+            owned = self.hand_off(task_id).record.phase is Phase.OWNER
+            if owned:
+                # Whoever asked for the move that was in doubt has waited for this.
+                self._tell_migrator(lambda migrator: migrator.abandon(task_id, reason))
+                self.event("task_adopted", task=task_id.name, peer=peer, epoch=self.hand_off(task_id).record.epoch.n)
+            if owned and why_not:
+                why_not = f"{task_id} belongs to {self.agent} now, but does not run: {why_not}"
+            self.reply(request, why_not, {"task_id": str(task_id), "peer": peer} if not why_not else None)
+
+        self._starting.setdefault(task_id, []).append(begun)
+        self.hand_off(task_id).feed(RunHere())
+
+    def _not_written(self, hand_off: HandOff, reason: str) -> None:
+        super()._not_written(hand_off, reason)
+        record = hand_off.record
+        if record.phase is not Phase.PREPARED:
+            self.kernel.registry.unreserve(self._place_of(record.task_id))
+        if record.phase in adoption.DOUBT and hand_off.idle:
+            # An adoption is not tried again by itself: the person may have learnt better meanwhile.
+            for then in self._starting.pop(record.task_id, []):
+                then(f"{record.task_id} is not adopted: the journal could not write: {reason}")
+
+    # Rules -----------------------------------------------------------------------------------------------------
 
     def task_running(self, slot: Slot) -> None:
         rule = slot.spec.rule

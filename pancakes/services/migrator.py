@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import reliable
 from pancakes.migration.capability import Capability
-from pancakes.migration.cost import Cost, HostLoad
+from pancakes.migration.cost import Cost, HostLoad, cost_of, cost_text
 from pancakes.migration.messages import (
     Abort,
     Activated,
@@ -40,6 +41,8 @@ from pancakes.migration.snapshot import Snapshot
 from pancakes.migration.times import Times
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.services.ledgers import Ledgers
+from pancakes.services.load import IDLE, Load, LoadMeter
 from pancakes.task import Task
 
 if TYPE_CHECKING:
@@ -47,6 +50,9 @@ if TYPE_CHECKING:
 
 ADDRESS = "network/TaskMigrator"
 KEEP = reliable(1024)
+FIRST_LOOK_S = 0.5
+LOOK_S = 2.0
+"""How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
 
 
 class Hosting:
@@ -75,17 +81,24 @@ class TaskMigrator(Task):
     Which task may run where is not decided here but by the hand-off of the service that owns it.
     """
 
-    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._hosting = hosting
+        self._ledgers = ledgers
         self._times = Times()
         self._negotiations: dict[TaskId, tuple[Negotiation, DurableService]] = {}
         self._assembly = Assembly()
         self._slots = Slots()
         self._battery_level: float | None = None
+        self._meter = LoadMeter()
+        # In virtual time nothing of the wall may enter.
+        self._measured: Load | None = IDLE if self.kernel.virtual is not None else None
 
     def on_start(self) -> None:
+        if self.kernel.virtual is None:
+            self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+            self.after_host(FIRST_LOOK_S, self._measure)
         for service in self._durable_services():
             service.call(service.migrator_began)
 
@@ -145,6 +158,10 @@ class TaskMigrator(Task):
         else:
             self._say(peer, message)
 
+    def connected(self, peer: str) -> bool:
+        """Returns whether there is a link to an agent now. Any thread."""
+        return any(hello.name == peer for hello in self._mesh.connected())
+
     def refuse_stop(self) -> str:
         """Says why the network must not sleep now; empty: it may. Any thread."""
         if self._negotiations:
@@ -179,6 +196,8 @@ class TaskMigrator(Task):
         negotiation, service = self._negotiations.pop(task_id)
         ledger = negotiation.ledger(self.kernel.host.now())
         plain = msgspec.to_builtins(ledger)
+        if not negotiation.dry_run:
+            self._ledgers.add(ledger, reason, self.now())
         self.event("migration", task=task_id.name, **plain)
         service.call(lambda: service.move_ended(task_id, reason, plain))
 
@@ -221,9 +240,12 @@ class TaskMigrator(Task):
         refusal = self._refusal(request)
         if not refusal:
             try:
-                terms = dict(self._hosting.costs()[request.cost].terms(self._load()))
+                terms = dict(cost_of(request.cost, self._hosting.costs()).terms(self._load(peer)))
+            except MigrationError as error:
+                refusal = f"cannot tell its cost: {error}"
             except Exception as error:  # a cost function is a plug-in, and may raise anything
-                refusal = f"its cost function {request.cost!r} failed: {type(error).__name__}: {error}"
+                name = cost_text(request.cost)
+                refusal = f"its cost function {name!r} failed: {type(error).__name__}: {error}"
         if refusal:
             self._say(peer, Refuse(request.task_id, request.ask, refusal))
             self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
@@ -252,17 +274,38 @@ class TaskMigrator(Task):
         refusal = capability.refusal_of(request)
         if refusal:
             return refusal
+        places = [join(service.address, request.task_id.name) for service in self._durable_services()]
         for device in registry.devices():
+            if not device.actuator or device.type not in request.requires:
+                continue
             holder = registry.holder(device.name)
-            if device.actuator and device.type in request.requires and holder:
+            if holder:
                 return f"{device.name} is held by {holder}"
-        return "" if self._durable_services() else "has no service that could look after it"
+            reasons = [registry.taken(device.name, place) for place in places]
+            if reasons and all(reasons):
+                return reasons[0]
+        return "" if places else "has no service that could look after it"
 
-    def _load(self) -> HostLoad:
+    def _measure(self) -> None:
+        self._measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+        self.after_host(LOOK_S, self._measure)
+
+    def _load(self, asker: str) -> HostLoad:
         running = sum(
             1 for service in self._durable_services() for slot in list(service.slots.values()) if slot.task is not None
         )
-        return HostLoad(active_tasks=running + len(self._slots.kept(self.kernel.host.now())))
+        battery_level = self._battery_level
+        if battery_level is None and "battery" in self.kernel.registry.device_types():
+            battery_level = math.nan
+        measured = self._measured
+        return HostLoad(
+            active_tasks=running + len(self._slots.kept(self.kernel.host.now())),
+            battery_level=battery_level,
+            agent_share=measured.agent_share if measured is not None else None,
+            host_share=measured.host_share if measured is not None else None,
+            lateness_share=measured.lateness_share if measured is not None else None,
+            rtt_s=self._mesh.rtt_s(asker),
+        )
 
     # Handing over ----------------------------------------------------------------------------------------------
 

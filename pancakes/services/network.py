@@ -15,6 +15,7 @@ from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
 from pancakes.service import Service
+from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
@@ -85,10 +86,11 @@ class NetworkService(Service):
         discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
         insecure: bool = False
 
-    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
         self._hosting = hosting
+        self._ledgers = ledgers
         self._followers: dict[tuple[str, str], Callable[[Packet], None]] = {}
 
     def own_tasks(self) -> Sequence[TaskSpec]:
@@ -96,7 +98,9 @@ class NetworkService(Service):
         return [
             TaskSpec("NetworkClient", NetworkClient, arguments=mesh),
             TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
-            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, "hosting": self._hosting}),
+            TaskSpec(
+                "TaskMigrator", TaskMigrator, arguments={**mesh, "hosting": self._hosting, "ledgers": self._ledgers}
+            ),
         ]
 
     def on_start(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, ClassVar, Protocol
 
@@ -11,6 +11,7 @@ import msgspec
 
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.migration.effect import (
+    Ack,
     After,
     Effect,
     Persist,
@@ -20,11 +21,13 @@ from pancakes.migration.effect import (
 from pancakes.migration.event import Born, Checkpoint, Ended
 from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
+from pancakes.migration.post import Letter
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 from pancakes.migration.rule import MigrationRule
-from pancakes.migration.snapshot import Snapshot, TimerPhase
-from pancakes.packet import Fence
+from pancakes.migration.snapshot import Heard, Snapshot, TimerPhase
+from pancakes.packet import Fence, Packet
 from pancakes.service import Service
+from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
@@ -72,6 +75,7 @@ class RecordedService(Service):
         self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
         self._residents: set[str] = set()
         self._when_written: Callable[[], None] | None = None
+        self._postbox = Postbox(self)
 
     # Records and slots -----------------------------------------------------------------------------------------
 
@@ -161,6 +165,7 @@ class RecordedService(Service):
             timers=tuple(
                 TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
             ),
+            heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
             sent={slot.address: self.kernel.seq_of(slot.address).value - 1},
             restart=asdict(spec.restart),
             durability=spec.durability,
@@ -220,9 +225,10 @@ class RecordedService(Service):
     def _held_by_another(self, slot: Slot) -> str:
         registry = self.kernel.registry
         for device in registry.devices():
-            holder = registry.holder(device.name)
-            if device.actuator and device.type in slot.spec.cls.requires and holder not in ("", slot.address):
-                return f"{device.name} is held by {holder}"
+            if device.actuator and device.type in slot.spec.cls.requires:
+                reason = registry.taken(device.name, slot.address)
+                if reason:
+                    return reason
         return ""
 
     def relaunch(self, slot: Slot) -> None:
@@ -233,11 +239,11 @@ class RecordedService(Service):
         record = self.hand_off(self.id_of(slot)).record
         if slot.carried is not None or not record.snapshot:
             return super().carried_of(slot)
-        snapshot = Snapshot.decode(record.snapshot)
-        return Carried(snapshot.settings, snapshot.state, {timer.name: timer.period_s for timer in snapshot.timers})
+        return _carried(Snapshot.decode(record.snapshot))
 
     def drop_state(self, slot: Slot) -> None:
-        slot.carried = Carried(slot.spec.settings, {})
+        # What it has heard it has heard: its sender may not know yet, and sends that again.
+        slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
     def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
         self.begin(slot, then)
@@ -375,15 +381,20 @@ class RecordedService(Service):
             self._late[slot.name] = None
             return
         try:
-            plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s])
-            if self._saved.get(task_id) == plain:
+            plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s, carried.heard])
+            if self._saved.get(task_id) == plain and not self._postbox.owes(task_id):
                 return
             snapshot = self._snapshot(slot, carried)
         except (PancakesError, TypeError, OverflowError) as error:
             self.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
         self._saved[task_id] = plain
-        hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
+        consumed = self._postbox.consumed(task_id, carried.heard)
+        hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot, consumed))
+
+    def letter_arrived(self, letter: Letter, packet: Packet | None) -> None:
+        """A packet has come that is addressed to a task; None: it cannot be read here. In this actor."""
+        self._postbox.arrived(letter, packet)
 
     # What the core asks for ------------------------------------------------------------------------------------
 
@@ -407,6 +418,8 @@ class RecordedService(Service):
                 self.after_host(effect.drawn_s(self.random), lambda: self.hand_off(task_id).feed(event))
             case Warn():
                 self.log("warning", effect.text)
+            case Ack():
+                self._postbox.acknowledge(task_id, effect.packet)
             case _:
                 self.carry_out_move(task_id, slot, effect)
         done()
@@ -433,11 +446,7 @@ class RecordedService(Service):
             return
         self._saved.pop(task_id, None)
         self._owed.pop(task_id, None)
-        slot.carried = Carried(
-            self._settings_now(slot, snapshot),
-            snapshot.state,
-            {timer.name: timer.period_s for timer in snapshot.timers},
-        )
+        slot.carried = replace(_carried(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
         slot.incarnation = effect.incarnation
         for seq in snapshot.sent.values():
@@ -486,3 +495,13 @@ class RecordedService(Service):
             names = ", ".join([*changed, *removed])
             self.log("info", f"{slot.address} takes what has changed in its configuration: {names}")
         return settings
+
+
+def _carried(snapshot: Snapshot) -> Carried:
+    """Returns what a task that begins from a snapshot carries."""
+    return Carried(
+        snapshot.settings,
+        snapshot.state,
+        {timer.name: timer.period_s for timer in snapshot.timers},
+        {stream: heard.upto for stream, heard in snapshot.heard.items()},
+    )

@@ -10,18 +10,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from pancakes.control import (
     CONTROLS,
+    Adopt,
     Begin,
     Command,
     Configure,
     Describe,
     Follow,
     Migrate,
+    Migrations,
     Reply,
     Reschedule,
     Restart,
@@ -87,6 +89,7 @@ class Root(Component):
         address: `agent/kernel`.
         specs: the services, in the order in which they start; they stop in reverse.
         identity: what `Describe` says of the agent besides its tasks.
+        migrations: what `Migrations` is answered with.
         ready: called in this actor once every service has started all that it should.
     """
 
@@ -97,6 +100,7 @@ class Root(Component):
         *,
         specs: Sequence[ServiceSpec],
         identity: Callable[[], dict[str, Any]] = dict,
+        migrations: Callable[[], list[dict[str, Any]]] = list,
         ready: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(kernel, address)
@@ -104,6 +108,7 @@ class Root(Component):
             spec.name: ServicePlace(spec, join(self.agent, spec.name), Supervision(spec.restart)) for spec in specs
         }
         self._identity = identity
+        self._migrations = migrations
         self._on_ready = ready
         self._number = 0
         self._closing = False
@@ -269,12 +274,18 @@ class Root(Component):
         if isinstance(body, (Follow, Unfollow)):
             self._hand(NETWORK, "", body, request)
             return
+        if isinstance(body, Migrations):
+            self.reply(request, result=self._migrations())
+            return
         target = body.target
         if isinstance(body, Describe) and not target:
             self.reply(request, result=self.describe())
             return
         service, task = self.find(target)
-        if task:
+        if isinstance(body, Adopt) and task:
+            # A task that was given away has no place in its service any more: the service is asked, not the task.
+            self._hand(service, "", replace(body, target=task), request)
+        elif task:
             self._hand(service, task, body, request)
         else:
             self._control_service(self.places[service], body, request)
@@ -288,7 +299,7 @@ class Root(Component):
         parts = target.split("/")
         if parts and parts[0] == self.agent and len(parts) > 1:
             parts = parts[1:]
-        if len(parts) == 2 and all(parts):
+        if len(parts) == 2 and parts[0]:
             if parts[0] not in self.places:
                 raise ControlRefused(f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}")
             return parts[0], parts[1]
@@ -296,9 +307,7 @@ class Root(Component):
             raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service")
         name = parts[0]
         owners = [
-            place.spec.name
-            for place in self.places.values()
-            if place.service is not None and name in place.service.slots
+            place.spec.name for place in self.places.values() if place.service is not None and place.service.has(name)
         ]
         if len(owners) > 1:
             raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which")
@@ -306,6 +315,9 @@ class Root(Component):
             return owners[0], name
         if name in self.places:
             return name, ""
+        for place in self.places.values():
+            if place.service is None and name in [spec.name for spec in place.spec.tasks]:
+                raise ControlRefused(f"{place.address} is {place.state.value}, and {name} with it")
         known = [
             *self.places,
             *(slot.name for place in self.places.values() if place.service for slot in _slots(place.service)),
@@ -328,7 +340,7 @@ class Root(Component):
                 place.commands.append(lambda: self._begin_command(place, body, request))
             else:
                 self._change_service(place, body, request)
-        elif isinstance(body, (Reschedule, Configure, Migrate)):
+        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt)):
             raise ControlRefused(f"{place.address} is a service: name one of its tasks")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)
@@ -348,7 +360,13 @@ class Root(Component):
         else:
             place.supervision.forget()
             self._tell_asked("restart", name, request)
-            answer = self._occupy(place, request)
+            network = name == NETWORK
+            if network:
+                # The answer has to leave before the way out is closed, and who is told goodbye shall dial again soon.
+                self.reply(request)
+                if place.service is not None:
+                    place.service.stopped_for_s = 0.0
+            answer = self._occupy(place, request, answered=network)
             self.halt(place, lambda: self.launch(place, answer))
 
     def _begin_command(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:

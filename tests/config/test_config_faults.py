@@ -221,6 +221,23 @@ class TestMigrationRules:
             ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "expected a finite number, not inf"),
             ("{ when = 'battery', below = 0.5, above = 0.4 }", "migrate.below", "is more than above (0.4)"),
             ("{ when = 'battery', below = 0.5, then = 'X' }", "migrate.then", "names the task itself"),
+            ("{ when = 'battery', below = 0.5, cost = '' }", "migrate.cost", "is empty"),
+            ("{ when = 'battery', below = 0.5, cost = {} }", "migrate.cost", "names no cost function"),
+            (
+                "{ when = 'battery', below = 0.5, cost = { tasks = -1 } }",
+                "migrate.cost.tasks",
+                "a weight is a finite number of at least 0, not -1",
+            ),
+            (
+                "{ when = 'battery', below = 0.5, cost = { tasks = 1, load = inf } }",
+                "migrate.cost.load",
+                "a weight is a finite number of at least 0, not inf",
+            ),
+            (
+                "{ when = 'battery', below = 0.5, cost = { tasks = nan } }",
+                "migrate.cost.tasks",
+                "is not a number (nan)",
+            ),
         ],
     )
     def test_a_rule_that_cannot_be_meant(self, rule: str, key: str, problem: str):

@@ -170,6 +170,11 @@ class TestMigrationRules:
             "a.toml:6: [task.Watch] migrate.cost: unknown cost 'task', did you mean 'tasks'?"
         ]
 
+    def test_so_is_each_that_has_a_weight(self):
+        assert self.rule('{ when = "battery", below = 0.5, cost = { tasks = 1, task = 2.5 } }') == [
+            "a.toml:6: [task.Watch] migrate.cost.task: unknown cost 'task', did you mean 'tasks'?"
+        ]
+
     def test_the_packets_it_watches_are_of_a_known_type(self):
         assert self.rule('{ when = "batterie", below = 0.5 }') == [
             "a.toml:6: [task.Watch] migrate.when: unknown type of packets 'batterie', did you mean 'battery'?"

@@ -2,6 +2,7 @@
 
 import math
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import psutil
 import pytest
@@ -21,8 +22,16 @@ def test_load_is_a_share():
     assert 0.0 <= reading.cpu <= 1.0
 
 
+class SimpleTimes(NamedTuple):
+    """The processor times of a system that tells no more than these."""
+
+    user: float
+    idle: float
+
+
 def test_load_is_what_the_system_says(monkeypatch):
-    monkeypatch.setattr(psutil, "cpu_percent", lambda interval: 37.5)
+    readings = iter([SimpleTimes(10.0, 90.0), SimpleTimes(13.0, 95.0)])
+    monkeypatch.setattr(psutil, "cpu_times", lambda: next(readings))
     assert opened(host.HostLoad).sample().cpu == 0.375
 
 

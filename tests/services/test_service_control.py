@@ -136,7 +136,7 @@ def test_a_service_is_stopped_with_its_tasks_last_first_and_started_with_them(fl
     assert agent.ask(Stop("mapper")) == Reply(True)
     assert [event["task"] for event in agent.events("task_stopped")] == ["Count", "Cells"]
     assert states(agent)["mapper"] == "stopped"
-    assert agent.ask(Stop("Count")).reason.startswith("a has no task or service 'Count'")
+    assert agent.ask(Stop("Count")) == Reply(False, "a/mapper is stopped, and Count with it")
     assert agent.ask(Stop("mapper/Count")) == Reply(False, "a/mapper is stopped")
     assert agent.ask(Stop("mapper")) == Reply(False, "a/mapper is stopped, not running")
     assert agent.ask(Start("mapper")) == Reply(True)
@@ -345,3 +345,9 @@ def test_a_stuck_task_does_not_keep_its_agent_from_stopping():
             assert agent.ask(Stop("Count")).ok
             agent.wait_for(LogLine, lambda line: "is stuck" in line.text)
         gate.set()
+
+
+def test_a_task_is_not_stopped_for_a_time(fleet):
+    agent = with_mapper(fleet)
+    assert agent.ask(Stop("Count", for_s=1.0)).reason.endswith("is a task: only a service can be stopped for a time")
+    assert agent.running("mapper") == ["Cells", "Count"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import random
 import tempfile
 import threading
 import time
+import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,14 +17,24 @@ from pancakes.demo.launcher import Faults, fresh, judge, run_of, run_virtual
 from pancakes.demo.plan import find_configs, make_plan
 from pancakes.plugins import Plugins
 
+BATTERY = "task.World.settings.robots.agent1.battery.capacity_j"
+LEAST_SHARE, MOST_SHARE = 0.90, 1.12
+"""Of agent 1's battery: with these the hand-over falls anywhere in a whole turn round the circle."""
+
 
 class Job(NamedTuple):
-    """One mission: the demo, the seed, whether the network has faults, and where its files go."""
+    """One mission: the demo, the seed, where its files go, and what is to make it hard.
+
+    Attributes:
+        faults: whether the network has latency, jitter and links that break.
+        batteries: whether the seed draws agent 1's battery, and with it where on the circle it hands over.
+    """
 
     demo: str
     seed: int
-    faults: bool
     out: Path
+    faults: bool = True
+    batteries: bool = False
 
 
 class Outcome(NamedTuple):
@@ -38,7 +50,9 @@ def fly(job: Job) -> Outcome:
     began_s = time.monotonic()
     try:
         demo = Plugins().get("pancakes.demos", job.demo)
-        plan = make_plan(demo, find_configs(job.demo), job.out, job.seed, 1.0, demo.duration_s, (), live=False)
+        folder = find_configs(job.demo)
+        sets = (_battery(folder, job.seed),) if job.batteries else ()
+        plan = make_plan(demo, folder, job.out, job.seed, 1.0, demo.duration_s, sets, live=False)
         fresh(job.out)
         mission = Mission(demo.agents, demo.duration_s)
         timing = run_virtual(plan, mission, threading.Event(), Faults(job.seed) if job.faults else None)
@@ -48,10 +62,19 @@ def fly(job: Job) -> Outcome:
     return Outcome(job, summary, time.monotonic() - began_s)
 
 
-def fly_all(demo: str, seeds: Sequence[int], faults: bool, jobs: int) -> Iterator[Outcome]:
+def _battery(folder: Path, seed: int) -> str:
+    """Draws agent 1's battery; returns it as a change of the world's configuration."""
+    found: Any = tomllib.loads((folder / "world.toml").read_text(encoding="utf-8"))
+    for key in BATTERY.split("."):
+        found = found[key]
+    drawn = found * random.Random(f"battery/{seed}").uniform(LEAST_SHARE, MOST_SHARE)
+    return f"world:{BATTERY}={drawn:.1f}"
+
+
+def fly_all(demo: str, seeds: Sequence[int], faults: bool, batteries: bool, jobs: int) -> Iterator[Outcome]:
     """Runs a mission for each seed, several at once, and yields how they went as they end."""
     with tempfile.TemporaryDirectory(prefix="pancakes-torture-") as folder:
-        todo = [Job(demo, seed, faults, Path(folder) / str(seed)) for seed in seeds]
+        todo = [Job(demo, seed, Path(folder) / str(seed), faults, batteries) for seed in seeds]
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
             yield from pool.imap_unordered(fly, todo)
 

@@ -30,12 +30,12 @@ def test_missions_that_pass_give_exit_code_0() -> None:
 
 
 def test_a_mission_that_fails_gives_exit_code_1_and_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def two(demo: str, seeds: range, faults: bool, jobs: int) -> Iterator[Outcome]:
+    def two(demo: str, seeds: range, faults: bool, batteries: bool, jobs: int) -> Iterator[Outcome]:
         for seed in seeds:
             summary: dict[str, Any] = {"verdict": "PASS", "reasons": [], "gap_s": 0.1 * seed}
             if seed == 8:
                 summary |= {"verdict": "FAIL", "reasons": ["nobody drove for 0.80 s"]}
-            yield Outcome(Job(demo, seed, faults, Path()), summary, 1.0)
+            yield Outcome(Job(demo, seed, Path(), faults, batteries), summary, 1.0)
 
     monkeypatch.setattr(command, "fly_all", two)
     result = CliRunner().invoke(command.torture, ["missions", "--seeds", "2", "--first", "7"])
@@ -46,7 +46,7 @@ def test_a_mission_that_fails_gives_exit_code_1_and_its_reason(monkeypatch: pyte
 
 
 def test_a_mission_that_breaks_down_fails(tmp_path: Path) -> None:
-    outcome = fly(Job("no such demo", 1, False, tmp_path))
+    outcome = fly(Job("no such demo", 1, tmp_path))
     assert outcome.summary["verdict"] == "FAIL"
     assert "unknown demo 'no such demo'" in outcome.summary["reasons"][0]
 

@@ -1,0 +1,70 @@
+"""Adopting a task by force: which one is meant, and what a person has to know before (see docs/protocol.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from pancakes.errors import ControlRefused
+from pancakes.migration.record import Phase, Record
+
+DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
+"""The phases in which an agent cannot know by itself whether a task is its own."""
+
+
+def in_doubt(records: Iterable[Record]) -> list[Record]:
+    """Returns the records of those tasks whose hand-off stands undecided."""
+    return [record for record in records if record.phase in DOUBT]
+
+
+def chosen(service: str, name: str, birthplace: str, records: Sequence[Record]) -> Record:
+    """Returns the record of the task that is to be adopted.
+
+    Args:
+        service: address of the service that is asked.
+        name: the task's name.
+        birthplace: the agent that it was born on; empty: any.
+        records: what the service has of tasks of this name.
+
+    Raises:
+        ControlRefused: none of them is in doubt, or several are.
+    """
+    meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
+    found = in_doubt(meant)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        ids = " and ".join(str(record.task_id) for record in found)
+        raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace")
+    if not meant:
+        raise ControlRefused(f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""))
+    stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
+    raise ControlRefused(f"there is nothing to adopt: {stands}")
+
+
+def meaning(record: Record, me: str) -> str:
+    """Returns what adopting a task would mean, for whoever has not yet said `force`."""
+    task_id, peer = record.task_id, record.peer
+    if record.phase is Phase.COMMITTED:
+        doubt = f"{task_id} was given to {peer} (offer {record.offer}), which does not say that it has it"
+    else:
+        doubt = f"{task_id} rests on {me} (offer {record.offer}), and {peer} does not say whether it was given away"
+    return (
+        f"{doubt}. Adopted by force, it runs on {me} from the snapshot of that hand-off, under a new epoch."
+        f" Where {peer} runs it, or ever comes back with its disk, there are two of it."
+        f" So only where {peer} is gone for good: see that the task runs nowhere, switch {peer} off, adopt by force,"
+        f" and only after that set {peer} up anew, with an empty state_dir."
+        f" Otherwise wait: the hand-off goes on by itself once {peer} answers. Nothing was done"
+    )
+
+
+def _standing(record: Record) -> str:
+    match record.phase:
+        case Phase.OWNER:
+            return "here already"
+        case Phase.RELEASED:
+            return f"with {record.peer}, which has said so"
+        case Phase.FROZEN:
+            return "here, and about to be handed over"
+        case _:
+            return "not here" + (f", {record.peer} had it last" if record.peer else "")

@@ -1,0 +1,49 @@
+"""Who may have an actuator: one holder, and what is kept for a task that is about to arrive."""
+
+import pytest
+
+from pancakes.kernel.registry import DeviceEntry, Registry
+
+CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
+
+
+@pytest.fixture
+def registry():
+    made = Registry()
+    made.add_device(DeviceEntry("wheels", "motors", actuator=True))
+    made.add_device(DeviceEntry("arm", "arm", actuator=True))
+    made.add_device(DeviceEntry("eye", "ir"))
+    return made
+
+
+def test_what_is_kept_obeys_nobody_and_goes_to_nobody_else(registry):
+    assert registry.reserve(CIRCLE, ("motors", "ir")) == ""
+    assert registry.holder("wheels") == ""
+    assert registry.hold(HOME, ("motors",)) == f"wheels is kept for {CIRCLE}, which is arriving"
+    assert registry.reserve(HOME, ("arm", "motors")) == f"wheels is kept for {CIRCLE}, which is arriving"
+    assert registry.claim("wheels", REMOTE) == CIRCLE
+    assert registry.holder("wheels") == ""
+    assert registry.hold(HOME, ("arm",)) == ""
+
+
+def test_the_task_that_arrives_takes_it_and_nothing_stays_kept(registry):
+    registry.reserve(CIRCLE, ("motors",))
+    assert registry.hold(CIRCLE, ("motors",)) == ""
+    assert registry.holder("wheels") == CIRCLE
+    registry.release(CIRCLE)
+    assert registry.hold(HOME, ("motors",)) == ""
+
+
+def test_what_is_given_back_is_free(registry):
+    registry.reserve(CIRCLE, ("motors",))
+    registry.unreserve(HOME)
+    assert registry.taken("wheels", HOME)
+    registry.unreserve(CIRCLE)
+    assert registry.taken("wheels", HOME) == ""
+    assert registry.claim("wheels", REMOTE) == REMOTE
+
+
+def test_what_another_holds_cannot_be_kept_all_or_none(registry):
+    registry.hold(HOME, ("motors",))
+    assert registry.reserve(CIRCLE, ("arm", "motors")) == f"wheels is held by {HOME}"
+    assert registry.taken("arm", HOME) == ""

@@ -1,0 +1,186 @@
+"""Packets to a task: the books of the sender and of the receiver, event by event."""
+
+import random
+
+import pytest
+
+from pancakes.errors import MailboxFull
+from pancakes.migration.post import (
+    IN_FLIGHT,
+    LONGEST_S,
+    MOST_HOPS,
+    RESEND_S,
+    STREAMS,
+    WINDOW,
+    ForwardTo,
+    Incoming,
+    Letter,
+    Outgoing,
+    Receipt,
+    onward,
+)
+from pancakes.migration.record import TaskId
+
+SCAN = TaskId("a", "Scan")
+STREAM = "me/1"
+
+
+@pytest.fixture
+def out():
+    return Outgoing(STREAM)
+
+
+def post(out, count, now_s=0.0, task_id=SCAN):
+    return [sent for _ in range(count) for sent in out.post(task_id, b"packet", task_id.birthplace, now_s)]
+
+
+def receipt(seq, epoch_n=0):
+    return Receipt("a/Scan", STREAM, seq, epoch_n)
+
+
+def seqs(dispatches):
+    return [(dispatch.peer, dispatch.letter.seq) for dispatch in dispatches]
+
+
+class TestTheSender:
+    def test_sends_at_once_and_numbers_each_tasks_letters_from_one(self, out):
+        assert seqs(post(out, 2)) == [("a", 1), ("a", 2)]
+        assert seqs(post(out, 1, task_id=TaskId("b", "Other"))) == [("b", 1)]
+        assert out.waiting() == {"a/Scan": 2, "b/Other": 1}
+
+    def test_sends_again_from_the_oldest_on_until_it_is_acknowledged(self, out):
+        post(out, 3)
+        assert out.due(RESEND_S * 0.9) == []
+        assert seqs(out.due(RESEND_S)) == [("a", 1), ("a", 2), ("a", 3)]
+        out.acknowledged(receipt(2), "a", RESEND_S)
+        assert seqs(out.due(10.0)) == [("a", 3)]
+        out.acknowledged(receipt(3), "a", 10.0)
+        assert out.due(100.0) == [] and out.waiting() == {}
+
+    def test_puts_it_off_for_longer_each_time_and_asks_everybody_in_the_end(self, out):
+        post(out, 2)
+        now_s, pauses, asked = RESEND_S, [], []
+        for _ in range(6):
+            before_s = now_s
+            asked.append([sent.letter.seq for sent in out.due(now_s) if not sent.peer])
+            while True:
+                now_s += 0.05
+                if out._to["a/Scan"].due_s <= now_s:
+                    break
+            pauses.append(now_s - before_s)
+        assert pauses == pytest.approx([0.3, 0.6, 1.2, 2.4, 2.4, 2.4], abs=0.06)
+        assert max(pauses) == pytest.approx(LONGEST_S, abs=0.06)
+        assert asked == [[], [], [], [1], [1], [1]]
+
+    def test_says_which_letters_will_never_come_again(self, out):
+        post(out, 3)
+        out.acknowledged(receipt(2), "a", 0.1)
+        assert [sent.letter.first for sent in out.due(5.0)] == [3]
+        assert post(out, 1)[0].letter.first == 3
+
+    def test_has_no_more_than_so_many_on_their_way(self, out):
+        assert len(post(out, IN_FLIGHT + 10)) == IN_FLIGHT
+        assert seqs(out.acknowledged(receipt(3), "a", 0.1)) == [("a", IN_FLIGHT + n) for n in (1, 2, 3)]
+
+    def test_refuses_more_than_the_window(self, out):
+        post(out, WINDOW)
+        with pytest.raises(MailboxFull, match="1024 packets for the task a/Scan"):
+            post(out, 1)
+        assert out.waiting() == {"a/Scan": WINDOW}
+        out.acknowledged(receipt(1), "a", 0.1)
+        post(out, 1)
+
+    def test_follows_a_task_that_moved_and_believes_no_older_news(self, out):
+        post(out, 2)
+        assert seqs(out.forwarded(ForwardTo("a/Scan", "b", 3), 0.1)) == [("b", 1), ("b", 2)]
+        assert out.forwarded(ForwardTo("a/Scan", "c", 2), 0.1) == []
+        assert out.forwarded(ForwardTo("a/Scan", "b", 3), 0.1) == []
+        assert seqs(post(out, 1)) == [("b", 3)]
+
+    def test_learns_from_a_receipt_where_the_task_is(self, out):
+        post(out, 2)
+        out.acknowledged(receipt(1, epoch_n=4), "d", 0.1)
+        assert seqs(out.due(9.0)) == [("d", 2)]
+        out.acknowledged(receipt(1, epoch_n=2), "b", 0.1)
+        assert seqs(post(out, 1)) == [("d", 3)]
+
+    def test_believes_no_receipt_of_a_former_stream(self, out):
+        post(out, 2)
+        out.acknowledged(Receipt("a/Scan", "me/0", 2, 0), "a", 0.1)
+        assert out.waiting() == {"a/Scan": 2}
+
+
+class TestTheReceiver:
+    def test_takes_only_the_next_of_each_stream(self):
+        filter_ = Incoming()
+        assert filter_.is_next("x", 1, 1) and not filter_.is_next("x", 2, 1)
+        filter_.took("x", 1)
+        assert filter_.is_old("x", 1) and filter_.is_next("x", 2, 1) and filter_.is_next("y", 1, 1)
+
+    def test_goes_on_after_what_was_acknowledged_and_is_forgotten(self):
+        """A task without a checkpoint of each packet went back to an earlier one: what it said it had is not sent."""
+        filter_ = Incoming({"x": 5})
+        assert filter_.is_next("x", 11, 11) and not filter_.is_next("x", 12, 11)
+        assert filter_.is_next("x", 6, 3)
+
+    def test_what_it_heard_can_be_carried_elsewhere(self):
+        filter_ = Incoming({"x": 5})
+        filter_.took("y", 1)
+        assert Incoming(filter_.heard()).is_old("x", 5)
+
+    def test_forgets_the_stream_not_heard_from_for_longest(self):
+        filter_ = Incoming()
+        for number in range(STREAMS):
+            filter_.took(f"s{number}", 1)
+        filter_.took("s0", 2)
+        filter_.took("new", 1)
+        assert len(filter_.heard()) == STREAMS
+        assert filter_.is_old("s0", 2) and not filter_.is_old("s1", 1)
+
+
+def test_a_letter_does_not_wander_for_ever():
+    letter, hops = Letter("a/Scan", STREAM, 1, 1, b""), 0
+    while (further := onward(letter)) is not None:
+        letter, hops = further, hops + 1
+    assert hops == MOST_HOPS
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effect_once_and_in_order(seed):
+    """The receiver moves, with its filter; and at times it goes back to a checkpoint of all that it acknowledged."""
+    source = random.Random(seed)
+    out, filter_, effects, checkpoint = Outgoing(STREAM), Incoming(), [], ([], {})
+    host, epoch_n, posted, now_s = "a", 0, 0, 0.0
+    wire = []
+
+    def lose_and_double(dispatches):
+        for dispatch in dispatches:
+            wire.extend([dispatch] * source.choice([0, 1, 1, 2]))
+
+    while posted < 300 or out.waiting():
+        now_s += 0.02
+        assert now_s < 2000.0
+        if posted < 300 and source.random() < 0.5:
+            posted += 1
+            lose_and_double(out.post(SCAN, str(posted).encode(), "a", now_s))
+        lose_and_double(out.due(now_s))
+        if source.random() < 0.03:
+            host, epoch_n = source.choice("abc"), epoch_n + 1
+        if source.random() < 0.02:
+            effects, filter_ = list(checkpoint[0]), Incoming(checkpoint[1])
+        for _ in range(min(len(wire), source.randrange(6))):
+            dispatch = wire.pop(source.randrange(len(wire)) if source.random() < 0.3 else 0)
+            letter, peer = dispatch.letter, dispatch.peer or host
+            if peer != host:
+                lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), now_s))
+                continue
+            if filter_.is_next(letter.stream, letter.seq, letter.first):
+                effects.append(int(letter.packet))
+                filter_.took(letter.stream, letter.seq)
+            elif not filter_.is_old(letter.stream, letter.seq):
+                continue
+            if source.random() < 0.5:  # the acknowledgement follows the checkpoint, and may be lost
+                checkpoint = list(effects), filter_.heard()
+                if source.random() < 0.8:
+                    lose_and_double(out.acknowledged(receipt(len(effects), epoch_n), host, now_s))
+    assert effects == list(range(1, 301))

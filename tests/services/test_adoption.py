@@ -1,0 +1,202 @@
+"""Adopting by force: what a person may do with a task whose hand-off is in doubt, because the other agent is gone."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
+from pancakes.migration.record import Phase, TaskId
+from pancakes.net.memory import Quality
+from pancakes.packet import SYSCTRL
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest
+
+
+class Count(Task):
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += 1
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(5, classes={"test.Count": Count}) as made:
+        made.start("a", tasks={"Count": Count})
+        made.start("b")
+        made.connect()
+        made.network.set_quality("a", "b", Quality(latency_s=0.02))
+        yield made
+
+
+def phase(fleet, agent):
+    hand_off = fleet.agents[agent].component("client").hand_offs.get(TaskId("a", "Count"))
+    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+
+
+def until(fleet, condition):
+    """Runs step by step, so that the moment is caught as it comes."""
+    begin_s = fleet.now()
+    while not condition():
+        assert fleet.fleet.dispatcher.step() and fleet.now() < begin_s + 20.0
+
+
+def committed_and_alone(fleet):
+    """a has given Count to b, which dies before it hears so; returns a, and the packet that asked for the move."""
+    a = fleet.agents["a"]
+    fleet.run_for(2.0)
+    moving = a.publish(SYSCTRL, Migrate("Count"))
+    until(fleet, lambda: phase(fleet, "a") is Phase.COMMITTED)
+    fleet.crash("b")
+    fleet.run_for(6.0)
+    assert a.running() == []
+    return a, moving
+
+
+def prepared_and_alone(fleet):
+    """b has the snapshot of Count, and a dies before it has decided."""
+    fleet.run_for(2.0)
+    fleet.agents["a"].publish(SYSCTRL, Migrate("Count"))
+    until(fleet, lambda: phase(fleet, "b") is Phase.PREPARED)
+    fleet.crash("a")
+    fleet.run_for(6.0)
+    return fleet.agents["b"]
+
+
+def test_without_force_it_says_what_it_would_mean_and_does_nothing(fleet):
+    a, _ = committed_and_alone(fleet)
+
+    reply = a.ask(Adopt("Count"))
+
+    assert not reply.ok
+    assert reply.reason.startswith("a/Count was given to b (offer 1@a), which does not say that it has it. Adopted by")
+    assert "only where b is gone for good" in reply.reason
+    assert "only after that set b up anew" in reply.reason
+    fleet.run_for(2.0)
+    assert phase(fleet, "a") is Phase.COMMITTED and a.running() == []
+
+
+def test_who_gave_it_away_takes_it_back_with_its_state(fleet):
+    a, moving = committed_and_alone(fleet)
+
+    reply = a.ask(Adopt("Count", force=True))
+
+    assert reply.ok and reply.result == {"task_id": "a/Count", "peer": "b"}
+    assert a.running() == ["Count"]
+    assert a.task("Count").state.n >= 20
+    record = a.component("client").hand_offs[TaskId("a", "Count")].record
+    assert (record.phase, record.epoch) == (Phase.OWNER, (2, "a"))
+    assert a.events("task_adopted") == [{"kind": "task_adopted", "task": "Count", "peer": "b", "epoch": 2}]
+    # Whoever had asked for the move hears what became of it, and so does the account.
+    assert "a/Count was adopted on a" in a.reply_to(moving).reason
+    (account,) = a.ask(Migrations()).result
+    assert account["outcome"] == "undecided" and "was adopted on a" in account["reason"]
+    # It is a task like any other: it outlives a crash, and may be stopped.
+    fleet.crash("a")
+    a = fleet.restart("a")
+    assert a.running() == ["Count"]
+    assert a.ask(Stop("Count")).ok
+
+
+def test_who_was_to_get_it_takes_it(fleet):
+    b = prepared_and_alone(fleet)
+    assert [row["task"] for row in b.ask(Describe()).result["tasks"] if row["service"] == "client"] == []
+
+    assert "a/Count rests on b (offer 1@a), and a does not say" in b.ask(Adopt("Count")).reason
+    assert b.ask(Adopt("client/Count", force=True)).ok
+
+    assert b.running() == ["Count"]
+    assert b.task("Count").state.n >= 20
+
+
+def test_it_can_be_adopted_after_the_agent_in_doubt_was_started_anew(fleet):
+    prepared_and_alone(fleet)
+    fleet.crash("b")
+    b = fleet.restart("b")
+
+    assert b.ask(Adopt("Count", force=True)).ok
+    assert b.task("Count").state.n >= 20
+
+
+def test_the_one_that_is_gone_may_be_set_up_anew_with_an_empty_disk_afterwards(fleet):
+    b = prepared_and_alone(fleet)
+    assert b.ask(Adopt("Count", force=True)).ok
+    fleet.fleet.disk("a").clear()
+    fleet.start("a")
+    fleet.connect()
+
+    fleet.run_for(30.0)
+
+    assert fleet.agents["a"].running() == [] and b.running() == ["Count"]
+    assert b.ask(Migrate("Count")).ok
+    assert fleet.agents["a"].running() == ["Count"]
+
+
+def test_while_the_other_is_connected_it_is_refused(fleet):
+    a = fleet.agents["a"]
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.2))
+    a.publish(SYSCTRL, Migrate("Count"))
+    until(fleet, lambda: phase(fleet, "a") is Phase.COMMITTED)
+
+    reply = a.ask(Adopt("Count", force=True))
+
+    assert not reply.ok and reply.reason.startswith("a/Count is not adopted: b is connected, so it is not gone")
+    fleet.run_for(3.0)
+    assert a.running() == [] and fleet.agents["b"].running() == ["Count"]
+
+
+def test_while_the_network_sleeps_nobody_knows_who_is_there(fleet):
+    a, _ = committed_and_alone(fleet)
+    a.component("network/TaskMigrator").stop()
+    a.component("network").close(lambda: None)
+    fleet.run_for(1.0)
+
+    assert "nobody knows whether b is there" in a.ask(Adopt("Count", force=True)).reason
+
+
+def test_there_must_be_a_doubt(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Adopt("Count", force=True)).reason == "there is nothing to adopt: a/Count is here already"
+    assert a.ask(Migrate("Count")).ok
+    fleet.run_for(1.0)
+    assert a.ask(Adopt("Count", force=True)).reason == "there is nothing to adopt: a/Count is with b, which has said so"
+    assert a.ask(Adopt("client/Other")).reason == "a/client knows of no task 'Other'"
+    assert a.ask(Adopt("Count", birthplace="c")).reason == "a/client knows of no task 'Count' of c"
+    assert a.ask(Adopt("client/")).reason == "a/client is a service: name one of its tasks"
+    assert a.ask(Adopt("Other")).reason == "a has no task or service 'Other'"
+    assert b.running() == ["Count"]
+
+
+def test_where_it_cannot_run_it_is_said_that_it_was_adopted_all_the_same():
+    class Drive(Count):
+        requires = ("motors",)
+
+    with FleetInTest(5, classes={"test.Drive": Drive}) as fleet:
+        fleet.start("a", devices={"wheels": "null.motors"}, tasks={"Count": Drive})
+        fleet.start("b", devices={"wheels": "null.motors"})
+        fleet.connect()
+        b = prepared_and_alone(fleet)
+        assert b.ask(Stop("wheels")).ok
+
+        reply = b.ask(Adopt("Count", force=True))
+
+        assert not reply.ok
+        assert reply.reason.startswith("a/Count belongs to b now, but does not run: b lacks the device types motors")
+        assert phase(fleet, "b") is Phase.OWNER
+
+
+def test_a_disk_that_is_full_leaves_everything_as_it_was(fleet, monkeypatch):
+    a, _ = committed_and_alone(fleet)
+    full = "no space left on device"
+    store = a.agent._store
+    monkeypatch.setattr(store, "persist", lambda entry, persisted, failed: failed(full))
+
+    reply = a.ask(Adopt("Count", force=True))
+
+    assert reply.reason == f"a/Count is not adopted: the journal could not write: {full}"
+    assert phase(fleet, "a") is Phase.COMMITTED and a.running() == []
+    monkeypatch.undo()
+    assert a.ask(Adopt("Count", force=True)).ok

@@ -1,0 +1,111 @@
+"""While a task rests on an agent, dormant and in doubt, nobody takes the actuators that it will need."""
+
+import pytest
+
+from pancakes.control import Migrate, Start
+from pancakes.devices.types import Twist
+from pancakes.migration.record import Phase, TaskId
+from pancakes.net.memory import Quality
+from pancakes.packet import SYSCTRL
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest
+
+
+class Circle(Task):
+    requires = ("motors",)
+
+    @every(hz=10)
+    def drive(self, tick):
+        self.publish("ctrl", Twist(0.1, 0.0))
+
+
+class Home(Circle):
+    pass
+
+
+WHEELS = {"wheels": "null.motors"}
+KEPT = "wheels is kept for b/client/Circle, which is arriving"
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(7, classes={"test.Circle": Circle}) as made:
+        made.start("a", devices=WHEELS, tasks={"Circle": Circle})
+        made.start("b", devices=WHEELS, tasks={"Home": {"type": Home, "start": False}})
+        made.connect()
+        made.network.set_quality("a", "b", Quality(latency_s=0.05))
+        yield made
+
+
+def phase(fleet, agent):
+    return fleet.agents[agent].component("client").hand_offs[TaskId("a", "Circle")].record.phase
+
+
+def until_prepared(fleet):
+    """Runs until `b` has the snapshot on disk, and parts the two before `a` can hear of it."""
+    fleet.agents["a"].publish(SYSCTRL, Migrate("Circle"))
+    assert fleet.run_until(
+        lambda: (
+            TaskId("a", "Circle") in fleet.agents["b"].component("client").hand_offs
+            and phase(fleet, "b") is Phase.PREPARED
+        )
+    )
+    fleet.network.partition(["a"], ["b"])
+
+
+def test_a_local_start_does_not_take_them(fleet):
+    until_prepared(fleet)
+    b = fleet.agents["b"]
+    assert b.ask(Start("Home")).reason == KEPT
+    assert b.kernel.registry.holder("wheels") == ""
+
+
+def test_on_abort_they_are_given_back(fleet):
+    until_prepared(fleet)
+    fleet.run_for(5.0)
+    assert phase(fleet, "a") is Phase.OWNER  # it took the task back, and `b` cannot know
+    assert fleet.agents["b"].ask(Start("Home")).reason == KEPT
+    fleet.network.heal()
+    assert fleet.run_until(lambda: phase(fleet, "b") is Phase.ABSENT, 30.0)
+    fleet.run_for(0.1)
+    assert fleet.agents["b"].ask(Start("Home")).ok
+
+
+def test_they_stay_kept_over_a_restart_of_the_agent(fleet):
+    until_prepared(fleet)
+    fleet.crash("b")
+    b = fleet.restart("b")
+    assert phase(fleet, "b") is Phase.PREPARED
+    assert b.ask(Start("Home")).reason == KEPT
+
+
+def test_the_task_has_them_once_it_runs(fleet):
+    b = fleet.agents["b"]
+    assert fleet.agents["a"].ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+    assert b.kernel.registry.holder("wheels") == "b/client/Circle"
+    assert b.ask(Start("Home")).reason == "wheels is held by b/client/Circle"
+
+
+def test_a_task_whose_actuators_were_taken_after_the_bid_stays_where_it_is(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    moving = a.publish(SYSCTRL, Migrate("Circle"))
+    assert fleet.run_until(lambda: phase(fleet, "a") is Phase.FROZEN)
+    assert b.ask(Start("Home"), at_most_s=0.02).ok
+    assert "wheels is held by b/client/Home" in a.reply_to(moving).reason
+    assert a.running() == ["Circle"]
+    assert b.running() == ["Home"]
+
+
+def test_a_remote_claim_does_not_take_them(fleet):
+    """Another agent's virtual actuator may hold wheels that nobody holds, but not those."""
+    remote = {"type": "network.motors", "settings": {"target": "b/device/wheels"}}
+    fleet.start("c", devices={"wheels": remote}, tasks={"Far": {"type": Circle, "start": False}})
+    fleet.connect()
+    fleet.network.set_quality("a", "b", Quality(latency_s=0.05))
+    until_prepared(fleet)
+    assert fleet.agents["c"].ask(Start("Far")).ok
+    fleet.run_for(1.0)
+    b = fleet.agents["b"]
+    assert b.kernel.registry.holder("wheels") == ""
+    assert b.events("command_refused", by="c/device/wheels")[0]["reason"] == "it is held by b/client/Circle"

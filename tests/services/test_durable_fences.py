@@ -1,0 +1,200 @@
+"""An old copy of a task moves no wheel, whoever was started again meanwhile; and without commands wheels stand."""
+
+import pytest
+
+from pancakes.control import Migrate, Restart
+from pancakes.devices.driver import Actuator
+from pancakes.devices.types import Twist
+from pancakes.journal import Entry, MemoryJournal, VirtualStore
+from pancakes.net.memory import Quality
+from pancakes.packet import Fence, Packet
+from pancakes.services.fences import Fences
+from pancakes.sim.state import WorldState
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest
+
+
+class Wheels(Actuator):
+    """Writes down what it is told."""
+
+    type = "motors"
+    told: list = []
+
+    def apply(self, command, ttl_s, source):
+        self.told.append((self.context.agent, command.v_mps))
+
+    def hold(self):
+        pass
+
+
+class Circle(Task):
+    requires = ("motors",)
+
+    @every(hz=10)
+    def drive(self, tick):
+        self.publish("ctrl", Twist(0.1, 0.0))
+
+
+class Still(Task):
+    requires = ("motors",)
+
+
+CLASSES = {"test.Circle": Circle, "test.Still": Still}
+ZOMBIE_MPS = 9.0
+
+
+@pytest.fixture
+def fleet():
+    Wheels.told = []
+    with FleetInTest(3, classes=CLASSES) as made:
+        yield made
+
+
+def command(epoch, source="a/client/Still", task_id="b/Still", v_mps=0.5):
+    return Packet("ctrl", "motors", source, "", 0.0, 1, Twist(v_mps, 0.0), fence=Fence(task_id, epoch))
+
+
+def give(fleet, agent, *packets, for_s=0.05):
+    for packet in packets:
+        agent.kernel.stream.publish(packet)
+    fleet.run_for(for_s)
+
+
+def test_the_mark_outlives_the_agent(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    give(fleet, a, command((2, "b")))
+    fleet.crash("a")
+    a = fleet.restart("a")
+    give(fleet, a, command((1, "c"), v_mps=ZOMBIE_MPS))
+    assert Wheels.told == [("a", 0.5)]
+    assert a.events("command_refused")[0]["reason"] == "epoch 1 of b/Still has passed, 2 has been seen"
+    give(fleet, a, command((2, "b"), v_mps=0.6), command((3, "a"), v_mps=0.7))
+    assert Wheels.told == [("a", 0.5), ("a", 0.6), ("a", 0.7)]
+
+
+def test_the_mark_outlives_the_device_service(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    give(fleet, a, command((2, "b")))
+    assert a.ask(Restart("device")).ok
+    fleet.run_for(1.0)
+    give(fleet, a, command((1, "c"), v_mps=ZOMBIE_MPS))
+    assert Wheels.told == [("a", 0.5)]
+
+
+def test_no_command_of_a_new_epoch_is_obeyed_before_the_mark_is_on_disk(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    give(fleet, a, command((2, "b"), v_mps=0.1), command((2, "b"), v_mps=0.2), for_s=0.001)
+    assert Wheels.told == []
+    # Had it been obeyed, a crash now would let an older epoch in.
+    assert not any("fence" in name for name in fleet.fleet.disk("a"))
+    fleet.run_for(0.01)
+    # The newest has waited; what it replaced is stale.
+    assert Wheels.told == [("a", 0.2)]
+    fleet.crash("a")
+    assert any("fence" in name for name in fleet.fleet.disk("a"))
+
+
+def test_each_epoch_is_written_once(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    written = []
+    persist = a.agent.fences._store.persist
+    a.agent.fences._store.persist = lambda entry, *then: written.append(entry.kind) or persist(entry, *then)
+    fleet.run_for(10.0)
+    assert written.count("fence") == 1
+    assert len(Wheels.told) >= 99
+
+
+def test_a_mark_that_cannot_be_written_lets_nothing_through_and_is_tried_again(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    store = a.agent.fences._store
+    persist = store.persist
+    store.persist = lambda entry, then, failed: failed("the disk is full")
+    give(fleet, a, command((2, "b")))
+    assert Wheels.told == []
+    assert a.events("command_refused")[0]["reason"] == "the journal could not write its epoch: the disk is full"
+    store.persist = persist
+    give(fleet, a, command((2, "b")))
+    assert Wheels.told == [("a", 0.5)]
+
+
+def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
+    a.agent.fences._store._latency_s = 0.6
+    give(fleet, a, command((2, "b")), for_s=1.0)
+    assert Wheels.told == []
+    give(fleet, a, command((2, "b")))
+    assert Wheels.told == [("a", 0.5)]
+
+
+def test_a_damaged_fence_is_told_by_name():
+    disk = {}
+    journal = MemoryJournal(disk, "x")
+    journal.write([Entry("fence", "wheels", b"\xc1"), Entry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
+    fences = Fences(journal, VirtualStore(journal, lambda delay_s, function: function()))
+    assert fences.highest("arm", "b/X") == (2, "b")
+    assert fences.highest("wheels", "b/X") is None
+    assert "the journal's fence of the actuator wheels is not used" in fences.unread[0]
+
+
+def test_a_source_that_wakes_up_after_a_long_stop_moves_no_wheel(fleet):
+    """It never saw that its task was given away, and has come to run elsewhere and home again."""
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    b = fleet.start("b", devices={"wheels": Wheels})
+    fleet.connect()
+    fleet.run_for(0.5)
+    sleeper = a.task("Circle")  # the old copy, with the right that it had
+    assert a.ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+
+    def wakes_up(agent):
+        before = list(Wheels.told)
+        packet = command(tuple(sleeper.fence.epoch), "a/client/Circle", sleeper.fence.task_id, ZOMBIE_MPS)
+        give(fleet, agent, packet, for_s=0.0)
+        assert all(v_mps != ZOMBIE_MPS for _, v_mps in Wheels.told[len(before) :])
+
+    # While it runs on `b`, nobody at home has the right to the wheels.
+    wakes_up(a)
+    assert b.ask(Migrate("Circle")).ok
+    fleet.run_for(1.0)
+    # At home again, under the same address: only the epoch tells them apart.
+    assert a.kernel.registry.holder("wheels") == "a/client/Circle"
+    wakes_up(a)
+    fleet.crash("a")
+    a = fleet.restart("a")
+    assert a.kernel.registry.holder("wheels") == "a/client/Circle"
+    wakes_up(a)
+    assert "has passed, 2 has been seen" in a.events("command_refused", by="a/client/Circle")[0]["reason"]
+    fleet.run_for(0.5)
+    assert Wheels.told[-1] == ("a", 0.1)
+
+
+WORLD = """
+[task.World]
+type = "sim.world"
+[task.World.settings]
+bus = "tcp://world:7410"
+robots = { a = { x_m = 0.0, y_m = 0.0, spread_m = 0.0, spread_rad = 0.0 } }
+"""
+
+
+def test_a_robot_whose_agent_is_killed_stands_within_half_a_second(fleet):
+    """Nobody is left to say so: the command's time to live has travelled to the world's wheels."""
+    world = fleet.start("world", WORLD, role="environment")
+    drive = {"type": "sim.differential_drive", "settings": {"world": "tcp://world:7410"}, "hold_after_s": 0.5}
+    fleet.start("a", devices={"wheels": drive}, tasks={"Circle": Circle})
+    fleet.network.set_quality("a", "world", Quality(latency_s=0.001))
+
+    def robot():
+        return world.probe.packets(WorldState)[-1].body.bodies[0]
+
+    fleet.run_for(3.0)
+    assert robot().driven_by == "Circle"
+    assert robot().v_mps == pytest.approx(0.1, rel=0.1)
+    fleet.crash("a")
+    fleet.run_for(0.3)
+    assert robot().driven_by == "Circle", "a command is good for its time"
+    fleet.run_for(0.3)
+    resting = robot()
+    assert (resting.driven_by, resting.v_mps) == ("", pytest.approx(0.0, abs=1e-6))
+    fleet.run_for(3.0)
+    assert robot().x_m == pytest.approx(resting.x_m, abs=1e-6)

@@ -1,0 +1,339 @@
+"""Packets that are addressed to a task reach it wherever it is: in order, and once."""
+
+import random
+from dataclasses import dataclass, field
+
+import pytest
+
+from pancakes.control import Describe, Migrate, Restart, Start, Stop
+from pancakes.errors import LocalProtocolError, MailboxFull
+from pancakes.migration.post import Letter
+from pancakes.net.memory import Quality
+from pancakes.packet import SYSCTRL, packet_type, task_address
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.wire.codec import Encoder
+
+HOSTS = ("a", "b", "c")
+SINK = task_address("a/Sink")
+
+
+@packet_type("test.numbered")
+@dataclass(frozen=True)
+class Numbered:
+    n: int
+
+
+class Sink(Task):
+    """Remembers each number that it is sent."""
+
+    @dataclass
+    class State:
+        numbers: list[int] = field(default_factory=list)
+
+    @on("system", Numbered)
+    def take(self, packet):
+        self.state.numbers.append(packet.body.n)
+
+
+class Picky(Sink):
+    """Fails on a 3."""
+
+    @on("system", Numbered, addressed=True)
+    def look(self, packet):
+        if packet.body.n == 3:
+            raise RuntimeError("not a three")
+
+
+class Source(Task):
+    """Sends one number after the other."""
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=50)
+    def send(self, tick):
+        try:
+            self.publish("system", Numbered(self.state.n + 1), to=SINK)
+        except MailboxFull:
+            return
+        self.state.n += 1
+
+
+def numbers(fleet, task="Sink"):
+    """What the one copy of the task that runs has in its state."""
+    for agent in fleet.agents.values():
+        component = agent.component(f"client/{task}")
+        if component is not None and not component.actor_inbox.paused:
+            return component.state.numbers
+    return None
+
+
+def upto(n):
+    return list(range(1, n + 1))
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=3) as made:
+        yield made
+
+
+class TestOnOneAgent:
+    def test_it_is_brought_while_the_network_sleeps(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        assert agent.ask(Stop("network")).ok
+        for n in upto(5):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(0.1)
+        assert numbers(fleet) == upto(5)
+
+    def test_nobody_else_hears_it(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink, "Other": Sink})
+        agent.publish("system", Numbered(1), to=SINK)
+        fleet.run_for(0.1)
+        assert agent.task("Other").state.numbers == []
+        assert agent.probe.packets(Numbered) == []
+
+    def test_it_waits_while_the_task_is_stopped(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        assert agent.ask(Stop("Sink")).ok
+        for n in upto(100):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(5.0)
+        assert agent.ask(Start("Sink")).ok
+        fleet.run_for(5.0)
+        assert numbers(fleet) == upto(100)
+
+    def test_the_publisher_is_told_when_too_many_wait(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": {"type": Sink, "start": False}})
+        for n in upto(1024):
+            agent.publish("system", Numbered(n), to=SINK)
+        with pytest.raises(MailboxFull, match="1024 packets for the task a/Sink"):
+            agent.publish("system", Numbered(1025), to=SINK)
+        assert agent.ask(Start("Sink")).ok
+        fleet.run_for(5.0)
+        assert numbers(fleet) == upto(1024)
+
+    def test_the_publisher_is_told_what_cannot_be_sent(self, fleet):
+        agent = fleet.start("a")
+        with pytest.raises(LocalProtocolError, match="no task id"):
+            agent.publish("system", Numbered(1), to="task:Sink")
+        with pytest.raises(LocalProtocolError, match="cannot be sent"):
+            agent.publish("system", Numbered(object()), to=SINK)
+        with pytest.raises(LocalProtocolError, match="may be sent to a task"):
+            agent.publish("system", Numbered("x" * 262_000), to=SINK)
+
+    @pytest.mark.parametrize("durability", ["lazy", "each"])
+    def test_a_packet_on_which_the_task_fails_is_given_up_after_three_times(self, fleet, durability):
+        agent = fleet.start("a", tasks={"Sink": {"type": Picky, "durability": durability}})
+        for n in upto(5):
+            agent.publish("system", Numbered(n), to=SINK)
+            fleet.run_for(1.5)
+        fleet.run_for(10.0)
+        assert [event["task"] for event in agent.events("task_failed")] == ["Sink"] * 3
+        assert numbers(fleet) == [1, 2, 4, 5]
+        assert agent.kernel.letters.count == 1
+        assert [line for line in agent.lines("warning") if "dead letter" in line and "3 times" in line]
+        assert not agent.agent._outgoing.waiting()
+
+    def test_what_a_task_without_its_state_has_heard_is_not_told_again(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        for n in upto(3):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(0.1)
+        assert agent.ask(Restart("Sink", keep_state=False)).ok
+        agent.publish("system", Numbered(4), to=SINK)
+        fleet.run_for(1.0)
+        assert numbers(fleet) == [4]
+
+    @pytest.mark.parametrize("keep_state", [None, True, False])
+    def test_a_letter_that_comes_late_a_second_time_has_no_effect(self, fleet, keep_state):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        last = [agent.publish("system", Numbered(n), to=SINK) for n in upto(3)][-1]
+        fleet.run_for(0.1)
+        if keep_state is not None:
+            assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
+        courier = agent.component("kernel/Courier")
+        again = Letter("a/Sink", agent.agent._outgoing._stream, 3, 3, Encoder().packet(last))
+        courier.call(lambda: courier.say("a", again))
+        fleet.run_for(0.1)
+        assert numbers(fleet) == ([] if keep_state is False else upto(3))
+
+    def test_a_courier_that_fails_loses_nothing(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        courier = agent.component("kernel/Courier")
+
+        def fail():
+            raise RuntimeError("a fault")
+
+        courier.call(fail)
+        agent.publish("system", Numbered(1), to=SINK)
+        fleet.run_for(1.0)
+        agent.publish("system", Numbered(2), to=SINK)
+        fleet.run_for(1.0)
+        assert numbers(fleet) == upto(2)
+        assert agent.component("kernel/Courier") is not courier
+
+    def test_on_threads_too(self):
+        with threaded_agent("a", tasks={"Sink": {"type": Sink, "durability": "each"}}) as agent:
+            for n in upto(200):
+                agent.publish("system", Numbered(n), to=SINK)
+            sink = agent.task("Sink")
+            while agent.agent._outgoing.waiting():
+                agent.ask(Describe())
+            assert sink.state.numbers == upto(200)
+
+
+class TestAcknowledgement:
+    def test_follows_the_checkpoint_where_durability_is_each(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": {"type": Sink, "durability": "each"}})
+        for n in upto(50):
+            agent.publish("system", Numbered(n), to=SINK)
+            fleet.run_for(0.0004 * (n % 7))
+        acknowledged = 50 - agent.agent._outgoing.waiting().get("a/Sink", 0)
+        fleet.crash("a")
+        fleet.restart("a")
+        assert len(numbers(fleet)) >= acknowledged
+
+    def test_runs_ahead_of_it_where_it_is_lazy(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        fleet.run_for(0.2)
+        agent.publish("system", Numbered(1), to=SINK)
+        fleet.run_for(0.01)
+        assert agent.agent._outgoing.waiting() == {}
+        fleet.crash("a")
+        agent = fleet.restart("a")
+        agent.publish("system", Numbered(2), to=SINK)
+        fleet.run_for(0.5)
+        assert numbers(fleet) == [2]
+
+
+class TestFinding:
+    """The sink was born on a, and moved to b."""
+
+    @pytest.fixture
+    def moved(self, fleet):
+        a = fleet.start("a", tasks={"Sink": Sink})
+        fleet.start("b")
+        fleet.start("s")
+        fleet.connect()
+        assert a.ask(Migrate("Sink", to="b")).ok
+        return fleet
+
+    def test_the_old_host_sends_it_on(self, moved):
+        moved.agents["s"].publish("system", Numbered(1), to=SINK)
+        assert moved.run_until(lambda: numbers(moved) == [1], 0.05)
+
+    def test_after_that_the_old_host_is_not_needed(self, moved):
+        moved.agents["s"].publish("system", Numbered(1), to=SINK)
+        moved.run_for(0.1)
+        moved.crash("a")
+        moved.agents["s"].publish("system", Numbered(2), to=SINK)
+        assert moved.run_until(lambda: numbers(moved) == [1, 2], 0.05)
+
+    def test_the_old_host_says_where_it_went_even_if_that_is_down(self, moved):
+        moved.crash("b")
+        moved.agents["s"].publish("system", Numbered(1), to=SINK)
+        moved.run_for(0.1)
+        moved.crash("a")
+        moved.restart("b")
+        assert moved.run_until(lambda: numbers(moved) == [1], 2.2)
+
+    def test_where_nobody_is_left_to_ask_everybody_is(self, moved):
+        moved.crash("a")
+        moved.agents["s"].publish("system", Numbered(1), to=SINK)
+        moved.agents["s"].publish("system", Numbered(2), to=SINK)
+        assert moved.run_until(lambda: numbers(moved) == [1, 2], 6.0)
+        assert moved.run_until(lambda: not moved.agents["s"].agent._outgoing.waiting(), 0.1)
+
+    def test_a_task_that_came_here_is_found_here(self, moved):
+        moved.crash("a")
+        moved.agents["b"].publish("system", Numbered(1), to=SINK)
+        assert moved.run_until(lambda: numbers(moved) == [1], 0.05)
+
+
+class Voyage:
+    """A sink that moves about between three agents while a fourth sends it numbers."""
+
+    def __init__(self, seed, durability):
+        self.random = random.Random(f"voyage/{seed}")
+        latency_s = self.random.choice([0.0005, 0.01, 0.08])
+        self.fleet = FleetInTest(seed, quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05))
+        for name in HOSTS:
+            self.fleet.start(name, tasks={"Sink": {"type": Sink, "durability": durability}} if name == "a" else {})
+        self.sender = self.fleet.start("s", tasks={"Source": Source})
+        self.fleet.connect()
+
+    def migrate(self):
+        for name in HOSTS:
+            agent = self.fleet.agents.get(name)
+            if agent is not None and agent.component("client/Sink") is not None:
+                agent.publish(SYSCTRL, Migrate("client/Sink", to=self.random.choice(HOSTS)))
+
+    def break_link(self):
+        one, other = self.random.sample([*HOSTS, "s"], 2)
+        self.fleet.network.break_links(one, other, at_once=self.random.random() < 0.5)
+
+    def part(self):
+        until_s = self.fleet.now() + self.random.uniform(0.1, 6.0)
+        self.fleet.network.partition([self.random.choice([*HOSTS, "s"])], until_s=until_s)
+
+    def kill(self):
+        here = [name for name in HOSTS if name in self.fleet.agents]
+        if here:
+            self.fleet.crash(self.random.choice(here))
+
+    def revive(self):
+        for name in HOSTS:
+            if name not in self.fleet.agents:
+                self.fleet.restart(name, settle=False)
+
+    def sail(self, troubles):
+        for _ in range(6):
+            self.migrate()
+            self.fleet.run_for(self.random.uniform(0.0, 1.2))
+            self.random.choice(troubles)()
+            self.fleet.run_for(self.random.uniform(0.0, 1.5))
+            self.revive()
+            self.fleet.run_for(self.random.uniform(0.0, 1.0))
+
+    def arrive(self):
+        """Ends all trouble, and waits until everything has come."""
+        self.fleet.network.heal()
+        self.revive()
+        self.fleet.run_for(25.0)
+        self.sender.ask(Stop("client/Source"))
+        sent = self.sender.slot("Source").carried.state["n"] if self.sender.slot("Source").carried else 0
+        self.fleet.run_for(15.0)
+        assert self.sender.agent._outgoing.waiting() == {}
+        return sent, numbers(self.fleet)
+
+
+@pytest.mark.parametrize("durability", ["lazy", "each"])
+@pytest.mark.parametrize("seed", range(15))
+def test_each_number_has_its_effect_once_and_in_order_over_bad_links(seed, durability):
+    voyage = Voyage(seed, durability)
+    voyage.sail([voyage.break_link, voyage.part, voyage.migrate])
+    sent, got = voyage.arrive()
+    assert sent > 500 and got == upto(sent)
+    voyage.fleet.close()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_so_it_has_while_agents_are_killed_where_durability_is_each(seed):
+    voyage = Voyage(1000 + seed, "each")
+    voyage.sail([voyage.kill, voyage.kill, voyage.break_link, voyage.part])
+    sent, got = voyage.arrive()
+    assert sent > 500 and got == upto(sent)
+    voyage.fleet.close()
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_a_lazy_task_loses_what_it_had_not_written_when_it_was_killed_and_doubles_nothing(seed):
+    voyage = Voyage(2000 + seed, "lazy")
+    voyage.sail([voyage.kill, voyage.kill, voyage.break_link, voyage.part])
+    sent, got = voyage.arrive()
+    assert got == sorted(set(got)) and got[-1] == sent
+    voyage.fleet.close()

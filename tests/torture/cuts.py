@@ -1,0 +1,179 @@
+"""The link between two real agents is cut at each step of a hand-over; how each must end is in the table `ENDS`."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import NamedTuple
+
+from torture.live import LiveFleet, free_ports
+from torture.proxy import Proxy
+
+from pancakes.cli.client import Client
+from pancakes.control import Describe, Migrate
+from pancakes.errors import PancakesError
+
+STEPS = ("solicit", "bid", "reserve", "reserved", "transfer", "prepared", "commit", "activated")
+FATES = ("heals at once", "heals after 3 s", "source dies", "destination dies")
+NOBODY = "nobody"
+SETTLES_WITHIN_S = 25.0
+
+
+class End(NamedTuple):
+    """Where the task runs.
+
+    Attributes:
+        meanwhile: while the link is cut, and who died is dead; the agents that it may be.
+        finally_: once the link has healed and all agents are back.
+    """
+
+    meanwhile: tuple[str, ...]
+    finally_: tuple[str, ...]
+
+
+def ends(step: str, fate: str) -> End:
+    """Returns how a cut at a step must end; `source` is where the task was, `destination` where it was to go."""
+    given_away = step in ("commit", "activated")  # the source has written COMMITTED: there is no way back
+    taken = step == "activated"
+    if fate == "heals at once":
+        # In the middle, what was lost is said again, or the source takes the task back: both are right.
+        return End(
+            ("source", "destination", NOBODY),
+            ("destination",)
+            if given_away
+            else ("source", "destination")
+            if step in ("transfer", "prepared")
+            else ("source",),
+        )
+    final = ("destination",) if given_away else ("source",)
+    if fate == "heals after 3 s":
+        return End(("destination",) if taken else (NOBODY,) if given_away else ("source",), final)
+    if fate == "source dies":
+        return End(("destination",) if taken else (NOBODY,), final)
+    return End((NOBODY,) if given_away else ("source",), final)
+
+
+class Case(NamedTuple):
+    """One cut, and how it ended.
+
+    Attributes:
+        step: at which word of the protocol.
+        fate: what happened then.
+        meanwhile: where the task ran while the link was cut.
+        finally_: where it ran in the end.
+        settled_s: how long after the healing that was so.
+        faults: a sentence for each thing that is not as it must be.
+    """
+
+    step: str
+    fate: str
+    meanwhile: str
+    finally_: str
+    settled_s: float
+    faults: tuple[str, ...]
+
+
+def run_cut(step: str, fate: str) -> Case:
+    """Cuts the link once, between two agents that are started for it."""
+    with tempfile.TemporaryDirectory(prefix="pancakes-cut-") as name:
+        directory = Path(name)
+        listen = {
+            agent: f"tcp://127.0.0.1:{port}"
+            for agent, port in zip(("source", "destination"), free_ports(2), strict=True)
+        }
+        proxy = Proxy(listen["destination"])
+        task = f'[task.One]\ntype = "torture.Holder"\nsettings = {{directory = "{directory}"}}\n'
+        fleet = LiveFleet(
+            directory,
+            ("source", "destination"),
+            {"source": task},
+            listen,
+            {"source": [proxy.address], "destination": []},
+        )
+        try:
+            return _run(fleet, proxy, step, fate)
+        finally:
+            fleet.close()
+            proxy.close()
+
+
+def run_cuts(cases: Sequence[tuple[str, str]], jobs: int) -> Iterator[Case]:
+    """Runs cuts, several at once, and yields how they ended, in their order."""
+    with ThreadPoolExecutor(jobs) as pool:
+        yield from pool.map(lambda case: run_cut(*case), cases)
+
+
+def _run(fleet: LiveFleet, proxy: Proxy, step: str, fate: str) -> Case:
+    faults: list[str] = []
+    for name in fleet.names:
+        fleet.start(name, wait=True)
+    with Client(at=[fleet.addresses["source"]], timeout_s=10.0) as client:
+        wait_for_link(client, "source", "destination")
+        proxy.cut_at(f"migration.{step}")
+        asking = threading.Thread(target=_ask, args=(client,), daemon=True)
+        asking.start()
+        if not proxy.cut.wait(10.0):
+            faults.append(f"{step} was never said")
+        victim = {"source dies": "source", "destination dies": "destination"}.get(fate)
+        if victim is not None:
+            fleet.kill(victim)
+        if fate != "heals at once":
+            time.sleep(2.6)  # what is frozen is taken back after 2 s
+        meanwhile = _runs(fleet, 0.4) if fate != "heals at once" else NOBODY
+        proxy.heal()
+        if victim is not None:
+            fleet.start(victim)
+        healed_s = time.monotonic()
+        expected = ends(step, fate)
+        finally_, settled_s = NOBODY, 0.0
+        while (now_s := time.monotonic()) < healed_s + SETTLES_WITHIN_S:
+            before, finally_ = finally_, _runs(fleet, 0.4)
+            if finally_ != before:
+                settled_s = now_s - healed_s
+            # Looked at for longer than anything takes that might still turn it round.
+            if finally_ in expected.finally_ and now_s > healed_s + max(2.5, settled_s + 1.0):
+                break
+        asking.join(10.0)
+    if meanwhile not in expected.meanwhile:
+        faults.append(f"while it was cut {meanwhile} ran it, not {' or '.join(expected.meanwhile)}")
+    if finally_ not in expected.finally_:
+        faults.append(f"in the end {finally_} runs it, not {' or '.join(expected.finally_)}")
+    doubled = fleet.directory / "One.doubled"
+    if doubled.exists():
+        faults.append(doubled.read_text().strip())
+    return Case(step, fate, meanwhile, finally_, settled_s, tuple(faults))
+
+
+def wait_for_link(client: Client, one: str, other: str) -> None:
+    """Waits until two agents have found each other."""
+    until_s = time.monotonic() + 20.0
+    while time.monotonic() < until_s:
+        try:
+            if client.request(one, Describe()).result["neighbours"] == [other]:
+                return
+        except PancakesError:  # it has only just been started
+            pass
+        time.sleep(0.05)
+    raise TimeoutError(f"{one} and {other} did not find each other within 20 s")
+
+
+def _ask(client: Client) -> None:
+    try:
+        client.request("source", Migrate("client/One"))
+    except PancakesError:  # who was asked has died, as it was to
+        pass
+
+
+def _runs(fleet: LiveFleet, for_s: float) -> str:
+    """Watches for a while who works, by what the task writes itself."""
+    count = fleet.directory / "One.count"
+    before = count.stat().st_size
+    time.sleep(for_s)
+    with count.open("rb") as file:
+        file.seek(before)
+        lines = file.read().decode().splitlines()
+    return lines[-1].split()[2] if lines else NOBODY

@@ -1,0 +1,114 @@
+"""What must be true of tasks that move, looked at from outside of all agents, after each turn of each actor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from pancakes.migration.record import Epoch, Record
+from pancakes.migration.snapshot import Snapshot
+from pancakes.task import Task, every
+
+
+class Violation(AssertionError):
+    """Something happened that never may."""
+
+
+class Oracle:
+    """Counts the copies of each task that run, and remembers what was written down of it.
+
+    A copy that was stopped, that stands still for a hand-over or whose agent was killed does not run.
+
+    Args:
+        now: the virtual time.
+
+    Attributes:
+        starts: how many copies were ever started.
+        moves: how many of these were the first under a new epoch, elsewhere than at the task's birth.
+        durable: the highest count of each task that was ever on a disk, by the task's name.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._copies: dict[str, list[Task]] = {}
+        self._epochs: dict[str, Epoch] = {}
+        self.starts = 0
+        self.moves = 0
+        self.durable: dict[str, int] = {}
+
+    def started(self, task: Task) -> None:
+        """A copy starts (in its own first turn): under no lower epoch and with no older state than any before."""
+        name = task.name
+        self.starts += 1
+        self._copies.setdefault(name, []).append(task)
+        assert task.fence is not None
+        epoch = Epoch(*task.fence.epoch)
+        if epoch < (highest := self._epochs.get(name, epoch)):
+            raise Violation(f"{task.address} starts under {epoch} although {highest} has run, at {self._now():.4f} s")
+        self.moves += epoch > highest
+        self._epochs[name] = epoch
+        if task.state.n < (known := self.durable.get(name, 0)):
+            raise Violation(
+                f"{task.address} starts with {task.state.n} although {known} was written down, at {self._now():.4f} s"
+            )
+
+    def ticked(self, task: Task) -> None:
+        """A copy works: it must be one that may."""
+        if task not in self.running(task.name):
+            raise Violation(f"{task.address} works although it does not run, at {self._now():.4f} s")
+
+    def written(self, record: Record) -> None:
+        """A record is on a disk for good."""
+        if record.snapshot:
+            n = Snapshot.decode(record.snapshot).state.get("n", 0)  # none before its first checkpoint
+            name = record.task_id.name
+            self.durable[name] = max(n, self.durable.get(name, 0))
+
+    def running(self, name: str) -> list[Task]:
+        """Returns the copies of a task that run."""
+        alive = [copy for copy in self._copies.get(name, ()) if not copy.actor_stopped.is_set()]
+        self._copies[name] = alive
+        return [copy for copy in alive if copy.actor_inbox.component is copy and not copy.actor_inbox.paused]
+
+    def check(self) -> None:
+        """Looks whether any task runs twice."""
+        for name, copies in self._copies.items():
+            if len(copies) > 1 and len(running := self.running(name)) > 1:
+                where = " and on ".join(copy.agent for copy in running)
+                raise Violation(f"{name} runs on {where}, at {self._now():.4f} s")
+
+
+class Roamer(Task):
+    """Counts its ticks, and tells an oracle what it does.
+
+    Attributes:
+        oracle: the one of the fleet that runs just now: there is one at a time. A class made for each would stay for
+            good, and its fleet with it, because the kernel remembers what it has read of a class.
+    """
+
+    oracle: ClassVar[Oracle | None] = None
+
+    @dataclass
+    class Settings:
+        colour: str = "red"
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    def on_start(self) -> None:
+        assert self.oracle is not None
+        self.oracle.started(self)
+
+    @every(hz=10)
+    def tick(self, tick: Any) -> None:
+        assert self.oracle is not None
+        self.oracle.ticked(self)
+        self.state.n += 1
+
+
+class Drives(Roamer):
+    """The same, and needs the wheels for itself."""
+
+    requires = ("motors",)

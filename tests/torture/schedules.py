@@ -1,0 +1,404 @@
+"""Seeded fault schedules: whole virtual agents whose tasks move both ways at once while everything goes wrong.
+
+A seed draws all of it: how slow the links are, which packets of the hand-over are lost, doubled, put off and overtaken,
+when links break and networks part, between which two steps an agent is killed, and what an operator asks for meanwhile.
+At the end everything heals, and each task must run once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import random
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from torture.oracle import Drives, Oracle, Roamer, Violation
+
+from pancakes.agent import Agent, Virtual
+from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.fleet import VirtualFleet
+from pancakes.journal import Entry
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.migration.record import Phase, Record, Wanted
+from pancakes.net.memory import Quality
+from pancakes.packet import LOG, NETWORK, SYSCTRL, Packet, join
+from pancakes.services.records import KIND
+from pancakes.testing import Probe, config_of, registered
+
+ROBOTS = ("a", "b", "c")
+BORN = {"One": "a", "Two": "b", "Three": "a", "Four": "c"}
+HEALS_WITHIN_S = 60.0
+"""The longest pauses are those between two dials (10 s) and between two repetitions in doubt (7.5 s)."""
+
+
+@dataclass
+class Outcome:
+    """How one schedule ended.
+
+    Attributes:
+        seed: draws all of it.
+        violation: what went wrong; empty: nothing.
+        counts: how often each thing happened.
+        healed_s: how long, in virtual time, after the healing all was well.
+        wall_s: how long it took on this machine.
+    """
+
+    seed: int
+    violation: str = ""
+    counts: Counter[str] = field(default_factory=Counter)
+    healed_s: float = 0.0
+    wall_s: float = 0.0
+
+
+class Schedule:
+    """One fleet, one seed.
+
+    Args:
+        seed: draws all of it.
+        trace: is told what happens, a line each; None: nobody is.
+    """
+
+    def __init__(self, seed: int, trace: Callable[[str], None] | None = None) -> None:
+        self.random = random.Random(f"schedule/{seed}")
+        draw = self.random
+        self.quality = Quality(latency_s=draw.choice([0.0005, 0.005, 0.05]), jitter_s=draw.choice([0.0, 0.03]))
+        self.fleet = VirtualFleet(seed, self.quality)
+        self.oracle = Oracle(self.fleet.now)
+        self.outcome = Outcome(seed)
+        self._trace = trace
+        self._lost, self._doubled, self._late = draw.choice(
+            [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.5, 0.5), (0.1, 0.3, 0.3), (0.3, 0.3, 0.3)]
+        )
+        self._longest_s = draw.choice([0.05, 0.5, 6.0])
+        self._faulty = True
+        self._doomed: dict[
+            str, tuple[str, int]
+        ] = {}  # agents that will be killed: at which kind of step, after how many
+        self._plugins = registered({"test.Roamer": Roamer, "test.Drives": Drives})
+        self._drivers: tuple[str, ...] = draw.choice([("Two",), ("One", "Two")])
+        self._each = draw.choice([(), ("One", "Four")])
+        self._probes: dict[str, Probe] = {}
+        give_turn = self.fleet.dispatcher.give_turn
+
+        def turn(mailbox: Mailbox, slice_s: float | None = None) -> None:
+            """A turn, then a look at all tasks: between two turns is where anything may be seen by anybody."""
+            component = mailbox.component
+            give_turn(mailbox, slice_s)
+            self.oracle.check()
+            if self._doomed and component is not None:
+                self._step(component.agent, "turn")
+
+        self.fleet.dispatcher.give_turn = turn  # type: ignore[method-assign]
+
+    def tell(self, kind: str, text: str = "") -> None:
+        """Counts what has happened, and says it to whoever traces."""
+        self.outcome.counts[kind] += 1
+        self.say(f"{kind} {text}")
+
+    def say(self, text: str) -> None:
+        if self._trace is not None:
+            self._trace(f"{self.fleet.now():9.4f} {text}")
+
+    # Agents ----------------------------------------------------------------------------------------------------
+
+    def start(self, name: str) -> None:
+        """Starts an agent, with the disk that it had."""
+        tasks = {
+            task: {
+                "type": "test.Drives" if task in self._drivers else "test.Roamer",
+                "durability": "each" if task in self._each else "lazy",
+                "restart": {"policy": "permanent", "at_most": 1000},
+            }
+            for task, born in BORN.items()
+            if born == name
+        }
+        peers = tuple(f"tcp://{other}:7400" for other in ROBOTS if other != name)
+        config = config_of(
+            name,
+            tasks=tasks,
+            devices={"motors": "null.motors"},
+            services={"network": {"settings": {"discovery_hz": 0.1}}},
+            listen=f"tcp://{name}:7400",
+            peers=peers,
+            seed=self.outcome.seed,
+        )
+        self.fleet.add(name, partial(self._make, config))
+
+    def _make(self, config: Any, virtual: Virtual) -> Agent:
+        agent = Agent(config, self._plugins, virtual)
+        name = agent.name
+        probe = agent.kernel.spawn(Probe, join(name, "test", "Probe"), channels=(LOG,) if self._trace else ("ctrl",))
+        assert isinstance(probe, Probe)
+        self._probes[name] = probe
+        agent.kernel.stream.inject = partial(self._inject, name, agent.kernel.stream.inject)  # type: ignore[method-assign]
+        write = virtual.journal.write
+
+        def write_and_tell(batch: Sequence[Entry]) -> None:
+            self._step(name, "write")
+            if self.fleet.agents.get(name) is not agent:
+                return  # killed just before it was written
+            write(batch)
+            for entry in batch:
+                if entry.kind == KIND:
+                    record = Record.decode(entry.data)
+                    self.oracle.written(record)
+                    self.say(
+                        f"{name} wrote {record.task_id} {record.phase.value} epoch {record.epoch} seen {record.seen}"
+                    )
+            self._step(name, "written")
+
+        virtual.journal.write = write_and_tell  # type: ignore[method-assign]
+        if self._trace is not None:
+            agent.kernel.stream.tap(LOG, lambda packet: self.say(f"{packet.source}: {packet.body}"))
+        return agent
+
+    def _step(self, name: str, kind: str) -> None:
+        """An agent has taken a step: it may have been its last."""
+        doom = self._doomed.get(name)
+        if doom is None or doom[0] != kind:
+            return
+        self._doomed[name] = (kind, doom[1] - 1)
+        if doom[1] <= 1:
+            self.kill(name)
+
+    def kill(self, name: str) -> None:
+        """Kills an agent where it stands, which may be between any two steps."""
+        self._doomed.pop(name, None)
+        agent = self.fleet.agents.pop(name, None)
+        if agent is not None:
+            self.tell("kill", name)
+            agent.crash()
+
+    # The network -----------------------------------------------------------------------------------------------
+
+    def _inject(self, name: str, inject: Callable[[Packet], None], packet: Packet) -> None:
+        """Lets a packet of the hand-over come not at all, twice, or late and behind those that were sent after it."""
+        if packet.channel != NETWORK or not packet.type.startswith("migration."):
+            inject(packet)
+            return
+        self.outcome.counts["packet"] += 1
+        self.say(f"{packet.source} -> {name}: {packet.type} {getattr(packet.body, 'offer', '')}")
+        if not self._faulty:
+            inject(packet)
+            return
+        draw = self.random
+        copies = 2 if draw.random() < self._doubled else 1
+        if copies > 1:
+            self.tell("doubled", packet.type)
+        for _ in range(copies):
+            if draw.random() < self._lost:
+                self.tell("lost", packet.type)
+            elif draw.random() < self._late:
+                delay_s = draw.uniform(0.0, self._longest_s)
+                self.tell("late", f"{packet.type} by {delay_s:.3f} s")
+                self.fleet.dispatcher.call_at(self.fleet.now() + delay_s, partial(self._come_late, name, packet))
+            else:
+                inject(packet)
+        self._step(name, "packet")
+
+    def _come_late(self, name: str, packet: Packet) -> None:
+        """It reaches whoever has the name by then, also the agent that was killed and started again in between."""
+        agent = self.fleet.agents.get(name)
+        if agent is not None:
+            self.say(f"late {packet.source} -> {name}: {packet.type} {getattr(packet.body, 'offer', '')}")
+            # Past the faults: once is enough.
+            type(agent.kernel.stream).inject(agent.kernel.stream, packet)
+
+    # What happens ----------------------------------------------------------------------------------------------
+
+    def ask(self, name: str, body: Any) -> None:
+        """An operator asks an agent for something."""
+        self.tell("migrate" if isinstance(body, Migrate) else "command", f"{name} {body}")
+        self._probes[name].publish(SYSCTRL, body)
+
+    def hosts(self, task: str) -> list[str]:
+        return [copy.agent for copy in self.oracle.running(task)]
+
+    def move(self) -> None:
+        """Some tasks, or all of them, are to move, somewhere or to somebody."""
+        for task in BORN:
+            if self.random.random() < 0.7:
+                for host in self.hosts(task):
+                    self.ask(host, Migrate(f"client/{task}", to=self.random.choice(["", "", *ROBOTS])))
+
+    def command(self) -> None:
+        task = self.random.choice(list(BORN))
+        target = f"client/{task}"
+        body = self.random.choice(
+            [
+                Restart(target),
+                Restart(target),
+                Stop(target),
+                Start(target),
+                Reschedule(target, self.random.choice([5.0, 20.0])),
+                Configure(target, {"colour": "blue"}),
+                Migrate(target, dry_run=True),
+                Stop("network", for_s=self.random.uniform(0.1, 3.0)),
+            ]
+        )
+        asked = self.hosts(task) if self.random.random() < 0.8 else list(self.fleet.agents)
+        for name in asked[:1]:
+            self.ask(name, body)
+
+    def doom(self) -> None:
+        """One agent will be killed: before or after a write, after a packet, or after any actor's turn."""
+        if self.fleet.agents:
+            name = self.random.choice(list(self.fleet.agents))
+            kind = self.random.choice(["write", "written", "packet", "turn"])
+            most = {"turn": 60, "packet": 8}.get(kind, 6)
+            self._doomed[name] = (kind, self.random.randint(1, most))
+
+    def kill_now(self) -> None:
+        if self.fleet.agents:
+            self.kill(self.random.choice(list(self.fleet.agents)))
+
+    def break_link(self) -> None:
+        one, other = self.random.sample(ROBOTS, 2)
+        self.tell("break", f"{one} {other}")
+        self.fleet.network.break_links(one, other, at_once=self.random.random() < 0.5)
+
+    def part(self) -> None:
+        alone, for_s = self.random.choice(ROBOTS), self.random.uniform(0.1, 5.0)
+        self.tell("partition", f"{alone} for {for_s:.2f} s")
+        self.fleet.network.partition([alone], until_s=self.fleet.now() + for_s)
+
+    def revive(self) -> None:
+        for name in ROBOTS:
+            if name not in self.fleet.agents:
+                self.say(f"start {name}")
+                self.start(name)
+
+    # The whole -------------------------------------------------------------------------------------------------
+
+    def run(self) -> Outcome:
+        """Runs it to its end; what goes wrong is in the outcome."""
+        began_s = time.perf_counter()
+        Roamer.oracle = self.oracle
+        try:
+            self._storm()
+            self._heal()
+        except Violation as violation:
+            self.outcome.violation = str(violation)
+        except Exception:  # whatever breaks down is what is looked for here, and the other seeds are to run on
+            self.outcome.violation = traceback.format_exc()
+        finally:
+            # Its agents are in the middle of something; they end where they stand, so that nothing of them stays.
+            for agent in list(self.fleet.agents.values()):
+                agent.crash()
+            self.fleet.agents.clear()
+        if self.outcome.violation:
+            self.say(f"VIOLATION {self.outcome.violation}")
+        Roamer.oracle = None
+        self.outcome.counts["start"] = self.oracle.starts
+        self.outcome.counts["moved"] = self.oracle.moves
+        self.outcome.wall_s = time.perf_counter() - began_s
+        return self.outcome
+
+    def _storm(self) -> None:
+        draw = self.random
+        for name in ROBOTS:
+            self.start(name)
+        self.fleet.run_for(draw.uniform(0.5, 2.0))
+        troubles = [self.doom] * 3 + [
+            self.break_link,
+            self.part,
+            self.command,
+            self.command,
+            self.revive,
+            self.kill_now,
+        ]
+        for _ in range(draw.randint(3, 8)):
+            self.move()
+            for _ in range(draw.randint(0, 3)):
+                self.fleet.run_for(draw.choice([0.0, 0.01, 0.1, 0.6]) * draw.random())
+                draw.choice(troubles)()
+            self.fleet.run_for(draw.uniform(0.0, 1.5))
+            if draw.random() < 0.7:
+                self.revive()
+
+    def _heal(self) -> None:
+        """Ends all trouble: then each task runs, once, wherever it is."""
+        self.say("all heals")
+        self._faulty = False
+        self._doomed.clear()
+        self.fleet.network.heal()
+        self.revive()
+        healed_s = self.fleet.now()
+        if not self.fleet.run_while(lambda: not self._settled(), HEALS_WITHIN_S):
+            raise Violation(f"{HEALS_WITHIN_S:g} s after all healed: {self._state()}")
+        for name, task in self._stopped():
+            # An operator's stop outlives everything; then it is started where it is.
+            self.ask(name, Start(f"client/{task}"))
+        self.fleet.run_for(3.0)
+        resting = [task for _, task in self._stopped()]
+        if not self._settled() or any(not self._waits_for_wheels(name, task) for name, task in self._stopped()):
+            raise Violation(f"{HEALS_WITHIN_S:g} s after all healed: {self._state()}")
+        self.outcome.healed_s = self.fleet.now() - 3.0 - healed_s
+        counts = {task: self.oracle.running(task)[0].state.n for task in BORN if task not in resting}
+        self.fleet.run_for(2.0)
+        for task, before in counts.items():
+            now = self.oracle.running(task)[0].state.n
+            if now <= before or now < self.oracle.durable.get(task, 0):
+                raise Violation(f"{task} has counted {now - before} in 2 s, {self.oracle.durable.get(task)} on disk")
+
+    def _records(self) -> list[tuple[str, Record]]:
+        found = []
+        for name, agent in self.fleet.agents.items():
+            service = agent.kernel.registry.get(join(name, "client"))
+            for hand_off in getattr(service, "hand_offs", {}).values():
+                found.append((name, hand_off.record))
+        return found
+
+    def _stopped(self) -> list[tuple[str, str]]:
+        return [
+            (name, record.task_id.name)
+            for name, record in self._records()
+            if record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING
+        ]
+
+    def _waits_for_wheels(self, name: str, task: str) -> bool:
+        """Whether a task that an operator stopped is refused its start because another has the wheels by now."""
+        others = [other for other in self._drivers if other != task and self.hosts(other) == [name]]
+        return task in self._drivers and bool(others)
+
+    def _settled(self) -> bool:
+        """Whether each task has one owner, and runs where it is wanted to, and no hand-over is under way."""
+        owners: Counter[str] = Counter()
+        for _, record in self._records():
+            if record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+                return False
+            if record.phase is Phase.OWNER:
+                owners[record.task_id.name] += 1
+                if len(self.hosts(record.task_id.name)) != (record.wanted is Wanted.RUNNING):
+                    return False
+        return all(owners[task] == 1 for task in BORN) and all(
+            agent.ready.is_set() for agent in self.fleet.agents.values()
+        )
+
+    def _state(self) -> str:
+        records = [
+            f"{record.task_id} on {name} {record.phase.value} {record.wanted.value} epoch {record.epoch}"
+            for name, record in self._records()
+            if record.phase not in (Phase.ABSENT, Phase.RELEASED)
+        ]
+        running = [f"{task} runs on {self.hosts(task)}" for task in BORN]
+        return "; ".join([*running, *records])
+
+
+def run_schedule(seed: int, trace: Callable[[str], None] | None = None) -> Outcome:
+    """Runs one schedule; twice the same for the same seed."""
+    return Schedule(seed, trace).run()
+
+
+def run_schedules(seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
+    """Runs a schedule for each seed, several at once, and yields how they went as they end."""
+    if jobs == 1:
+        yield from map(run_schedule, seeds)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        yield from pool.imap_unordered(run_schedule, seeds, chunksize=4)
