@@ -98,15 +98,12 @@ class Registry:
             An empty string, or the reason why not.
         """
         with self._lock:
-            wanted = [device.name for device in self._devices.values() if device.actuator and device.type in types]
-            for name in wanted:
-                reason = self._taken(name, address)
-                if reason:
-                    return reason
-            for name in wanted:
-                self._holders[name] = address
-            self._unreserve(address)
-            return ""
+            names = self._actuators(types)
+            reason = next((taken for name in names if (taken := self._taken(name, address))), "")
+            if not reason:
+                self._holders.update(dict.fromkeys(names, address))
+                self._unreserve(address)
+            return reason
 
     def reserve(self, address: str, types: tuple[str, ...]) -> str:
         """Keeps the actuators among the device types for a task that is about to arrive: all of them or none.
@@ -118,14 +115,15 @@ class Registry:
             An empty string, or the reason why not.
         """
         with self._lock:
-            wanted = [device.name for device in self._devices.values() if device.actuator and device.type in types]
-            for name in wanted:
-                reason = self._taken(name, address)
-                if reason:
-                    return reason
-            for name in wanted:
-                self._reserved[name] = address
-            return ""
+            names = self._actuators(types)
+            reason = next((taken for name in names if (taken := self._taken(name, address))), "")
+            if not reason:
+                self._reserved.update(dict.fromkeys(names, address))
+            return reason
+
+    def _actuators(self, types: tuple[str, ...]) -> list[str]:
+        """Returns the names of the actuators of these types. Under the lock."""
+        return [device.name for device in self._devices.values() if device.actuator and device.type in types]
 
     def unreserve(self, address: str) -> None:
         """Gives back what was kept for a task that does not arrive."""

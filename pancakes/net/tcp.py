@@ -11,6 +11,7 @@ import ipaddress
 import os
 import socket
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
@@ -118,12 +119,12 @@ class TcpTransport(Transport):
             it.dispose("the transport was closed")
 
 
-class _Socket:
+class _Socket(ABC):
     """Something open that a transport owns."""
 
+    @abstractmethod
     def dispose(self, reason: str) -> None:
         """Ends it at once. In the loop's thread."""
-        raise NotImplementedError
 
 
 class _Listener(_Socket):
