@@ -6,7 +6,7 @@ import secrets
 import threading
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,8 @@ from pancakes.services.device import DeviceSpec
 from pancakes.services.durable import DurableService
 from pancakes.services.fences import Fences
 from pancakes.services.ledgers import Ledgers
-from pancakes.services.migrator import Hosting
+from pancakes.services.load import describe_process
+from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
 from pancakes.services.postbox import COURIER
 from pancakes.services.records import Records
@@ -95,7 +96,10 @@ class Agent:
         self.fatal: str = ""
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
+        self._on_shutdown: Callable[[], None] | None = None
+        self._born_s = self.kernel.host.now()
         self._root: Root | None = None
+        self._clients: set[str] = set()
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -165,6 +169,7 @@ class Agent:
             identity=self._identity,
             migrations=self.ledgers.plain,
             ready=self._become_ready,
+            shutdown=self._shut_down,
         )
         assert isinstance(root, Root)
         self._root = root
@@ -231,6 +236,17 @@ class Agent:
         if self.fatal:
             function(self.fatal)
 
+    def on_shutdown(self, function: Callable[[], None]) -> None:
+        """Calls `function`, in any thread, where a `Shutdown` packet asks for this agent's end; without, it refuses."""
+        self._on_shutdown = function
+
+    def _shut_down(self, dry_run: bool) -> str:
+        if self._on_shutdown is None:
+            return "it does not run as a process of its own"
+        if not dry_run:
+            self._on_shutdown()
+        return ""
+
     def _stop_for(self, reason: str) -> None:
         self.fatal = reason
         self.kernel.log("error", reason)
@@ -244,7 +260,21 @@ class Agent:
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
             "mesh": self.mesh.describe(),
+            "speed": self.config.clock.speed,
+            # In virtual time many agents share one process.
+            "process": self._process() if self.kernel.virtual is None else None,
+            **self._condition(),
         }
+
+    def _process(self) -> dict[str, Any]:
+        return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
+
+    def _condition(self) -> dict[str, Any]:
+        migrator = self.kernel.registry.get(join(self.name, "network", "TaskMigrator"))
+        if not isinstance(migrator, TaskMigrator):
+            return {"load": None, "battery_level": None}
+        load = migrator.measured
+        return {"load": asdict(load) if load is not None else None, "battery_level": migrator.battery_level}
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
@@ -255,10 +285,17 @@ class Agent:
             self.kernel.log("warning", f"a packet of {peer} was dropped: {error}")
 
     def _on_peer_up(self, hello: Hello) -> None:
-        self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role}))
+        if hello.role == "client":
+            # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
+            self._clients.add(hello.name)
+        else:
+            self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role}))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
-        self.kernel.say(Event("peer_down", {"peer": name, "reason": reason}))
+        if name in self._clients:
+            self._clients.discard(name)
+        else:
+            self.kernel.say(Event("peer_down", {"peer": name, "reason": reason}))
         service = self.kernel.registry.get(join(self.name, "network"))
         if isinstance(service, NetworkService):
             service.call(lambda: service.peer_down(name))

@@ -24,10 +24,12 @@ class Start:
     Attributes:
         target: what to start.
         settings: settings of a task that shall differ from the configuration's.
+        dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     settings: Mapping[str, Any] | None = None
+    dry_run: bool = False
 
 
 @packet_type("stop")
@@ -38,10 +40,12 @@ class Stop:
     Attributes:
         target: what to stop.
         for_s: a service starts again by itself after this time, in mission seconds; None: it does not.
+        dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     for_s: float | None = None
+    dry_run: bool = False
 
 
 @packet_type("restart")
@@ -51,11 +55,14 @@ class Restart:
 
     Attributes:
         target: what to restart.
-        keep_state: whether a task goes on with its state, or begins with a fresh one.
+        keep_state: whether a task (or each task of a service) goes on with its state and settings, or begins as its
+            configuration says.
+        dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     keep_state: bool = True
+    dry_run: bool = False
 
 
 @packet_type("reschedule")
@@ -67,20 +74,29 @@ class Reschedule:
         target: the task.
         rate_hz: ticks for each second of mission time; 0 lets it rest.
         timer: the method that ticks, where the task has several; empty: the first.
+        dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     rate_hz: float
     timer: str = ""
+    dry_run: bool = False
 
 
 @packet_type("configure")
 @dataclass(frozen=True, slots=True)
 class Configure:
-    """Changes some of the settings of a running task; all of them are good, or nothing changes."""
+    """Changes some of the settings of a running task; all of them are good, or nothing changes.
+
+    Attributes:
+        target: the task.
+        settings: the new values, by name.
+        dry_run: only says whether it would be done, and changes nothing.
+    """
 
     target: str
     settings: Mapping[str, Any]
+    dry_run: bool = False
 
 
 @packet_type("migrate")
@@ -114,11 +130,13 @@ class Adopt:
         target: the task.
         force: whether to do it; without, the refusal says what it would mean.
         birthplace: the agent that the task was born on, where two tasks of its name are in doubt here.
+        dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     force: bool = False
     birthplace: str = ""
+    dry_run: bool = False
 
 
 @packet_type("migrations")
@@ -134,9 +152,62 @@ class Migrations:
 @packet_type("describe")
 @dataclass(frozen=True, slots=True)
 class Describe:
-    """Asks what an agent is and runs; the reply's `result` is a plain mapping."""
+    """Asks what an agent is and runs; the reply's `result` is plain.
+
+    Attributes:
+        target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
+            among it), a service (a list with a row for each of its tasks); empty: the agent (a mapping with a row for
+            each service and task).
+    """
 
     target: str = ""
+
+
+@packet_type("channels")
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """Asks which channels an agent has; the reply's `result` is a list of plain mappings, core channels first.
+
+    Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
+    `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
+    `waiting`, `dropped`) and `followers` (agents that it is forwarded to).
+
+    Attributes:
+        channel: only this one; empty: all.
+    """
+
+    channel: str = ""
+
+
+@packet_type("history")
+@dataclass(frozen=True, slots=True)
+class History:
+    """Asks the Log Service what was said on `log`; the `result` is a list of records, oldest first.
+
+    A record is what a line of the service's file holds: `t_s` (mission time), `agent`, `source`, `kind`, and what
+    belongs to that kind (`line`: `level` and `text`); and its `entry`, which counts what was said since the service
+    began. A reply holds as many as fit: whoever wants the rest asks again, with the last `entry` as `after`, until the
+    list is empty.
+
+    Attributes:
+        since_s: only what was said in the last so many seconds of mission time; None: all that is still known.
+        after: only entries after this one.
+    """
+
+    since_s: float | None = None
+    after: int = 0
+
+
+@packet_type("shutdown")
+@dataclass(frozen=True, slots=True)
+class Shutdown:
+    """Ends an agent in order: its tasks stop, its actuators hold, its peers are told. The answer comes before that.
+
+    Attributes:
+        dry_run: only says whether it would be done, and changes nothing.
+    """
+
+    dry_run: bool = False
 
 
 @packet_type("begin")
@@ -159,10 +230,12 @@ class Follow:
     Attributes:
         channel: the channel.
         types: only packets of these types; empty: all.
+        foreign: whether packets count that came to that channel from other agents.
     """
 
     channel: str
     types: tuple[str, ...] = ()
+    foreign: bool = False
 
 
 @packet_type("unfollow")
@@ -182,11 +255,14 @@ class Reply:
         ok: whether what was asked for has been done.
         reason: why not, as a sentence.
         result: what was asked for, where that is something to know.
+        number: its place in the one order in which the agent takes all that it is asked for, from 1 after its start;
+            the events on `log` that it led to bear the same number.
     """
 
     ok: bool
     reason: str = ""
     result: Any = None
+    number: int = 0
 
 
 @packet_type("hold")
@@ -207,6 +283,9 @@ CONTROLS: tuple[type, ...] = (
     Adopt,
     Migrations,
     Describe,
+    Channels,
+    History,
+    Shutdown,
     Begin,
     Follow,
     Unfollow,

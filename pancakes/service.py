@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pancakes.control import Command, Configure, Describe, Reply, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.handlers import on
 from pancakes.packet import SYSCTRL, Packet
-from pancakes.settings import make_settings
+from pancakes.settings import change_plain, change_settings
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
 from pancakes.supervisor import Supervisor
-from pancakes.task import Carried, Task, TaskSpec
-
-if TYPE_CHECKING:
-    pass
+from pancakes.task import Task, TaskSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,9 @@ class Service(Supervisor):
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
         try:
-            self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+            self.publish(
+                SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause
+            )
         except PancakesError as error:
             # A service must not fail because whoever asked does not listen fast enough.
             self.log("warning", f"the answer to {request.by} was lost: {error}")
@@ -107,7 +106,7 @@ class Service(Supervisor):
         elif isinstance(body, Stop):
             if body.for_s is not None:
                 raise ControlRefused(f"{slot.address} is a task: only a service can be stopped for a time")
-            self.stop_asked(slot, request)
+            self.stop_asked(slot, body, request)
         elif isinstance(body, Restart):
             self.restart_asked(slot, body, request)
         elif isinstance(body, Reschedule):
@@ -115,7 +114,7 @@ class Service(Supervisor):
         elif isinstance(body, Configure):
             self.configure_asked(slot, body, request)
         elif isinstance(body, Describe):
-            self.reply(request, result=self.describe_task(slot))
+            self.reply(request, result=self.describe_in_detail(slot))
         else:
             raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
 
@@ -123,23 +122,26 @@ class Service(Supervisor):
         """Starts a task; the answer comes once it runs."""
         if slot.state not in (TaskState.STOPPED, TaskState.FAILED):
             raise ControlRefused(f"{slot.address} is {slot.state.value} already")
+        carried = self.carried_of(slot)
         if body.settings is not None:
-            carried = self.carried_of(slot)
-            settings = {**carried.settings, **body.settings}
-            make_settings(slot.spec.cls.Settings, settings)
-            slot.carried = replace(carried, settings=settings)
+            change_plain(self.settings_class(slot), carried.settings, body.settings)
+            carried = replace(carried, settings={**carried.settings, **body.settings})
+        if body.dry_run:
+            self.reply(request, self.refuse_start(slot))
+            return
+        if body.settings is not None:
+            slot.carried = carried
         slot.supervision.forget()
         self.tell_asked("start", slot, request)
         self.start_anew(slot, self._occupy(slot, request))
 
-    def carried_of(self, slot: Slot) -> Carried:
-        """Returns what a task that does not run would begin with."""
-        return slot.carried or Carried(slot.spec.settings, {})
-
-    def stop_asked(self, slot: Slot, request: Request) -> None:
+    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
         """Stops a task; the answer comes once it has ended."""
         if slot.state is TaskState.STOPPED:
             raise ControlRefused(f"{slot.address} is stopped already")
+        if body.dry_run:
+            self.reply(request)
+            return
         self.tell_asked("stop", slot, request)
         answer = self._occupy(slot, request)
         self.halt(slot, lambda: answer(""), f"asked for by {request.by}", answer)
@@ -166,6 +168,9 @@ class Service(Supervisor):
 
     def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
         """Stops a task, if it runs, and starts it; the answer comes once it runs."""
+        if body.dry_run:
+            self.reply(request, self.refuse_start(slot))
+            return
         answer = self._occupy(slot, request)
 
         def again() -> None:
@@ -189,22 +194,34 @@ class Service(Supervisor):
         """Changes a task's rate; the answer comes once it has taken effect."""
 
         def change(task: Task) -> dict[str, Any]:
-            task.reschedule(body.rate_hz, body.timer)
-            return {"rate_hz": body.rate_hz}
+            timer = task.timer_of(body.rate_hz, body.timer)
+            before_hz = timer.rate_hz
+            if not body.dry_run:
+                task.reschedule(body.rate_hz, body.timer)
+            return {"timer": timer.method, "rate_hz": body.rate_hz, "before_hz": before_hz}
 
-        self.in_task(slot, request, "rate_changed", change)
+        self.in_task(slot, request, "" if body.dry_run else "rate_changed", change)
 
     def configure_asked(self, slot: Slot, body: Configure, request: Request) -> None:
         """Changes a running task's settings; the answer comes once they have taken effect."""
 
         def change(task: Task) -> dict[str, Any]:
-            task.change_settings(body.settings)
+            if body.dry_run:
+                change_settings(task.settings, body.settings)
+            else:
+                task.change_settings(body.settings)
             return {"settings": dict(body.settings)}
 
-        self.in_task(slot, request, "settings_changed", change)
+        self.in_task(slot, request, "" if body.dry_run else "settings_changed", change)
 
     def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
         """Makes a change in a running task's own actor, then tells `log` and whoever asked.
+
+        Args:
+            slot: the task.
+            request: whom to answer.
+            kind: the event on `log`; empty where nothing was changed.
+            change: makes the change, and returns what is to be told of it.
 
         Raises:
             ControlRefused: the task does not run.
@@ -237,7 +254,8 @@ class Service(Supervisor):
         task.call(make)
 
     def _changed(self, slot: Slot, request: Request, kind: str, told: dict[str, Any]) -> None:
-        self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **told)
+        if kind:
+            self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **told)
         self.reply(request, result=told)
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
 
 from pancakes.control import Hold
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component, describe
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
-from pancakes.settings import make_settings
+from pancakes.schema import schema_of
+from pancakes.settings import SettingsError, make_settings
 from pancakes.slot import Slot, TaskState
 from pancakes.supervision import Next, Supervision
 from pancakes.task import Carried, Nothing, Task, TaskSpec
@@ -48,11 +53,13 @@ class Supervisor(Component):
         settings: Mapping[str, Any] | None = None,
         tasks: Sequence[TaskSpec] = (),
         ready: Callable[[Supervisor], None] | None = None,
+        kept: Mapping[str, Carried] | None = MappingProxyType({}),
     ) -> None:
         super().__init__(kernel, address, mailbox)
         self.settings = make_settings(self.Settings, settings or {})
         self._configured = tuple(tasks)
         self._on_ready = ready
+        self._kept = kept
         self._unsettled: set[str] = set()
         self._told_ready = False
         self.closing = False
@@ -75,6 +82,15 @@ class Supervisor(Component):
         if lacking:
             return f"{self.agent} lacks the device types {', '.join(lacking)}, which {slot.name} requires"
         return ""
+
+    def refuse_start(self, slot: Slot) -> str:
+        """Says why a start of a task would fail now, as far as that is known beforehand; empty: for no reason."""
+        reason = self.admit(slot)
+        registry = self.kernel.registry
+        for device in registry.devices():
+            if not reason and device.actuator and device.type in slot.spec.cls.requires:
+                reason = registry.taken(device.name, slot.address)
+        return reason
 
     def refuse_stop(self) -> str:
         """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
@@ -197,6 +213,10 @@ class Supervisor(Component):
         for stuck in waiting:
             stuck(text)
 
+    def keep(self) -> Mapping[str, Carried]:
+        """Returns what its tasks carried last, by their names, for the next start of the service. Once it has ended."""
+        return {name: slot.carried for name, slot in self.slots.items() if slot.carried is not None}
+
     def close(self, then: Callable[[], None]) -> None:
         """Stops all tasks, last first, then the service itself; `then` is called in its actor just before that."""
         self.closing = True
@@ -252,16 +272,61 @@ class Supervisor(Component):
             "rate_hz": first.rate_hz if first is not None else None,
             "incarnation": slot.incarnation,
             "reason": slot.reason,
+            "ticks": first.ticks if first is not None else 0,
+            "lateness_sum_s": first.lateness_sum_s if first is not None else 0.0,
             "missed": sum(timer.missed_total for timer in timers),
             "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
             "dropped": slot.mailbox.dropped(),
         }
+
+    def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
+        """Returns all that is to be known about a task, its settings among it, as plain values."""
+        task = slot.task
+        restart = slot.spec.restart
+        return {
+            **self.describe_task(slot),
+            "requires": list(slot.spec.cls.requires),
+            "timers": [timer.describe() for timer in list(task.timers.values())] if task is not None else [],
+            "reads": self.kernel.stream.readings(slot.address),
+            "settings": self.settings_of(slot),
+            "settings_schema": self.schema_of_settings(slot),
+            "durability": slot.spec.durability,
+            "restart": {"policy": restart.policy, "at_most": restart.at_most, "within_s": restart.within_s},
+            "fence": {"task_id": slot.fence.task_id, "epoch": slot.fence.epoch[0]} if slot.fence is not None else None,
+        }
+
+    def settings_class(self, slot: Slot) -> type:
+        """Returns the dataclass of a task's settings."""
+        return slot.spec.cls.Settings
+
+    def settings_of(self, slot: Slot) -> dict[str, Any]:
+        """Returns the settings of a task, or those that it would begin with, as plain values."""
+        carried = self.carried_of(slot)
+        try:
+            settings = slot.task.settings if slot.task is not None else None
+            settings = settings or make_settings(self.settings_class(slot), carried.settings)
+        except SettingsError:  # it cannot start with them, and whoever asks wants to see why
+            return dict(carried.settings)
+        plain: dict[str, Any] = msgspec.to_builtins(asdict(settings))
+        return plain
+
+    def schema_of_settings(self, slot: Slot) -> dict[str, Any]:
+        """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""
+        try:
+            return schema_of(self.settings_class(slot))
+        except TypeError:
+            return {}
+
+    def carried_of(self, slot: Slot) -> Carried:
+        """Returns what a task that does not run would begin with."""
+        return slot.carried or Carried(slot.spec.settings, {})
 
     # Its life --------------------------------------------------------------------------------------------------
 
     def after_start(self) -> None:
         for spec in self.specs():
             slot = self.open_slot(spec)
+            self.take_up(slot, self._kept)
             if self.wants(slot):
                 self._unsettled.add(slot.name)
         self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
@@ -270,6 +335,16 @@ class Supervisor(Component):
                 self.start_configured(slot)
         if not self._unsettled and not self._told_ready:
             self._tell_ready()
+
+    def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
+        """Gives a task that has not started yet what it carried before the service was stopped.
+
+        Args:
+            slot: the task's place.
+            kept: what `keep` returned; None: all tasks are to begin as their configuration says.
+        """
+        if kept is not None:
+            slot.carried = kept.get(slot.name)
 
     def wants(self, slot: Slot) -> bool:
         """Returns whether a task is to be started with the service."""

@@ -39,9 +39,15 @@ STOP_S: Final = 1.9
     flag_value=0,
     help="Stop when the process that launched this one ends; PID says which that was.",
 )
+@click.option(
+    "--ready-fd",
+    metavar="FD",
+    type=click.IntRange(min=3),
+    help="Write a line to this file descriptor, and close it, once all that is to run at the start does.",
+)
 @click.version_option(__version__, prog_name="pancakes-agent")
 @sentences
-def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None) -> None:
+def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
     """Run an agent.
 
     SIGINT or SIGTERM stops it in good order; the same signal a second time ends it at once.
@@ -64,7 +70,7 @@ def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None)
     if orders is None:
         _check(config, plugins)
     else:
-        sys.exit(_run(config, plugins, orders))
+        sys.exit(_run(config, plugins, orders, ready_fd))
 
 
 class Orders:
@@ -86,7 +92,7 @@ class Orders:
                 signal.signal(number, self._heard)
 
     def give_up(self, reason: str) -> None:
-        """Ends the wait with a reason. From any thread."""
+        """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
         self._reasons.append(reason)
         os.write(self._wake_writer, b"\0")
 
@@ -112,14 +118,17 @@ class Orders:
         os._exit(REFUSED)
 
 
-def _run(config: Config, plugins: Plugins, orders: Orders) -> int:
+def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
     from pancakes.agent import Agent
 
     running = Agent(config, plugins)
     _listen_to_libraries(running)
     running.on_fatal(orders.give_up)
+    running.on_shutdown(lambda: orders.give_up(""))
     running.start()
     registration = _register(running)
+    if ready_fd is not None:
+        _tell_when_ready(running, ready_fd)
     reason = orders.wait()
     # Whoever looks from now on shall not find what is about to go.
     if registration is not None:
@@ -160,6 +169,21 @@ def _register(running: Agent) -> Registration | None:
     except PancakesError as error:
         click.echo(f"warning: `pancakes` will find {agent.name} only with --at: {error}", err=True)
         return None
+
+
+def _tell_when_ready(running: Agent, ready_fd: int) -> None:
+    """Lets whoever launched the agent know that it is ready; a launcher that has gone need not know."""
+    import contextlib
+    import threading
+
+    def tell() -> None:
+        running.ready.wait()
+        with contextlib.suppress(OSError):
+            os.write(ready_fd, b"ready\n")
+        with contextlib.suppress(OSError):
+            os.close(ready_fd)
+
+    threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
 
 
 def _listen_to_libraries(running: Agent) -> None:

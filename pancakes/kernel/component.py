@@ -78,6 +78,17 @@ class TaskTimer:
         """Ticks for each second of mission time."""
         return 1.0 / self.period_s
 
+    def describe(self) -> dict[str, Any]:
+        """Returns what is to be known about it, as plain values. Any thread."""
+        return {
+            "timer": self.method,
+            "rate_hz": self.rate_hz,
+            "ticks": self.ticks,
+            "missed": self.missed_total,
+            "lateness_mean_s": self.lateness_sum_s / self.ticks if self.ticks else 0.0,
+            "lateness_max_s": self.lateness_max_s,
+        }
+
     def fire(self, deadline_s: float, missed: int) -> None:
         """A deadline has come (the timer's thread). A tick that still waits is replaced, never joined by another."""
         if self.pending:
@@ -274,14 +285,19 @@ class Component(pykka.Actor):
         Raises:
             ValueError: the rate is no rate, or the component has no such timer.
         """
-        period_s = period_of(rate_hz)
+        changed = self.timer_of(rate_hz, timer)
+        changed.period_s = period_of(rate_hz)
+        self.__tick(changed)
+
+    def timer_of(self, rate_hz: float, timer: str = "") -> TaskTimer:
+        """Returns the timer that `reschedule` would change; see there."""
+        period_of(rate_hz)
         if not self.timers:
             raise ValueError(f"{self.address} is not time-driven")
         name = timer or next(iter(self.timers))
         if name not in self.timers:
             raise ValueError(f"{self.address} has no timer {name!r}, only {', '.join(self.timers)}")
-        self.timers[name].period_s = period_s
-        self.__tick(self.timers[name])
+        return self.timers[name]
 
     def revoke(self) -> None:
         """Takes the right to publish away from an actor that cannot be ended. Any thread."""

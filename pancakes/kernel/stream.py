@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from typing import Any
 
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
@@ -31,6 +32,25 @@ class _Reader:
         """Returns whether a packet of this type is for it; `addressed`: its destination names it."""
         types = self.bounds if addressed else self.open_types
         return type_name in types or None in types
+
+    def describe(self) -> dict[str, Any]:
+        """Returns who it is and how it reads, as plain values."""
+        return {"address": self.address, **self.bounds_and_queue()}
+
+    def bounds_and_queue(self) -> dict[str, Any]:
+        """Returns how it reads, as plain values: types are None for all of them; `limit` counts packets.
+
+        Of `types` it gets `open_types` from everybody, the others only where a packet's destination names it.
+        """
+        bounds = list(self.bounds.values())
+        return {
+            "types": _names(self.bounds),
+            "open_types": _names(self.open_types),
+            "keep": "reliable" if any(keep.reliable for keep in bounds) else "newest",
+            "limit": sum(keep.limit for keep in bounds),
+            "waiting": len(self.queue) if self.queue is not None else 0,
+            "dropped": self.queue.dropped() if self.queue is not None else 0,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +209,24 @@ class InformationStream:
         """Returns the addresses of the components that read a channel."""
         return list(self._readers.get(channel, {}))
 
+    def describe(self, channel: str) -> list[dict[str, Any]]:
+        """Returns who reads a channel, with which bounds, and what waits or was lost there, as plain values.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+        """
+        with self._lock:
+            readers = self._readers.get(channel)
+            if readers is None:
+                raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
+            return [reader.describe() for reader in readers.values()]
+
+    def readings(self, address: str) -> list[dict[str, Any]]:
+        """Returns what a component reads: as `describe` says, with the channel instead of the address."""
+        with self._lock:
+            found = [(name, readers[address]) for name, readers in self._readers.items() if address in readers]
+            return [{"channel": name, **reader.bounds_and_queue()} for name, reader in found]
+
     def _forget(self, channel: str) -> None:
         """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
         self._routes = {key: route for key, route in self._routes.items() if key[0] != channel}
@@ -240,6 +278,11 @@ class InformationStream:
             f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel,"
             f" only {', '.join(self._readers)}"
         )
+
+
+def _names(types: Collection[str | None]) -> list[str] | None:
+    """Returns the names of types, sorted; None where all types are meant."""
+    return None if None in types else sorted(str(name) for name in types)
 
 
 def _reliable(queues: tuple[ChannelQueue, ...]) -> tuple[ChannelQueue, ...]:

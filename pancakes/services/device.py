@@ -18,10 +18,9 @@ from pancakes.net.transport import Transport
 from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.service import Service
 from pancakes.services.fences import Fences
-from pancakes.settings import make_settings
 from pancakes.slot import Slot
 from pancakes.supervision import RestartSpec
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.task import Task, TaskSpec
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
@@ -105,6 +104,9 @@ class TaskContext:
     def mission_packets_sent(self) -> int:
         return self._task.kernel.mission_packets_sent()
 
+    def network_awake(self) -> bool:
+        return self._task.kernel.stream.gateway is not None
+
     def shared(self, key: str, make: Callable[[], Any]) -> Any:
         return self._shared.get(key, make)
 
@@ -126,13 +128,11 @@ class DeviceTask(Task):
         device: DeviceSpec,
         shared: SharedThings,
         fences: Fences,
-        carried: Carried | None = None,
         **others: Any,
     ) -> None:
-        # A device has no settings of its own: they are the driver's, and change with it.
-        super().__init__(
-            kernel, address, mailbox, carried=Carried({}, {}, carried.periods_s if carried else {}), **others
-        )
+        # The settings of a device are its driver's.
+        self.Settings = device.cls.Settings  # type: ignore[misc]
+        super().__init__(kernel, address, mailbox, **others)
         self.device = device
         self.blocking = device.cls.blocking
         self._shared = shared
@@ -149,22 +149,34 @@ class DeviceTask(Task):
     def on_start(self) -> None:
         driver_class = self.device.cls
         self._context = TaskContext(self, self._shared)
-        self.driver = driver_class(self._context, make_settings(driver_class.Settings, self.device.settings))
-        self.driver.open()
-        if isinstance(self.driver, Actuator):
-            self.subscribe(CTRL, driver_class.type, self.command)
+        self._open_driver()
         actuator = isinstance(self.driver, Actuator)
+        if actuator:
+            self.subscribe(CTRL, driver_class.type, self.command)
         self.kernel.registry.add_device(DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked))
+
+    def on_settings(self) -> None:
+        # A driver reads its settings when it is opened, so it is opened anew.
+        self._close_driver()
+        self._open_driver()
 
     def on_stop(self) -> None:
         self.kernel.registry.remove_device(self.name)
-        if self.driver is None:
+        self._close_driver()
+
+    def _open_driver(self) -> None:
+        self.driver = self.device.cls(self._context, self.settings)
+        self.driver.open()
+
+    def _close_driver(self) -> None:
+        driver, self.driver = self.driver, None
+        if driver is None:
             return
         try:
-            if isinstance(self.driver, Actuator):
-                self.driver.hold()
+            if isinstance(driver, Actuator):
+                driver.hold()
         finally:
-            self.driver.close()
+            driver.close()
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.on_stop()
@@ -222,7 +234,12 @@ class DeviceTask(Task):
         self._refused.pop(packet.source, None)
         self._command_s = self.now()
         self._holding = False
-        driver.apply(packet.body, self.device.hold_after_s, packet.source)
+        # What a virtual actuator sends on is said under the right of the task that commands it.
+        self.fence = fence
+        try:
+            driver.apply(packet.body, self.device.hold_after_s, packet.source)
+        finally:
+            self.fence = None
         if not self._guarded:
             self._guarded = True
             self.after(self.device.hold_after_s, self._guard)
@@ -253,6 +270,12 @@ class DeviceTask(Task):
             self._refuse(waiting[0], f"the journal could not write its epoch: {reason}")
 
     def _refusal(self, packet: Packet) -> str:
+        fence = packet.fence
+        if fence is not None:
+            # First of all: who speaks without a right must not get hold of an actuator that is free just now.
+            mark = self._fences.highest(self.name, fence.task_id)
+            if mark is not None and tuple(fence.epoch) < mark:
+                return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
         registry = self.kernel.registry
         holder = registry.holder(self.name)
         if not holder and agent_of(packet.source) != self.agent:
@@ -260,11 +283,6 @@ class DeviceTask(Task):
             holder = registry.claim(self.name, packet.source)
         if packet.source != holder:
             return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
-        fence = packet.fence
-        if fence is not None:
-            mark = self._fences.highest(self.name, fence.task_id)
-            if mark is not None and tuple(fence.epoch) < mark:
-                return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
         return ""
 
     def _guard(self) -> None:
@@ -316,6 +334,7 @@ class DeviceService(Service):
                 name=device.name,
                 cls=DeviceTask,
                 type=device.type,
+                settings=device.settings,
                 rate_hz=device.rate_hz,
                 restart=device.restart,
                 arguments={"device": device, "shared": self._shared, "fences": self._fences},
@@ -325,6 +344,10 @@ class DeviceService(Service):
 
     def on_stop(self) -> None:
         self._shared.close()
+
+    def settings_class(self, slot: Slot) -> type:
+        device: DeviceSpec = slot.spec.arguments["device"]
+        return device.cls.Settings
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         device: DeviceSpec = slot.spec.arguments["device"]

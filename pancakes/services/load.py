@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from pancakes.kernel.component import Component, TaskTimer
 
@@ -31,6 +32,25 @@ def processor_time_s() -> float:
 def host_share() -> float:
     """Returns how many processes ran or waited to run in the last minute, for each processor."""
     return os.getloadavg()[0] / (os.cpu_count() or 1)
+
+
+def describe_process() -> dict[str, Any]:
+    """Returns what this process is and has used so far, as plain values."""
+    import platform
+
+    import psutil
+
+    from pancakes import __version__
+
+    process = psutil.Process()
+    return {
+        "pid": process.pid,
+        "version": __version__,
+        "python": platform.python_version(),
+        "processor_s": processor_time_s(),
+        "memory_mib": process.memory_info().rss / 2**20,
+        "threads": process.num_threads(),
+    }
 
 
 class LoadMeter:

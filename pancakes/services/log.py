@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TextIO
 
 import msgspec
+from msgspec.structs import replace
 
+from pancakes.control import History
 from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import queue
 from pancakes.packet import LOG, Packet, agent_of
 from pancakes.service import Service
+from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
 
 KEEP = queue(4096)
@@ -101,6 +106,14 @@ class LogFile(Task):
         self._file.close()
 
 
+REMEMBERED = 2000
+"""So much of what was said on `log` is still known when somebody asks."""
+PAGE = 60_000
+"""So many characters of it go into one answer; with four bytes for each, that still fits a frame."""
+LONGEST = 20_000
+"""Of a line that is longer only that is told."""
+
+
 class LogService(Service):
     """Listens to `log` (paper §3.3)."""
 
@@ -119,6 +132,45 @@ class LogService(Service):
         console: bool = True
         level: Literal["debug", "info", "warning", "error"] = "info"
         file: str = ""
+
+    def __init__(self, *args: Any, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._newest: deque[tuple[int, Packet]] = deque(maxlen=REMEMBERED)
+        self._entries = 0
+
+    @on(LOG, None, keep=KEEP)
+    def remember(self, packet: Packet) -> None:
+        """Keeps one line for who asks later."""
+        self._entries += 1
+        self._newest.append((self._entries, packet))
+
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if isinstance(body, History):
+            self.reply(request, result=self._page(body))
+        else:
+            super().carry_out_command(body, slot, request)
+
+    def _page(self, body: History) -> list[dict[str, Any]]:
+        """Returns what was asked for, as far as it fits a packet."""
+        # What was said before the question belongs to the answer, also where it waits behind it.
+        waiting = self.actor_inbox.queues[LOG]
+        while (packet := waiting.pop()) is not None:
+            self.remember(packet)
+        since_s = -math.inf if body.since_s is None else self.now() - body.since_s
+        page: list[dict[str, Any]] = []
+        size = 0
+        for entry, packet in self._newest:
+            if entry <= body.after or packet.stamp < since_s:
+                continue
+            line = line_of(record_of(packet))
+            if len(line) > LONGEST:
+                line = line_of(record_of(replace(packet, body=LogLine("warning", f"{len(line)} characters left out"))))
+            size += len(line)
+            if page and size > PAGE:
+                break
+            # By way of its line: so it holds nothing that cannot travel.
+            page.append({"entry": entry, **json.loads(line)})
+        return page
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         tasks = []

@@ -79,6 +79,10 @@ class TaskMigrator(Task):
     """Asks all neighbours for bids, answers theirs, and carries the messages of hand-offs.
 
     Which task may run where is not decided here but by the hand-off of the service that owns it.
+
+    Attributes:
+        battery_level: what is left of this agent's battery, from 0 to 1, as it last said; None before that.
+        measured: how busy the agent was lately; None before the first look.
     """
 
     def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:
@@ -90,10 +94,10 @@ class TaskMigrator(Task):
         self._negotiations: dict[TaskId, tuple[Negotiation, DurableService]] = {}
         self._assembly = Assembly()
         self._slots = Slots()
-        self._battery_level: float | None = None
+        self.battery_level: float | None = None
         self._meter = LoadMeter()
         # In virtual time nothing of the wall may enter.
-        self._measured: Load | None = IDLE if self.kernel.virtual is not None else None
+        self.measured: Load | None = IDLE if self.kernel.virtual is not None else None
 
     def on_start(self) -> None:
         if self.kernel.virtual is None:
@@ -228,7 +232,7 @@ class TaskMigrator(Task):
     def on_battery(self, packet: Packet) -> None:
         """Remembers what is left of this agent's battery."""
         if agent_of(packet.source) == self.agent:
-            self._battery_level = packet.body.level
+            self.battery_level = packet.body.level
 
     @on(NETWORK, Solicit, keep=KEEP)
     def on_solicit(self, packet: Packet) -> None:
@@ -269,7 +273,7 @@ class TaskMigrator(Task):
             types={request.type: version} if version is not None else {},
             names=names,
             costs=tuple(self._hosting.costs()),
-            battery_level=self._battery_level,
+            battery_level=self.battery_level,
         )
         refusal = capability.refusal_of(request)
         if refusal:
@@ -287,17 +291,17 @@ class TaskMigrator(Task):
         return "" if places else "has no service that could look after it"
 
     def _measure(self) -> None:
-        self._measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+        self.measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
         self.after_host(LOOK_S, self._measure)
 
     def _load(self, asker: str) -> HostLoad:
         running = sum(
             1 for service in self._durable_services() for slot in list(service.slots.values()) if slot.task is not None
         )
-        battery_level = self._battery_level
+        battery_level = self.battery_level
         if battery_level is None and "battery" in self.kernel.registry.device_types():
             battery_level = math.nan
-        measured = self._measured
+        measured = self.measured
         return HostLoad(
             active_tasks=running + len(self._slots.kept(self.kernel.host.now())),
             battery_level=battery_level,

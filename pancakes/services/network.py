@@ -131,6 +131,10 @@ class NetworkService(Service):
             return migrator.refuse_stop()
         return ""
 
+    def followers(self, channel: str) -> list[str]:
+        """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
+        return [follower for followed, follower in list(self._followers) if followed == channel]
+
     def peer_down(self, name: str) -> None:
         """Forgets what a peer followed that has gone. In this actor."""
         for channel, follower in list(self._followers):
@@ -151,14 +155,18 @@ class NetworkService(Service):
         if agent_of(follower) == self.agent:
             raise ControlRefused(f"{follower} is on this agent: it can subscribe to {body.channel!r} itself")
         destination = agent_of(follower)
-        if destination not in [hello.name for hello in self._mesh.connected()]:
+        role = next((hello.role for hello in self._mesh.connected() if hello.name == destination), "")
+        if not role:
             # It has asked and gone, and nobody would ever end what it began.
             raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
-        types = body.types
+        if body.foreign and role != "client":
+            # Two agents that follow each other would send one packet to and fro for ever.
+            raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
+        types, foreign = body.types, body.foreign
 
         def forward(packet: Packet) -> None:
             # What came from elsewhere has been seen there; what follows itself would never end.
-            if (types and packet.type not in types) or agent_of(packet.source) != self.agent:
+            if (types and packet.type not in types) or not (foreign or agent_of(packet.source) == self.agent):
                 return
             try:
                 self._mesh.send(replace(packet, destination=destination), retry=True)

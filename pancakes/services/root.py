@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -18,26 +18,31 @@ from pancakes.control import (
     CONTROLS,
     Adopt,
     Begin,
+    Channels,
     Command,
     Configure,
     Describe,
     Follow,
+    History,
     Migrate,
     Migrations,
     Reply,
     Reschedule,
     Restart,
+    Shutdown,
     Start,
     Stop,
     Unfollow,
 )
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component, describe
-from pancakes.packet import SYSCTRL, Packet, agent_of, join
+from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.service import Service, ServiceSpec
+from pancakes.services.network import NetworkService
 from pancakes.slot import Request, Slot
 from pancakes.suggestion import suggestion
 from pancakes.supervision import Next, Supervision
+from pancakes.task import Carried
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
@@ -46,6 +51,7 @@ if TYPE_CHECKING:
 WATCH_S = 0.02
 """How often, in host time, a service that failed is looked at until the last of its tasks has ended."""
 NETWORK = "network"
+LOG_SERVICE = "log"
 
 
 class ServiceState(Enum):
@@ -66,6 +72,8 @@ class ServicePlace:
         busy: whether a command that starts or stops the service is being carried out.
         commands: those that wait for that.
         alarm: what will wake the service, where it was stopped for a time.
+        kept: what its tasks carried when it was stopped, by their names.
+        keep_state: whether they go on with that when it is started.
     """
 
     spec: ServiceSpec
@@ -79,6 +87,8 @@ class ServicePlace:
     busy: bool = False
     commands: deque[Callable[[], None]] = field(default_factory=deque)
     alarm: OneShot | None = None
+    kept: Mapping[str, Carried] = field(default_factory=dict)
+    keep_state: bool = True
 
 
 class Root(Component):
@@ -91,6 +101,7 @@ class Root(Component):
         identity: what `Describe` says of the agent besides its tasks.
         migrations: what `Migrations` is answered with.
         ready: called in this actor once every service has started all that it should.
+        shutdown: ends the agent, after this actor's turn; returns why it cannot. With True it only says that.
     """
 
     def __init__(
@@ -102,6 +113,7 @@ class Root(Component):
         identity: Callable[[], dict[str, Any]] = dict,
         migrations: Callable[[], list[dict[str, Any]]] = list,
         ready: Callable[[], None] = lambda: None,
+        shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
     ) -> None:
         super().__init__(kernel, address)
         self.places = {
@@ -110,6 +122,7 @@ class Root(Component):
         self._identity = identity
         self._migrations = migrations
         self._on_ready = ready
+        self._shutdown = shutdown
         self._number = 0
         self._closing = False
         self.ready = False
@@ -141,12 +154,15 @@ class Root(Component):
         if then is not None:
             place.on_running.append(then)
         spec = place.spec
+        kept, place.kept = place.kept if place.keep_state else None, {}
+        place.keep_state = True
         try:
             service = self.kernel.spawn(
                 spec.cls,
                 place.address,
                 settings=spec.settings,
                 tasks=spec.tasks,
+                kept=kept,
                 ready=lambda service: self.call(lambda: self._service_ready(place, service)),
                 exited=lambda service, error: self.call(lambda: self._service_ended(place, service, error)),
                 **spec.arguments,
@@ -200,6 +216,8 @@ class Root(Component):
         if place.service is not service:
             return
         self.kernel.stream.unsubscribe(place.address)
+        if error is None and place.service is not None:
+            place.kept = place.service.keep()
         place.service = None
         if error is not None and place.state is not ServiceState.STOPPING:
             self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
@@ -259,7 +277,9 @@ class Root(Component):
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
         try:
-            self.publish(SYSCTRL, Reply(not reason, reason, result), to=request.by, cause=request.cause)
+            self.publish(
+                SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause
+            )
         except PancakesError as error:
             # The root must not fail because whoever asked does not listen fast enough.
             self.log("warning", f"the answer to {request.by} was lost: {error}")
@@ -273,6 +293,15 @@ class Root(Component):
             return
         if isinstance(body, (Follow, Unfollow)):
             self._hand(NETWORK, "", body, request)
+            return
+        if isinstance(body, History):
+            self._hand(LOG_SERVICE, "", body, request)
+            return
+        if isinstance(body, Channels):
+            self.reply(request, result=self.describe_channels(body.channel))
+            return
+        if isinstance(body, Shutdown):
+            self._end_agent(body, request)
             return
         if isinstance(body, Migrations):
             self.reply(request, result=self._migrations())
@@ -352,13 +381,21 @@ class Root(Component):
         if isinstance(body, Start):
             if place.state not in (ServiceState.STOPPED, ServiceState.FAILED):
                 raise ControlRefused(f"{place.address} is {place.state.value} already")
+            if body.settings is not None:
+                raise ControlRefused(f"{place.address} is a service: only a task can be started with other settings")
+            if body.dry_run:
+                self.reply(request)
+                return
             place.supervision.forget()
             self._tell_asked("start", name, request)
             self.launch(place, self._occupy(place, request))
         elif isinstance(body, Stop):
             self._stop_service(place, body, request)
+        elif body.dry_run:
+            self.reply(request)
         else:
             place.supervision.forget()
+            place.keep_state = body.keep_state
             self._tell_asked("restart", name, request)
             network = name == NETWORK
             if network:
@@ -405,6 +442,9 @@ class Root(Component):
         reason = place.service.refuse_stop()
         if reason:
             raise ControlRefused(reason)
+        if body.dry_run:
+            self.reply(request)
+            return
         place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
         network = place.spec.name == NETWORK
@@ -420,6 +460,17 @@ class Root(Component):
         if place.state is ServiceState.STOPPED and not self._closing:
             self.event("asked", what="wake", service=place.spec.name, by=self.address)
             self.launch(place)
+
+    def _end_agent(self, body: Shutdown, request: Request) -> None:
+        reason = self._shutdown(True)
+        if reason:
+            raise ControlRefused(f"{self.agent} cannot be ended: {reason}")
+        if not body.dry_run:
+            self.event("asked", what="shutdown", by=request.by, number=request.number)
+        # The answer has to leave before the way out is closed.
+        self.reply(request)
+        if not body.dry_run:
+            self._shutdown(False)
 
     def _tell_asked(self, what: str, service: str, request: Request) -> None:
         self.event("asked", what=what, service=service, by=request.by, number=request.number)
@@ -446,6 +497,25 @@ class Root(Component):
             "undelivered": self.kernel.stream.undelivered,
             **self._identity(),
         }
+
+    def describe_channels(self, channel: str) -> list[dict[str, Any]]:
+        """Returns what is to be known about one channel, or about all, as plain values.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+        """
+        stream = self.kernel.stream
+        network = self.places[NETWORK].service
+        return [
+            {
+                "agent": self.agent,
+                "channel": name,
+                "core": name in CORE_CHANNELS,
+                "subscribers": stream.describe(name),
+                "followers": network.followers(name) if isinstance(network, NetworkService) else [],
+            }
+            for name in ([channel] if channel else stream.channels())
+        ]
 
     def describe_service(self, place: ServicePlace) -> dict[str, Any]:
         """Returns what is to be known about a service, as plain values."""

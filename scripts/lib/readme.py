@@ -1,8 +1,11 @@
 """Runs what the README tells its readers to type, so that it stays true. Needs nothing but Python, git and bash.
 
 Every fenced block whose info string is exactly `sh` is run, statement by statement, in one shell: what one block
-does, the next one finds. A block with a file name behind its language (```python blink.py) is saved under that name
-first. All others are only shown: what a program prints, say.
+does, the next one finds. A block `sh background` is what the reader types in a terminal of its own: it goes on while
+the rest is run. A block `text output` says what the block before it prints: each of its lines must come, in this order,
+with others in between; `...` in a line stands for anything, and how many spaces there are does not count. For a
+background block it is waited for. A block with a file name behind its language (```python blink.py) is saved under
+that name first. All others are only shown.
 
 The shell stands in a fresh copy of the project (what git has, and what is new and not ignored), with a virtual
 environment of its own that is active, an empty home, and nothing on its standard input.
@@ -13,6 +16,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -27,6 +31,11 @@ from pathlib import Path
 from environment import ROOT, make_venv
 
 _FENCE = re.compile(r"^( {0,3})(`{3,}|~{3,})\s*(.*?)\s*$")
+COMMANDS = "sh"
+BACKGROUND = "sh background"
+OUTPUT = "text output"
+AWAIT_S = 60.0
+"""How long a background command may take until it has printed what it is to print."""
 _DONE = "\x1e"
 """What the shell prints before the number and the exit code of a statement that has ended; no program prints it."""
 
@@ -42,10 +51,19 @@ class Block:
 
 @dataclass
 class Statement:
-    """One command, with all of its lines, and where it stands in the README."""
+    """One command, with all of its lines, and where it stands in the README.
+
+    Attributes:
+        background: whether it goes on while the next ones run.
+        last: whether it is the last of its block.
+        output: what its block prints, if that is said and it is the last.
+    """
 
     line: int
     text: str
+    background: bool = False
+    last: bool = False
+    output: Block | None = None
 
 
 def blocks(markdown: str) -> list[Block]:
@@ -81,6 +99,47 @@ def statements(block: Block) -> Iterator[Statement]:
         yield Statement(start, "\n".join(gathered))
 
 
+def commands(found: list[Block]) -> list[Statement]:
+    """Returns all statements to be run, each last one of a block with the output that the block is to print."""
+    wanted: list[Statement] = []
+    for block, after in zip(found, [*found[1:], Block("", 0, "")], strict=True):
+        if block.info not in (COMMANDS, BACKGROUND):
+            continue
+        cut = list(statements(block))
+        if block.info == BACKGROUND:
+            cut = [Statement(block.line, block.text.rstrip("\n"), background=True)]
+        if cut:
+            cut[-1].last = True
+            cut[-1].output = after if after.info == OUTPUT else None
+        wanted += cut
+    return wanted
+
+
+def missing(expected: str, printed: str) -> str:
+    """Returns the first line that was expected and did not come in its order; empty where all did."""
+    lines = iter([" ".join(line.split()) for line in printed.splitlines()])
+    for line in expected.splitlines():
+        words = " ".join(line.split())
+        if words in ("", "..."):
+            continue
+        pattern = re.compile(".*".join(re.escape(part) for part in words.split("...")))
+        if not any(pattern.fullmatch(other) for other in lines):
+            return words
+    return ""
+
+
+def await_output(log: Path, expected: Path, limit_s: float) -> int:
+    """Waits until a background command has printed what it is to print; returns the exit code for that."""
+    until_s = time.monotonic() + limit_s
+    while lacking := missing(expected.read_text(), log.read_text(errors="replace")):
+        if time.monotonic() > until_s:
+            print(log.read_text(errors="replace"))
+            print(f"this line did not come within {limit_s:g} s: {lacking}")
+            return 1
+        time.sleep(0.05)
+    return 0
+
+
 def is_whole(text: str) -> bool:
     """Whether bash could run a text as it stands."""
     if text.endswith("\\"):
@@ -104,18 +163,28 @@ def copy_project(to: Path) -> None:
             shutil.copy2(ROOT / name, to / name, follow_symlinks=False)
 
 
-def script_of(all_statements: list[Statement]) -> str:
+def script_of(all_statements: list[Statement], place: Path) -> str:
     """Returns a bash script that runs statements and says after each how it ended."""
     lines = []
     for number, statement in enumerate(all_statements):
-        lines += [statement.text, f"printf '\\n{_DONE}%d %d\\n' {number} $?"]
+        lines.append(_in_background(number, statement, place) if statement.background else statement.text)
+        lines.append(f"printf '\\n{_DONE}%d %d\\n' {number} $?")
     return "\n".join(lines) + "\n"
+
+
+def _in_background(number: int, statement: Statement, place: Path) -> str:
+    log = place / f"background-{number}.log"
+    log.touch()
+    expected = place / f"background-{number}.expected"
+    expected.write_text(statement.output.text if statement.output is not None else "")
+    waiting = [sys.executable, str(Path(__file__).resolve()), "--await", str(log), str(expected)]
+    return f"{{\n{statement.text}\n}} > {shlex.quote(str(log))} 2>&1 &\n{shlex.join(waiting)}"
 
 
 def run(all_statements: list[Statement], name: str, copy: Path, place: Path, limit_s: float) -> list[str]:
     """Runs statements, and returns a sentence for each one that failed."""
     script = place / "readme.sh"
-    script.write_text(script_of(all_statements))
+    script.write_text(script_of(all_statements, place))
     kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTHON", "XDG_"))}
     venv = place / "venv"
     environment = {**kept, "HOME": str(place / "home"), "VIRTUAL_ENV": str(venv), "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
@@ -137,10 +206,12 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
     failures: list[str] = []
     progress = _Progress(shell.pid, limit_s)
     current = 0
+    printed = ""
     print(f"$ {all_statements[0].text}", flush=True)
     for line in shell.stdout:
         if not line.startswith(_DONE):
             print(line, end="", flush=True)
+            printed += line
             continue
         current, status = int(line[1:].split()[0]), int(line.split()[1])
         progress.went_on()
@@ -148,6 +219,13 @@ def run(all_statements: list[Statement], name: str, copy: Path, place: Path, lim
             failures.append(
                 f"{name}:{all_statements[current].line}: ended with {status}: {all_statements[current].text}"
             )
+        output = all_statements[current].output
+        if output is not None and not all_statements[current].background:
+            lacking = missing(output.text, printed)
+            if lacking:
+                failures.append(f"{name}:{output.line}: this line was not printed, or not in this order: {lacking}")
+        if all_statements[current].last:
+            printed = ""
         current += 1
         if current == len(all_statements):
             break
@@ -208,11 +286,17 @@ def main() -> None:
     parser.add_argument("--done", action="append", default=[], help="a command that was run already, so not here")
     parser.add_argument("--limit", type=float, default=600.0, help="most seconds for one command (600)")
     parser.add_argument("--list", action="store_true", help="only show what would be run")
+    parser.add_argument("--await", nargs=2, type=Path, dest="awaited", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.awaited:
+        sys.exit(await_output(*options.awaited, AWAIT_S))
     found = blocks((ROOT / options.file).read_text())
-    wanted = [statement for block in found if block.info == "sh" for statement in statements(block)]
-    wanted = [statement for statement in wanted if statement.text.strip() not in options.done]
-    files = [(block.info.split()[1], block) for block in found if len(block.info.split()) == 2]
+    wanted = [statement for statement in commands(found) if statement.text.strip() not in options.done]
+    files = [
+        (block.info.split()[1], block)
+        for block in found
+        if len(block.info.split()) == 2 and block.info not in (BACKGROUND, OUTPUT)
+    ]
     if options.list or not wanted:
         for file_name, block in files:
             print(f"{options.file}:{block.line}: saved as {file_name}")

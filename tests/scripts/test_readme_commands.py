@@ -96,6 +96,70 @@ def test_a_command_that_takes_too_long_is_ended_with_all_it_started(readme, tmp_
     assert listed.stdout.strip() in ("", "Z")
 
 
+PRINTS = """\
+```sh
+echo early
+```
+
+```sh
+echo "lamp   green  12.5 s"
+echo other
+echo late
+```
+
+```text output
+lamp green ... s
+late
+```
+"""
+
+
+@pytest.mark.parametrize(
+    ("expected", "lacking"),
+    [
+        ("lamp green ... s\nlate", ""),
+        ("...\nother", ""),
+        ("late\nother", "other"),
+        ("early", "early"),
+        ("lamp green", "lamp green"),
+        ("lamp . s", "lamp . s"),
+    ],
+)
+def test_what_a_block_prints_is_compared_line_by_line_in_order(readme, tmp_path, expected, lacking):
+    text = PRINTS.replace("lamp green ... s\nlate", expected)
+    for name in ("copy", "home", "run"):
+        (tmp_path / name).mkdir()
+    failures = readme.run(readme.commands(readme.blocks(text)), "README.md", tmp_path / "copy", tmp_path, 20.0)
+    assert failures == (
+        [f"README.md:12: this line was not printed, or not in this order: {lacking}"] if lacking else []
+    )
+
+
+BACKGROUND = """\
+```sh background
+echo begun; read -r _ < pipe; echo ended
+```
+
+```text output
+begun
+```
+
+```sh
+echo go > pipe
+wait
+```
+"""
+
+
+def test_a_background_block_goes_on_and_its_output_is_waited_for(readme, tmp_path):
+    for name in ("copy", "home", "run"):
+        (tmp_path / name).mkdir()
+    subprocess.run(["mkfifo", str(tmp_path / "copy" / "pipe")], check=True)
+    failures = readme.run(readme.commands(readme.blocks(BACKGROUND)), "README.md", tmp_path / "copy", tmp_path, 20.0)
+    assert failures == []
+    assert (tmp_path / "background-0.log").read_text() == "begun\nended\n"
+
+
 def test_the_readme_of_the_project_can_be_read(readme):
     for block in readme.blocks((ROOT / "README.md").read_text()):
         if block.info == "sh":

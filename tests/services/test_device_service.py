@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.control import Describe, Hold, Reschedule, Restart, Start, Stop
+from pancakes.control import Configure, Describe, Hold, Reschedule, Restart, Start, Stop
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.devices.types import Battery, Load, Pose, Twist
 from pancakes.events import Event
@@ -113,6 +113,30 @@ def test_its_rate_is_changed_by_a_packet(fleet):
     agent.probe.forget()
     fleet.run_for(4.0)
     assert_published(agent, Load, times=4)
+
+
+def test_the_settings_of_its_driver_are_changed_by_a_packet_and_stay(fleet):
+    agent = fleet.start("a", devices={"cpu": {"type": Thermometer, "rate_hz": 4.0, "settings": {"first": 10.0}}})
+    assert agent.ask(Configure("cpu", {"first": 100.0})).ok
+    assert agent.ask(Configure("cpu", {"frist": 100.0})).reason.endswith("unknown key, did you mean 'first'?")
+    agent.probe.forget()
+    fleet.run_for(0.5)
+    assert [packet.body.cpu for packet in agent.probe.packets(Load)] == [101.0, 102.0]
+    assert agent.ask(Restart("device")).ok
+    assert agent.ask(Describe("cpu")).result["settings"]["first"] == 100.0
+    assert agent.ask(Restart("cpu", keep_state=False)).ok
+    assert agent.ask(Describe("cpu")).result["settings"]["first"] == 10.0
+    assert Thermometer.opened == Thermometer.closed + 1 == 4
+
+
+def test_settings_that_its_driver_cannot_open_with_are_told_and_it_goes_on_with_the_former(fleet):
+    agent = fleet.start("a", devices={"cpu": {"type": Thermometer, "rate_hz": 4.0}})
+    reply = agent.ask(Configure("cpu", {"fail_at_open": True}))
+    assert not reply.ok
+    assert "OSError: no such port" in reply.reason
+    fleet.run_for(0.1)
+    assert agent.ask(Describe("cpu")).result["settings"]["fail_at_open"] is False
+    assert agent.ask(Describe("cpu")).result["state"] == "running"
 
 
 def test_a_sensor_without_a_rate_is_not_sampled(fleet):
