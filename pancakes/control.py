@@ -158,9 +158,11 @@ class Describe:
         target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
             among it), a service (a list with a row for each of its tasks); empty: the agent (a mapping with a row for
             each service and task).
+        state: of a task that runs: its state as well (`state`), as it is between two of its turns.
     """
 
     target: str = ""
+    state: bool = False
 
 
 @packet_type("channels")

@@ -114,7 +114,7 @@ class Service(Supervisor):
         elif isinstance(body, Configure):
             self.configure_asked(slot, body, request)
         elif isinstance(body, Describe):
-            self.reply(request, result=self.describe_in_detail(slot))
+            self._describe_asked(slot, body, request)
         else:
             raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
 
@@ -213,6 +213,21 @@ class Service(Supervisor):
             return {"settings": dict(body.settings)}
 
         self.in_task(slot, request, "" if body.dry_run else "settings_changed", change)
+
+    def _describe_asked(self, slot: Slot, body: Describe, request: Request) -> None:
+        detail = self.describe_in_detail(slot)
+        if not body.state:
+            self.reply(request, result=detail)
+            return
+
+        def look(task: Task) -> dict[str, Any]:
+            try:
+                carried = task.carry()
+            except Exception as error:  # what a task keeps in its state may be anything
+                raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
+            return {**detail, "settings": carried.settings, "state": carried.state}
+
+        self.in_task(slot, request, "", look)
 
     def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
         """Makes a change in a running task's own actor, then tells `log` and whoever asked.

@@ -153,6 +153,23 @@ def test_a_task_is_described_with_all_that_is_known_about_it(fleet):
     assert told["durability"] == "lazy"
 
 
+def test_the_state_of_a_task_is_told_where_it_is_asked_for(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(1.0)
+    told = agent.ask(Describe("Count", state=True)).result
+    assert told["state"] == {"n": 10}
+    assert told["settings"] == {"step": 1}
+    assert "ticks" in told
+
+
+def test_a_state_that_cannot_be_written_down_is_refused_and_the_task_runs(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    agent.agent.kernel.registry.get("a/client/Count").state.n = object()
+    reply = agent.ask(Describe("Count", state=True))
+    assert reply.reason.startswith("the state of a/client/Count cannot be written down: ")
+    assert agent.running() == ["Count"]
+
+
 def test_a_task_whose_settings_are_bad_can_still_be_described(fleet):
     agent = fleet.start("a", tasks={"Count": {"type": Count, "settings": {"step": 0}}})
     told = agent.ask(Describe("Count")).result
