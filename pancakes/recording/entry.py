@@ -1,0 +1,151 @@
+"""One packet of a recording, as one JSON message of an MCAP file, and back."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgpack
+import msgspec
+
+from pancakes.errors import LocalProtocolError, PancakesError, RemoteProtocolError
+from pancakes.packet import Fence, Packet, body_class, body_from_plain
+from pancakes.schema import schema_of
+from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
+
+NANOSECONDS: Final = 1_000_000_000
+
+
+class RecordingError(PancakesError):
+    """A recording cannot be written or read; the message names the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One packet as it was seen.
+
+    Attributes:
+        time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, of mission time in virtual
+            time.
+        agent: the agent on whose channel it was seen; a packet that travels is seen where it comes from, and where it
+            comes to.
+        packet: the packet.
+    """
+
+    time_ns: int
+    agent: str
+    packet: Packet
+
+    @property
+    def topic(self) -> str:
+        """The MCAP topic that it belongs to."""
+        return f"/{self.agent}/{self.packet.channel}/{self.packet.type}"
+
+    @property
+    def task_id(self) -> str:
+        """The identity for life of the task that published it, whichever agent it was on; empty where none did."""
+        return self.packet.fence.task_id if self.packet.fence is not None else ""
+
+
+class EntryEncoder:
+    """Makes the data of messages. Keeps buffers: one to a thread."""
+
+    def __init__(self) -> None:
+        self._json = msgspec.json.Encoder(enc_hook=self._foreign)
+        self._wire = Encoder()
+        self._inexact = False
+
+    def data(self, packet: Packet) -> bytes:
+        """Returns a packet as JSON.
+
+        What JSON cannot hold (arrays, bytes, infinity and NaN) is written as well as it goes, and the packet is added
+        as it travels between agents, in the field `exact`.
+
+        Raises:
+            LocalProtocolError: its body holds what no packet may hold.
+        """
+        row: dict[str, Any] = {
+            "source": packet.source,
+            "destination": packet.destination,
+            "stamp": packet.stamp,
+            "seq": packet.seq,
+            "cause": packet.cause,
+            "fence": packet.fence,
+            "body": packet.body,
+        }
+        self._inexact = False
+        try:
+            data = self._json.encode(row)
+            # JSON says null for what is no number; that there is a null for another reason costs a little space.
+            if self._inexact or data.count(b"null") > (packet.cause is None) + (packet.fence is None):
+                row["exact"] = base64.b64encode(self._wire.packet(packet)).decode("ascii")
+                data = self._json.encode(row)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise LocalProtocolError(
+                f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {error}"
+            ) from None
+        return data
+
+    def _foreign(self, value: Any) -> Any:
+        self._inexact = True
+        if hasattr(value, "tolist"):
+            return value.tolist()
+        raise NotImplementedError(f"a {type(value).__name__} is no plain value")
+
+
+def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
+    """Makes a packet of the data of a message; its body becomes the registered dataclass, where there is one.
+
+    Raises:
+        RemoteProtocolError: it is no packet, or the body does not fit its type.
+    """
+    try:
+        row = msgspec.json.decode(data)
+        exact = row.get("exact")
+        if exact is not None:
+            packed = base64.b64decode(exact, validate=True)
+            return packet_from_row(rows_from_payload(msgpack.packb([msgpack.unpackb(packed, ext_hook=_keep)]))[0])
+        cause = row["cause"]
+        return Packet(
+            channel,
+            type_name,
+            row["source"],
+            row["destination"],
+            float(row["stamp"]),
+            int(row["seq"]),
+            body_from_plain(type_name, row["body"]),
+            (cause[0], cause[1]) if cause else None,
+            msgspec.convert(row["fence"], Fence | None),
+        )
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {error}") from None
+
+
+def _keep(code: int, data: bytes) -> msgpack.ExtType:
+    return msgpack.ExtType(code, data)
+
+
+def schema_for(type_name: str) -> dict[str, Any]:
+    """Returns the JSON Schema of the messages of one packet type; of a type that is unknown here, of any body."""
+    cls = body_class(type_name)
+    try:
+        body: dict[str, Any] = schema_of(cls) if cls is not None else {"type": "object"}
+    except TypeError:  # it holds what JSON Schema has no word for, such as an array
+        body = {"type": "object"}
+    definitions = body.pop("$defs", {})
+    schema = {
+        "title": f"pancakes.{type_name}",
+        "type": "object",
+        "properties": {
+            "source": {"type": "string", "description": "address of the publisher."},
+            "destination": {"type": "string", "description": "who it was for; empty: whoever subscribes."},
+            "stamp": {"type": "number", "description": "mission time at the publisher, in seconds."},
+            "seq": {"type": "integer", "description": "its number among its source's packets."},
+            "cause": {"type": "array", "description": "source and number of the packet that led to it."},
+            "fence": {"type": "array", "description": "identity and epoch of the task that published it."},
+            "body": body,
+            "exact": {"type": "string", "description": "the packet as it travels, where JSON cannot hold all of it."},
+        },
+    }
+    return {**schema, "$defs": definitions} if definitions else schema

@@ -1,0 +1,122 @@
+"""Reads recordings, whole or cut off."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+
+from pancakes.errors import RemoteProtocolError
+from pancakes.recording.entry import Entry, RecordingError, packet_from_data
+from pancakes.recording.writer import METADATA
+
+SUFFIX: Final = ".mcap"
+
+
+@dataclass
+class Reading:
+    """What was found while a file was read; complete once its entries have been taken.
+
+    Attributes:
+        path: the file.
+        about: what the recorder wrote about the recording.
+        cut: why it could not be read to its end; empty where it could.
+        strange: sentences on messages that are no packets any more, such as of a type that has changed.
+    """
+
+    path: Path
+    about: dict[str, str] = field(default_factory=dict)
+    cut: str = ""
+    strange: list[str] = field(default_factory=list)
+
+
+class RecordingReader:
+    """A recording: one file, or all of a directory (`*.mcap`), such as the parts of one that was split.
+
+    Args:
+        path: the file or directory.
+
+    Attributes:
+        readings: what was found so far, by file.
+
+    Raises:
+        RecordingError: there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.files = files_of(path)
+        self.readings = [Reading(file) for file in self.files]
+
+    def entries(self) -> Iterator[Entry]:
+        """Gives all packets, in the order in which they were recorded, over all files.
+
+        Raises:
+            RecordingError: a file is no recording at all.
+        """
+        parts = [_entries(reading) for reading in self.readings]
+        yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
+
+    def notes(self) -> Sequence[str]:
+        """Returns sentences on all that could not be read so far."""
+        notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
+        return notes + [f"{reading.path}: {text}" for reading in self.readings for text in reading.strange]
+
+
+def files_of(path: Path) -> list[Path]:
+    """Returns the files of a recording, in their order.
+
+    Raises:
+        RecordingError: there is none.
+    """
+    if path.is_dir():
+        files = sorted(path.glob(f"*{SUFFIX}"))
+        if not files:
+            raise RecordingError(f"{path} holds no recording (*{SUFFIX})")
+        return files
+    if not path.is_file():
+        raise RecordingError(f"there is no recording {path}")
+    return [path]
+
+
+def _entries(reading: Reading) -> Iterator[Entry]:
+    with reading.path.open("rb") as file:
+        for channel, message in messages(reading, file):
+            parts = channel.topic.split("/")
+            if len(parts) != 4 or parts[0]:
+                continue  # in the schema of a viewer
+            try:
+                packet = packet_from_data(parts[2], parts[3], message.data)
+            except RemoteProtocolError as error:
+                reading.strange.append(str(error))
+                continue
+            yield Entry(message.log_time, parts[1], packet)
+
+
+def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[Channel, Message]]:
+    """Gives all messages of a file as far as it is whole, each with its channel.
+
+    Raises:
+        RecordingError: it is no recording at all.
+    """
+    channels: dict[int, Channel] = {}
+    begun = False
+    try:
+        for record in StreamReader(file, validate_crcs=True).records:
+            begun = True
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                reading.about.update(record.metadata)
+            elif isinstance(record, Message):
+                yield channels[record.channel_id], record
+    except (McapError, ValueError, KeyError, OverflowError, OSError) as error:
+        if not begun:
+            raise RecordingError(f"{reading.path} is no recording: {error or type(error).__name__}") from None
+        reading.cut = str(error) or type(error).__name__
