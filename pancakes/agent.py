@@ -339,6 +339,9 @@ class Agent:
             devices = [self._device(device) for device in self.config.devices.values()]
             known = tuple(device for device in devices if device is not None)
             arguments = {"devices": known, "fences": self.fences}
+        elif config.name == "log":
+            record = self.config.record
+            arguments = {"record": asdict(record) if record is not None else None}
         elif config.name == "network":
             hosting = Hosting(self.config.agent.role, self._has_type, self._costs)
             arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}

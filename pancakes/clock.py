@@ -26,6 +26,11 @@ class MonotonicClock:
     now = staticmethod(time.monotonic)  # as it is: everything that happens asks for the time
 
 
+def wall_ns() -> int:
+    """Returns the time of day in nanoseconds since 1970: only for what people and other machines shall compare."""
+    return time.time_ns()
+
+
 class VirtualClock:
     """A clock that stands still until it is moved (virtual time, tests)."""
 

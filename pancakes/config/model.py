@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from pancakes.config.places import Places
 from pancakes.migration.rule import MigrationRule
+from pancakes.recording.recorder import Recorder
 from pancakes.supervision import RestartSpec
 
 SCHEMA: Final = 1
@@ -63,6 +64,17 @@ class ClockConfig:
 
     speed: Positive = 1.0
     hold: bool = False
+
+
+@dataclass
+class RecordConfig(Recorder.Settings):
+    """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
+
+    Attributes:
+        start: whether it records from the start; otherwise it waits until it is started.
+    """
+
+    start: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +156,7 @@ class Config:
     Attributes:
         agent: the table `[agent]`.
         clock: the table `[clock]`.
+        record: the table `[record]`; None where there is none.
         channels: extra channels by name, in the order of the file (so are the next three).
         devices: devices by name.
         services: services by name; the four default ones are always there and come first.
@@ -154,6 +167,7 @@ class Config:
 
     agent: AgentConfig
     clock: ClockConfig
+    record: RecordConfig | None
     channels: Mapping[str, ChannelConfig]
     devices: Mapping[str, DeviceConfig]
     services: Mapping[str, ServiceConfig]

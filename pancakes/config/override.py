@@ -41,7 +41,7 @@ def apply_set(text: str, values: dict[str, Any], places: Places) -> Fault | None
             return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
         table = inner
     table[key[-1]] = value_of(rest[1:].strip())
-    places.override(key, text)
+    places.override(key, text, table[key[-1]])
     return None
 
 

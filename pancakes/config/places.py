@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 from pancakes.config.scanner import KeyPath
 from pancakes.errors import Fault
@@ -18,14 +19,16 @@ class Places:
     Args:
         path: the file, as messages name it.
         lines: the line of each key.
+        named: the tables whose keys are names.
     """
 
-    def __init__(self, path: str, lines: dict[KeyPath, int]) -> None:
+    def __init__(self, path: str, lines: dict[KeyPath, int], named: Sequence[str] = NAMED_TABLES) -> None:
         self._path = path
         self._lines = lines
+        self._named = named
         self._sets: dict[KeyPath, str] = {}
 
-    def override(self, key: KeyPath, text: str) -> None:
+    def override(self, key: KeyPath, text: str, value: Any = None) -> None:
         """Notes that `--set text` gave this key its value; what the file says below the key is gone."""
         for known in [path for path in self._lines if path[: len(key)] == key]:
             del self._lines[known]
@@ -34,10 +37,11 @@ class Places:
         for length in range(1, len(key) + 1):
             if length == len(key) or (key[:length] not in self._lines and key[:length] not in self._sets):
                 self._sets[key[:length]] = text
+        self._sets.update((inside, text) for inside in _paths(value, key))
 
     def where(self, *key: str | int) -> str:
         """Returns the place of a key; of the innermost table around it where the key itself is not there."""
-        outermost = 2 if len(key) > 1 and key[0] in NAMED_TABLES else 1  # another's [task.NAME] is no place for this
+        outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another's [task.NAME] is no place for this
         for length in range(len(key), outermost - 1, -1):
             if key[:length] in self._sets:
                 text = self._sets[key[:length]]
@@ -52,7 +56,7 @@ class Places:
 
     def fault(self, key: KeyPath, problem: str, suggestion: str = "") -> Fault:
         """Returns a fault at a key."""
-        return Fault(self.where(*key), key_text(key), problem, suggestion)
+        return Fault(self.where(*key), key_text(key, self._named), problem, suggestion)
 
     def in_order(self, faults: list[Fault]) -> list[Fault]:
         """Returns faults in the order of the file, those of `--set` last; where a place has several, as they are."""
@@ -66,10 +70,18 @@ class Places:
         return sorted(faults, key=line)
 
 
-def key_text(key: KeyPath) -> str:
+def _paths(value: Any, key: KeyPath) -> Iterator[KeyPath]:
+    """Yields the paths of all that is inside a plain value."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for part, inner in items:
+        yield (*key, part)
+        yield from _paths(inner, (*key, part))
+
+
+def key_text(key: KeyPath, named: Sequence[str] = NAMED_TABLES) -> str:
     """Returns a key as messages name it: `[task.ScanTarget] restart.policy`, `[agent] name`, `schema`."""
     if key == ("schema",) or not key:
         return dotted(key)
-    depth = 2 if key[0] in NAMED_TABLES and len(key) > 1 else 1
+    depth = 2 if key[0] in named and len(key) > 1 else 1
     table, rest = f"[{dotted(key[:depth])}]", dotted(key[depth:])
     return f"{table} {rest}" if rest else table

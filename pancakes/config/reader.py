@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from math import inf
 from os import PathLike, fspath
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -22,14 +20,16 @@ from pancakes.config.model import (
     ClockConfig,
     Config,
     DeviceConfig,
+    RecordConfig,
     ServiceConfig,
     TaskConfig,
 )
 from pancakes.config.override import apply_set
-from pancakes.config.places import NAMED_TABLES, Places, key_text
+from pancakes.config.places import NAMED_TABLES, Places
 from pancakes.config.plugin_check import check_plugins
 from pancakes.config.rule_check import faults_of_rule
-from pancakes.config.scanner import KeyPath, lines_of_keys
+from pancakes.config.scanner import KeyPath
+from pancakes.config.source import tables_of, text_of
 from pancakes.errors import ConfigError, Fault
 from pancakes.packet import CORE_CHANNELS
 from pancakes.plugins import Plugins
@@ -39,10 +39,9 @@ from pancakes.supervision import RestartSpec
 
 _T = TypeVar("_T")
 
-_TABLES: Final = ("agent", "clock", *NAMED_TABLES)
+_TABLES: Final = ("agent", "clock", "record", *NAMED_TABLES)
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _LONGEST_NAME: Final = 64
-_POSITION = re.compile(r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$")
 
 
 def load(path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
@@ -58,7 +57,7 @@ def load(path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins |
         ConfigError: the file cannot be read, or is not sound; it carries every fault.
     """
     where = fspath(path)
-    return parse(_text(where), where, sets, plugins)
+    return parse(text_of(where), where, sets, plugins)
 
 
 def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
@@ -73,13 +72,7 @@ def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | No
     Raises:
         ConfigError: the text is not sound; it carries every fault.
     """
-    try:
-        values = tomllib.loads(text)
-        places = Places(where, lines_of_keys(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError([_syntax_fault(error, text, where)]) from None
-    except RecursionError:
-        raise ConfigError([Fault(where, "TOML", "is nested too deeply")]) from None
+    values, places = tables_of(text, where)
     faults = [fault for item in sets if (fault := apply_set(item, values, places))]
     reader = _Reader(values, places)
     config = reader.config()
@@ -89,49 +82,6 @@ def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | No
     if faults:
         raise ConfigError(places.in_order(faults))
     return config
-
-
-def _text(path: str) -> str:
-    try:
-        data = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
-    except IsADirectoryError:
-        raise ConfigError([Fault(path, "file", "is a directory, not a file")]) from None
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise ConfigError([Fault(path, "file", f"cannot be read: {reason.lower()}")]) from None
-    try:
-        return data.decode("utf-8-sig")  # some editors put a byte order mark in front, which TOML does not know
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError([Fault(f"{path}:{line}", "file", "is not UTF-8")]) from None
-
-
-def _neighbour(path: str) -> str:
-    """The file of a similar name in the same directory."""
-    missing = Path(path)
-    try:
-        near = suggestion(missing.name, [entry.name for entry in missing.parent.iterdir() if entry.is_file()])
-    except OSError:
-        return ""
-    return str(missing.with_name(near)) if near else ""
-
-
-def _syntax_fault(error: tomllib.TOMLDecodeError, text: str, where: str) -> Fault:
-    message = str(error)
-    found = _POSITION.search(message)
-    line = text.rstrip("\n").count("\n") + 1
-    if found:
-        line = int(found["line"]) if found["line"] else line
-        message = message[: found.start()]
-    twice = re.fullmatch(r"Cannot declare \((.*)\) twice", message)
-    if twice:
-        table = tuple(re.findall(r"'([^']*)'", twice[1]))
-        return Fault(f"{where}:{line}", key_text(table), "the table stands here for the second time")
-    if message == "Cannot overwrite a value":
-        message = "a key stands here for the second time"
-    return Fault(f"{where}:{line}", "TOML", message[:1].lower() + message[1:])
 
 
 class _Reader:
@@ -148,6 +98,7 @@ class _Reader:
         config = Config(
             agent=self._single("agent", AgentConfig),
             clock=self._single("clock", ClockConfig),
+            record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),
             devices=self._tables("device", DeviceConfig),
             services=services,

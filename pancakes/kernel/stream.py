@@ -84,6 +84,7 @@ class InformationStream:
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[Tap, ...]] = {}
+        self._outgoing: tuple[Tap, ...] = ()
         self._routes: dict[tuple[str, str, str], _Route] = {}  # by channel, type and destination
         self.undelivered = 0
 
@@ -135,6 +136,8 @@ class InformationStream:
             self.undelivered += 1
         else:
             gateway(packet)
+        for tap in self._outgoing:
+            tap(packet)
         return 0
 
     def inject(self, packet: Packet) -> int:
@@ -165,6 +168,16 @@ class InformationStream:
         with self._lock:
             self._taps[channel] = tuple(other for other in self._taps.get(channel, ()) if other != tap)
             self._forget(channel)
+
+    def tap_outgoing(self, tap: Tap) -> None:
+        """Calls `tap` with every packet published here for somebody elsewhere, as `tap` does."""
+        with self._lock:
+            self._outgoing = (*self._outgoing, tap)
+
+    def untap_outgoing(self, tap: Tap) -> None:
+        """Ends what `tap_outgoing` began."""
+        with self._lock:
+            self._outgoing = tuple(other for other in self._outgoing if other != tap)
 
     def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
         """Puts packets into a component's mailbox from now on.
@@ -201,6 +214,7 @@ class InformationStream:
             for readers in self._readers.values():
                 readers.clear()
             self._taps.clear()
+            self._outgoing = ()
             self._routes = {}
             self.gateway = None
             self.courier = None

@@ -6,7 +6,7 @@ import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
@@ -14,9 +14,8 @@ from mcap.stream_reader import StreamReader
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.recording.entry import Entry, RecordingError, packet_from_data
+from pancakes.recording.parts import SUFFIX, parts_of
 from pancakes.recording.writer import METADATA
-
-SUFFIX: Final = ".mcap"
 
 
 @dataclass
@@ -40,7 +39,7 @@ class RecordingReader:
     """A recording: one file, or all of a directory (`*.mcap`), such as the parts of one that was split.
 
     Args:
-        path: the file or directory.
+        path: the file, to which belong the parts that it was split into, or the directory.
 
     Attributes:
         readings: what was found so far, by file.
@@ -82,7 +81,7 @@ def files_of(path: Path) -> list[Path]:
         return files
     if not path.is_file():
         raise RecordingError(f"there is no recording {path}")
-    return [path]
+    return parts_of(path)
 
 
 def _entries(reading: Reading) -> Iterator[Entry]:

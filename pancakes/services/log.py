@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TextIO
@@ -19,8 +19,10 @@ from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import queue
 from pancakes.packet import LOG, Packet, agent_of
+from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
 from pancakes.slot import Request, Slot
+from pancakes.supervision import RestartSpec
 from pancakes.task import Task, TaskSpec
 
 KEEP = queue(4096)
@@ -115,7 +117,11 @@ LONGEST = 20_000
 
 
 class LogService(Service):
-    """Listens to `log` (paper §3.3)."""
+    """Listens to `log` (paper §3.3), and records what is said on all channels where that is asked for.
+
+    Args:
+        record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: there is none.
+    """
 
     durable: ClassVar[bool] = False
 
@@ -133,8 +139,10 @@ class LogService(Service):
         level: Literal["debug", "info", "warning", "error"] = "info"
         file: str = ""
 
-    def __init__(self, *args: Any, **others: Any) -> None:
+    def __init__(self, *args: Any, record: Mapping[str, Any] | None = None, **others: Any) -> None:
         super().__init__(*args, **others)
+        self._records = record is not None and record["start"]
+        self._record = {key: value for key, value in (record or {}).items() if key != "start"}
         self._newest: deque[tuple[int, Packet]] = deque(maxlen=REMEMBERED)
         self._entries = 0
 
@@ -178,4 +186,7 @@ class LogService(Service):
             tasks.append(TaskSpec("Console", Console, settings={"level": self.settings.level}))
         if self.settings.file:
             tasks.append(TaskSpec("File", LogFile, settings={"path": self.settings.file}))
+        # What has made it stop, such as a full disk, has not changed a moment later.
+        never = RestartSpec("temporary")
+        tasks.append(TaskSpec("Recorder", Recorder, settings=self._record, start=self._records, restart=never))
         return tasks

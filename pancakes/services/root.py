@@ -8,6 +8,7 @@ cannot wake itself.
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -245,6 +246,9 @@ class Root(Component):
             return
         place.state = ServiceState.FAILED
         self.log("error", f"{place.address} is given up: {text}")
+        if place.spec.name == LOG_SERVICE:
+            # Nobody is left who would show that to whoever sits at the terminal.
+            print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
         waiting, place.on_running = place.on_running, []
         for then in waiting:
             then(f"{place.address} failed: {text}")
@@ -277,9 +281,7 @@ class Root(Component):
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
         try:
-            self.publish(
-                SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause
-            )
+            self.publish(SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause)
         except PancakesError as error:
             # The root must not fail because whoever asked does not listen fast enough.
             self.log("warning", f"the answer to {request.by} was lost: {error}")

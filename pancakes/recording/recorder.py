@@ -1,0 +1,241 @@
+"""The recorder: a task of the Log Service that writes what is said on its agent's channels into MCAP files."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
+
+from pancakes.clock import wall_ns
+from pancakes.control import Describe, Reply
+from pancakes.errors import PancakesError
+from pancakes.events import Event
+from pancakes.kernel.counter import Counter
+from pancakes.kernel.handlers import Tick, every, on
+from pancakes.kernel.stream import Tap
+from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
+from pancakes.recording.description import CHANNEL, TaskDescription
+from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.viewing import Viewer
+from pancakes.task import Task
+
+WAITING: Final = 20_000
+"""So many packets wait for the disk; of more, the oldest are left out and counted."""
+FLUSH_S: Final = 0.5
+"""How often, in host time, what was written is brought to the disk: a crash costs no more than that."""
+
+Size = Annotated[float, Meta(ge=0, le=1e9)]
+
+
+class Recorder(Task):
+    """Writes all packets that are seen on some channels of its agent, and what its tasks were.
+
+    It takes packets in the publishers' threads, which costs them an append to a list, and writes them in a thread of
+    its own. Where the disk is full or slow it is the recording that suffers: never the robot.
+    """
+
+    blocking = True  # a disk may make it wait
+
+    @dataclass
+    class Settings:
+        """What is recorded, and where to.
+
+        Attributes:
+            path: the file; one that is there already is left alone, and a number added to the name. `{agent}` stands
+                for the agent's name.
+            channels: the channels to record; empty: all, those too that are added later.
+            types: the packet types to record; empty: all.
+            task: record only what this task (`birthplace/name`) reads and publishes, on whatever agent it is; empty:
+                everything.
+            split_mib: a new file begins where one has grown this large.
+            limit_mib: how large the recording may become; 0 for no limit.
+            at_limit: what happens then: it ends (`stop`), or its oldest file is removed (`drop_oldest`).
+            free_mib: the recording ends before less than this is free on the disk.
+            viewer: whether poses are written in the schemas of Foxglove as well.
+        """
+
+        path: str = "recordings/{agent}.mcap"
+        channels: tuple[str, ...] = ()
+        types: tuple[str, ...] = ()
+        task: str = ""
+        split_mib: Annotated[float, Meta(gt=0, le=1e6)] = 256.0
+        limit_mib: Size = 0.0
+        at_limit: Literal["stop", "drop_oldest"] = "stop"
+        free_mib: Size = 64.0
+        viewer: bool = True
+
+    def on_start(self) -> None:
+        # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
+        try:
+            from pancakes.recording.parts import Parts
+        except ModuleNotFoundError as error:
+            raise PancakesError(
+                f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
+            ) from None
+        self._taps: dict[str, Tap] = {}
+        self._waiting: deque[tuple[float, Packet]] = deque(maxlen=WAITING)
+        self._viewer = Viewer()
+        self._taken = Counter()
+        self._written = 0
+        self._lost_before = 0
+        self._tasks: dict[str, TaskDescription] = {}
+        self._asked: set[int] = set()
+        # One look at the time of day: between two packets only the monotonic clock counts.
+        virtual = self.kernel.virtual is not None
+        self._epoch_ns = 0 if virtual else wall_ns() - int(self.kernel.host.now() * NANOSECONDS)
+        settings = self.settings
+        about = {
+            "agent": self.agent,
+            "clock": "mission time" if virtual else "time of day",
+            "speed": str(self.kernel.mission.speed),
+            "task": settings.task,
+        }
+        path = Path(settings.path.replace("{agent}", self.agent))
+        self._parts = Parts(
+            path, about, settings.split_mib, settings.limit_mib, settings.at_limit == "drop_oldest", settings.free_mib
+        )
+        self._tap_channels()
+        self.kernel.stream.tap_outgoing(self._take)
+        self.event("recording_started", path=str(self._parts.first))
+        self._ask(Describe())
+        self.after_host(FLUSH_S, self._flush)
+
+    # Taking: in the publishers' threads ------------------------------------------------------------------------
+
+    def _take(self, packet: Packet) -> None:
+        self._taken.take()
+        self._waiting.append((self.kernel.host.now(), packet))
+
+    def _tap_channels(self) -> None:
+        stream = self.kernel.stream
+        there = stream.channels()
+        for channel in [name for name in self._taps if name not in there]:
+            del self._taps[channel]
+        for channel in self.settings.channels or there:
+            if channel in there and channel not in self._taps:
+                self._taps[channel] = self._take
+                stream.tap(channel, self._take)
+
+    # Writing: in this actor's own thread -----------------------------------------------------------------------
+
+    @every(hz=20)
+    def write(self, tick: Tick) -> None:
+        """Writes what has come since the last time."""
+        self._write_waiting()
+
+    def _write_waiting(self) -> None:
+        waiting = self._waiting
+        try:
+            for _ in range(len(waiting)):
+                host_s, packet = waiting.popleft()
+                self._written += 1
+                if self._wanted(packet):
+                    self._put(Entry(self._epoch_ns + int(host_s * NANOSECONDS), self.agent, packet))
+        except IndexError:  # an old one fell out just now
+            pass
+        except OSError as error:
+            self._end(f"its disk failed: {error.strerror or error}")
+
+    def _put(self, entry: Entry) -> None:
+        try:
+            self._parts.write(entry)
+        except PancakesError as error:
+            self.log("warning", str(error))
+            return
+        if self.settings.viewer:
+            for message in self._viewer.messages(entry):
+                self._parts.add(*message)
+
+    def _wanted(self, packet: Packet) -> bool:
+        settings = self.settings
+        if settings.channels and packet.channel not in settings.channels:
+            return False
+        if settings.types and packet.type not in settings.types:
+            return False
+        if not settings.task:
+            return True
+        if packet.fence is not None and packet.fence.task_id == settings.task:
+            return True
+        reader = self._tasks.get(settings.task)
+        return reader is not None and reader.reads_packet(packet.channel, packet.type)
+
+    def _flush(self) -> None:
+        try:
+            self._write_waiting()
+            reason = self._parts.flush()
+        except OSError as error:
+            reason = f"its disk failed: {error.strerror or error}"
+        if reason:
+            self._end(reason)
+            return
+        self._tap_channels()
+        lost = self._taken.value - self._written - len(self._waiting)
+        if lost > self._lost_before:
+            self.log("warning", f"the recording lacks {lost - self._lost_before} packets: the disk is too slow")
+            self._lost_before = lost
+        self.after_host(FLUSH_S, self._flush)
+
+    def _end(self, reason: str) -> None:
+        self.log("warning", f"the recording {self._parts.first} ends: {reason}")
+        self.event("recording_stopped", path=str(self._parts.first), reason=reason)
+        self.stop()
+
+    def on_stop(self) -> None:
+        for channel, tap in self._taps.items():
+            self.kernel.stream.untap(channel, tap)
+        self.kernel.stream.untap_outgoing(self._take)
+        try:
+            self._write_waiting()
+            self._parts.close()
+        except OSError as error:
+            self.log("warning", f"the recording {self._parts.first} could not be closed: {error.strerror or error}")
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        if hasattr(self, "_parts"):
+            self.on_stop()
+
+    # What the tasks are ----------------------------------------------------------------------------------------
+
+    @on(LOG, Event)
+    def on_event(self, packet: Packet) -> None:
+        """A task has come to run, with settings and a state that a later run may need."""
+        event: Event = packet.body
+        if agent_of(packet.source) == self.agent and event.kind == "task_started":
+            self._ask_about(f"{event.fields['service']}/{event.fields['task']}")
+        elif event.kind == "task_stopped" and agent_of(packet.source) == self.agent:
+            self._tasks = {
+                task_id: told
+                for task_id, told in self._tasks.items()
+                if told.address != f"{self.agent}/{event.fields['service']}/{event.fields['task']}"
+            }
+
+    def _ask(self, body: Describe) -> None:
+        self._asked.add(self.publish(SYSCTRL, body).seq)
+
+    def _ask_about(self, target: str) -> None:
+        if not target.startswith(("log/", "network/", "device/")):
+            self._ask(Describe(target, state=True))
+
+    @on(SYSCTRL, Reply, addressed=True)
+    def on_reply(self, packet: Packet) -> None:
+        """The agent has told what it runs, or what a task is."""
+        if packet.cause is None or packet.cause[1] not in self._asked:
+            return
+        self._asked.discard(packet.cause[1])
+        reply: Reply = packet.body
+        if not reply.ok:
+            return  # it has ended meanwhile
+        if "tasks" in reply.result:
+            for row in reply.result["tasks"]:
+                if row["state"] == "running":
+                    self._ask_about(f"{row['service']}/{row['task']}")
+            return
+        told = TaskDescription.of(reply.result, self.now())
+        self._tasks[told.task_id] = told
+        described = Packet(
+            CHANNEL, "task_description", self.address, "", self.now(), self.kernel.seq_of(self.address).take(), told
+        )
+        self._take(described)

@@ -1,0 +1,162 @@
+"""What viewers draw without being told how: poses, paths and the world, in the schemas that Foxglove knows by name."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from pancakes.recording.entry import NANOSECONDS, Entry
+
+FRAME: Final = "world"
+TRAIL: Final = 600
+"""So many poses make up a path."""
+TRAIL_NS: Final = NANOSECONDS
+"""How often a path is written."""
+COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
+GREY: Final = (0.5, 0.5, 0.5)
+
+
+class ViewerMessage(NamedTuple):
+    """A message in the schema of a viewer; the arguments of `RecordingWriter.add`."""
+
+    topic: str
+    schema_name: str
+    schema: Mapping[str, object]
+    time_ns: int
+    data: bytes
+
+
+class Viewer:
+    """Makes viewer messages of packets: of the type `pose` a pose and a path, of the type `world_state` a scene."""
+
+    def __init__(self) -> None:
+        self._trails: dict[str, deque[dict[str, Any]]] = {}
+        self._told_ns: dict[str, int] = {}
+
+    def messages(self, entry: Entry) -> Iterator[ViewerMessage]:
+        """Gives what a viewer shows of a packet."""
+        packet = entry.packet
+        if packet.type == "pose" and packet.channel == "system" and packet.source.startswith(entry.agent + "/"):
+            yield from self._pose(entry)
+        elif packet.type == "world_state":
+            yield _scene(entry)
+
+    def _pose(self, entry: Entry) -> Iterator[ViewerMessage]:
+        body, device = entry.packet.body, entry.packet.source.rpartition("/")[2]
+        pose = _pose(body.x_m, body.y_m, body.theta_rad)
+        head = {"timestamp": _time(entry.time_ns), "frame_id": FRAME}
+        topic = f"/viewer/{entry.agent}/{device}"
+        yield _message(topic, "foxglove.PoseInFrame", POSE_IN_FRAME, entry.time_ns, {**head, "pose": pose})
+        trail = self._trails.setdefault(topic, deque(maxlen=TRAIL))
+        trail.append(pose)
+        if entry.time_ns - self._told_ns.get(topic, -TRAIL_NS) >= TRAIL_NS:
+            self._told_ns[topic] = entry.time_ns
+            path = {**head, "poses": list(trail)}
+            yield _message(f"{topic}/path", "foxglove.PosesInFrame", POSES_IN_FRAME, entry.time_ns, path)
+
+
+def _scene(entry: Entry) -> ViewerMessage:
+    entities = []
+    for number, body in enumerate(entry.packet.body.bodies):
+        robot = body.kind == "robot"
+        red, green, blue = COLOURS[number % len(COLOURS)] if robot else GREY
+        colour = {"r": red, "g": green, "b": blue, "a": 0.9}
+        height_m, width_m = (0.1, 0.13) if robot else (0.05, 0.1)
+        pose = _pose(body.x_m, body.y_m, body.theta_rad)
+        place = {**pose, "position": {**pose["position"], "z": height_m / 2}}
+        size = {"x": width_m, "y": width_m, "z": height_m}
+        nose = {"shaft_length": 0.1, "shaft_diameter": 0.02, "head_length": 0.05, "head_diameter": 0.04}
+        entities.append(
+            {
+                "timestamp": _time(entry.time_ns),
+                "frame_id": FRAME,
+                "id": body.name,
+                "lifetime": {"sec": 0, "nsec": 0},
+                "frame_locked": False,
+                "metadata": [{"key": "driven by", "value": body.driven_by}] if body.driven_by else [],
+                "arrows": [{"pose": place, "color": colour, **nose}] if robot else [],
+                "cubes": [],
+                "spheres": [],
+                "cylinders": [{"pose": place, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": colour}],
+                "lines": [],
+                "triangles": [],
+                "texts": [],
+                "models": [],
+            }
+        )
+    scene = {"deletions": [], "entities": entities}
+    return _message(f"/viewer/{entry.agent}/world", "foxglove.SceneUpdate", SCENE_UPDATE, entry.time_ns, scene)
+
+
+def _message(
+    topic: str, name: str, schema: Mapping[str, object], time_ns: int, plain: Mapping[str, Any]
+) -> ViewerMessage:
+    return ViewerMessage(topic, name, {"title": name, **schema}, time_ns, msgspec.json.encode(plain))
+
+
+def _time(time_ns: int) -> dict[str, int]:
+    return {"sec": time_ns // NANOSECONDS, "nsec": time_ns % NANOSECONDS}
+
+
+def _pose(x_m: float, y_m: float, theta_rad: float) -> dict[str, Any]:
+    return {
+        "position": {"x": x_m, "y": y_m, "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(theta_rad / 2), "w": math.cos(theta_rad / 2)},
+    }
+
+
+# JSON Schemas, as https://docs.foxglove.dev/docs/visualization/message-schemas describes them -------------------
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+def _list(items: Any) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+_NUMBER: Final = {"type": "number"}
+_TEXT: Final = {"type": "string"}
+_TIME: Final = _object(sec={"type": "integer", "minimum": 0}, nsec={"type": "integer", "minimum": 0})
+_VECTOR: Final = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_POSE: Final = _object(position=_VECTOR, orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER))
+_COLOUR: Final = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_ANY_LIST: Final = _list({"type": "object"})
+
+POSE_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
+POSES_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, poses=_list(_POSE))
+SCENE_UPDATE: Final = _object(
+    deletions=_ANY_LIST,
+    entities=_list(
+        _object(
+            timestamp=_TIME,
+            frame_id=_TEXT,
+            id=_TEXT,
+            lifetime=_TIME,
+            frame_locked={"type": "boolean"},
+            metadata=_list(_object(key=_TEXT, value=_TEXT)),
+            arrows=_list(
+                _object(
+                    pose=_POSE,
+                    shaft_length=_NUMBER,
+                    shaft_diameter=_NUMBER,
+                    head_length=_NUMBER,
+                    head_diameter=_NUMBER,
+                    color=_COLOUR,
+                )
+            ),
+            cubes=_ANY_LIST,
+            spheres=_ANY_LIST,
+            cylinders=_list(_object(pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR)),
+            lines=_ANY_LIST,
+            triangles=_ANY_LIST,
+            texts=_ANY_LIST,
+            models=_ANY_LIST,
+        )
+    ),
+)
