@@ -1,0 +1,138 @@
+"""Cause and effect: from a packet back to what led to it, across agents, with the time that each step took. Pure."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from pancakes.packet import Cause, Packet, agent_of
+from pancakes.recording.entry import NANOSECONDS, Entry
+
+LONGEST: Final = 64
+"""No chain is followed further: a task that answers itself for ever would make one without an end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One packet of a chain.
+
+    Attributes:
+        packet: the packet.
+        time_ns: when it was first seen.
+        travel_s: how long it then took to the agent where it led to the next step; 0 where that was its own.
+        handling_s: the time from there to the next step: it waited, and was handled. 0 for the last.
+    """
+
+    packet: Packet
+    time_ns: int
+    travel_s: float
+    handling_s: float
+
+    @property
+    def name(self) -> str:
+        """What stays the same from one such step to the next: who said what."""
+        return f"{self.packet.source} {self.packet.type}"
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """A packet with all that led to it, the first cause first.
+
+    Attributes:
+        steps: the packets.
+    """
+
+    steps: tuple[Step, ...]
+
+    @property
+    def latency_s(self) -> float:
+        """The time from the first cause to the last effect."""
+        return (self.steps[-1].time_ns - self.steps[0].time_ns) / NANOSECONDS
+
+    @property
+    def shape(self) -> tuple[str, ...]:
+        """What chains of the same kind have in common: who said what, in order."""
+        return tuple(step.name for step in self.steps)
+
+
+class Causes:
+    """Remembers packets, and finds the chain that a packet stands at the end of.
+
+    Args:
+        limit: so many packets are remembered; the oldest is forgotten.
+    """
+
+    def __init__(self, limit: int = 1_000_000) -> None:
+        self._limit = limit
+        self._packets: OrderedDict[Cause, Packet] = OrderedDict()
+        self._seen_ns: dict[Cause, dict[str, int]] = {}
+
+    def add(self, entry: Entry) -> None:
+        """Remembers a packet and where it was seen; in the order of time."""
+        packet = entry.packet
+        key = (packet.source, packet.seq)
+        if key not in self._packets:
+            self._packets[key] = packet
+            self._seen_ns[key] = {}
+            if len(self._packets) > self._limit:
+                oldest, _ = self._packets.popitem(last=False)
+                del self._seen_ns[oldest]
+        self._seen_ns[key].setdefault(entry.agent, entry.time_ns)
+
+    def chain(self, source: str, seq: int) -> Chain | None:
+        """Returns the chain that ends with a packet; None where the packet is not known."""
+        keys: list[Cause] = []
+        key: Cause | None = (source, seq)
+        while key is not None and key in self._packets and key not in keys and len(keys) < LONGEST:
+            keys.insert(0, key)
+            cause = self._packets[key].cause
+            key = (cause[0], cause[1]) if cause is not None else None
+        if not keys:
+            return None
+        effects: list[Cause | None] = [*keys[1:], None]
+        return Chain(tuple(self._step(key, effect) for key, effect in zip(keys, effects, strict=True)))
+
+    def _step(self, key: Cause, effect: Cause | None) -> Step:
+        packet, seen_ns = self._packets[key], self._seen_ns[key]
+        first_ns = min(seen_ns.values())
+        if effect is None:
+            return Step(packet, first_ns, 0.0, 0.0)
+        arrived_ns = seen_ns.get(agent_of(effect[0]), first_ns)
+        next_ns = min(self._seen_ns[effect].values())
+        return Step(packet, first_ns, (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS)
+
+
+@dataclass(frozen=True, slots=True)
+class Latencies:
+    """How long chains of one shape took.
+
+    Attributes:
+        shape: see `Chain.shape`.
+        seconds: from the first cause to the last effect, sorted.
+        handling_s: the mean of each step's time to the next, travel included.
+    """
+
+    shape: tuple[str, ...]
+    seconds: tuple[float, ...]
+    handling_s: tuple[float, ...]
+
+    def quantile_s(self, share: float) -> float:
+        """Returns the time that this share of the chains stayed below, from 0 to 1."""
+        return self.seconds[min(len(self.seconds) - 1, int(share * len(self.seconds)))]
+
+
+def latencies(chains: Iterable[Chain]) -> list[Latencies]:
+    """Sorts chains by their shape; the most frequent shape comes first."""
+    by_shape: dict[tuple[str, ...], list[Chain]] = {}
+    for chain in chains:
+        by_shape.setdefault(chain.shape, []).append(chain)
+    found = [_latencies(shape, alike) for shape, alike in by_shape.items()]
+    return sorted(found, key=lambda it: (-len(it.seconds), it.shape))
+
+
+def _latencies(shape: tuple[str, ...], chains: Sequence[Chain]) -> Latencies:
+    steps = zip(*(chain.steps for chain in chains), strict=True)
+    means = tuple(sum(step.travel_s + step.handling_s for step in alike) / len(alike) for alike in steps)
+    return Latencies(shape, tuple(sorted(chain.latency_s for chain in chains)), means)
