@@ -51,6 +51,20 @@ class Version(NamedTuple):
     version: str
 
 
+class Offered(NamedTuple):
+    """One entry point, as whoever offers it has written it; it need not be good.
+
+    Attributes:
+        name: its name.
+        place: `module:attribute`; empty for one that was registered in code.
+        version: whoever offers it.
+    """
+
+    name: str
+    place: str
+    version: Version
+
+
 @dataclass(frozen=True, slots=True)
 class _Offer:
     """One entry point of one distribution; `load` imports it."""
@@ -105,6 +119,14 @@ class Plugins:
                 raise
         return self._loaded[key]
 
+    def offered(self, group: str) -> list[Offered]:
+        """Returns all entry points of a group, by name; also those that are offered twice. Imports nothing."""
+        return [
+            Offered(name, offer.value, offer.version)
+            for name, offers in sorted(self._offers(group).items())
+            for offer in sorted(offers, key=lambda offer: offer.version)
+        ]
+
     def version(self, group: str, name: str) -> Version:
         """Returns the distribution that offers a plug-in, and its version. Imports nothing.
 
@@ -128,6 +150,11 @@ class Plugins:
                 failed.append(error)
         return failed
 
+    def unreadable(self) -> list[PluginError]:
+        """Returns a sentence for each distribution whose entry points cannot be read."""
+        self._offers("pancakes.tasks")  # which reads all of them
+        return list(self._unreadable)
+
     def problems(self) -> list[PluginError]:
         """Returns what has failed so far: distributions that cannot be read, plug-ins that cannot be loaded."""
         return [*self._unreadable, *(PluginError(text) for text in self._broken.values())]
@@ -148,7 +175,8 @@ class Plugins:
         if name not in offers:
             raise _unknown(group, name, list(offers))
         if len(offers[name]) > 1:
-            sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in offers[name])
+            several = sorted(offers[name], key=lambda offer: offer.version)
+            sources = " and ".join(f"{offer.version.distribution} ({offer.value})" for offer in several)
             raise PluginError(f"the {GROUPS[group]} {name!r} is offered twice, by {sources}: uninstall one of them")
         return offers[name][0]
 

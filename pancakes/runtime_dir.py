@@ -81,7 +81,7 @@ def register(entry: Entry) -> Registration:
     directory = runtime_dir()
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        _check(directory)
+        usable(directory)
         path = directory / f"{entry.name}.{entry.pid}{_SUFFIX}"
         temporary = path.with_name(path.name + _TEMPORARY)
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -103,24 +103,46 @@ def entries() -> list[Entry]:
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
     """
+    return _look()[0]
+
+
+def leftovers() -> list[str]:
+    """Clears away what agents left behind that died without taking their entries away.
+
+    Returns:
+        The names of these entries, `NAME.PID`.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
+    return _look()[1]
+
+
+def _look() -> tuple[list[Entry], list[str]]:
+    """Returns the entries of those that live, by name, and the names of those that were cleared away."""
     directory = runtime_dir()
-    found = []
+    found: list[Entry] = []
+    cleared: list[str] = []
     try:
         if not directory.exists():
-            return []
-        _check(directory)
+            return [], []
+        usable(directory)
         for path in sorted(directory.iterdir()):
             if path.name.endswith((_SUFFIX, _SUFFIX + _TEMPORARY)):
-                entry = _read(path)
+                entry = _read(path, cleared)
                 if entry is not None:
                     found.append(entry)
     except OSError as error:
         raise _unusable(directory, error) from None
-    return sorted(found, key=lambda entry: (entry.name, entry.pid))
+    return sorted(found, key=lambda entry: (entry.name, entry.pid)), cleared
 
 
-def _check(directory: Path) -> None:
-    """Sees to it that nobody else can put an entry there, which would lead our commands to them."""
+def usable(directory: Path) -> None:
+    """Sees to it that nobody else can put an entry there, which would lead our commands to them.
+
+    Raises:
+        PancakesError: somebody could; the sentence says why.
+    """
     found = os.lstat(directory)
     if not stat.S_ISDIR(found.st_mode):
         raise PancakesError(f"the runtime directory {directory} is no directory")
@@ -131,8 +153,8 @@ def _check(directory: Path) -> None:
         raise PancakesError(f"the runtime directory {directory} is open to other users (mode {mode:o}, not 700)")
 
 
-def _read(path: Path) -> Entry | None:
-    """Returns the entry of an agent that lives; clears away that of a dead one."""
+def _read(path: Path, cleared: list[str]) -> Entry | None:
+    """Returns the entry of an agent that lives; clears away that of a dead one, and notes its name."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
     except OSError:
@@ -144,7 +166,10 @@ def _read(path: Path) -> Entry | None:
             if path.name.endswith(_TEMPORARY):
                 return None
             return msgspec.json.decode(os.read(handle, 65_536), type=Entry)
-        path.unlink(missing_ok=True)
+        path.unlink()
+        cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
+    except FileNotFoundError:
+        return None  # it has gone in the meantime, in order
     except msgspec.DecodeError:
         return None  # not ours
     finally:

@@ -285,6 +285,8 @@ class Supervisor(Component):
         restart = slot.spec.restart
         return {
             **self.describe_task(slot),
+            # No configuration names it: it comes with its service, whose settings are where its own come from.
+            "own": not slot.spec.type,
             "requires": list(slot.spec.cls.requires),
             "timers": [timer.describe() for timer in list(task.timers.values())] if task is not None else [],
             "reads": self.kernel.stream.readings(slot.address),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from pancakes.cli.asking import survey
+from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
+from pancakes.cli.names import agents, the_agent
 from pancakes.cli.options import asks_agents
-from pancakes.cli.output import show
+from pancakes.cli.output import show, show_json, show_sections
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -18,10 +22,13 @@ def agent() -> None:
 
 
 @agent.command("list")
+@agents
+@click.option("--fleet", metavar="NAME", default="", help="Only those of this fleet.")
+@click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
 @asks_agents
 @sentences
-def list_(format_: str, at: tuple[str, ...], timeout: float) -> None:
-    """List the agents that run.
+def list_(agents: tuple[str, ...], fleet: str, role: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """List the agents that run, or those that are named.
 
     Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
 
@@ -41,6 +48,81 @@ def list_(format_: str, at: tuple[str, ...], timeout: float) -> None:
             "tasks": len(found["tasks"]),
             "neighbours": found["neighbours"],
         }
-        for found in survey(at, timeout)
+        for found in survey(at, timeout, *agents)
+        if fleet in ("", found["fleet"]) and role in ("", found["role"])
     ]
     show(rows, COLUMNS, format_)
+
+
+@agent.command()
+@the_agent
+@asks_agents
+@sentences
+def info(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
+
+    As JSON, it is the answer of the agent as it stands.
+
+    \b
+    Example:
+        pancakes agent info agent1
+        pancakes agent info agent1 --format json
+    """
+    with Client(at, timeout) as client:
+        (found,) = client.survey(agent).agents
+        own = client.name
+    if format_ == "json":
+        show_json([found])
+    else:
+        show_sections(_sections(found, own))
+
+
+def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
+    """All about one agent, for people; own: the name of this command's link, which is no news."""
+    mesh = found["mesh"]
+    tasks = found["tasks"]
+    running = sum(task["state"] == "running" for task in tasks)
+    return {
+        found["agent"]: {
+            "role": found["role"],
+            "fleet": found["fleet"],
+            "address": found["listen"] or None,
+            "ready": found["ready"],
+            "clock": _clock(found),
+            "battery": found["battery_level"],
+            "load": found["load"],
+            "devices": found["devices"],
+            "channels": found["channels"],
+            "neighbours": found["neighbours"],
+            "asleep": [peer["name"] for peer in mesh["asleep"]],
+            "tasks": f"{running} of {len(tasks)} run (pancakes task list {found['agent']})",
+            "dead letters": found["dead_letters"],
+            "packets for agents that were away": found["undelivered"],
+        },
+        "process": found["process"] or {},
+        "services": [
+            {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
+        ],
+        "links": [_link(peer) for peer in mesh["peers"] if peer["name"] != own],
+    }
+
+
+def _clock(found: dict[str, Any]) -> str:
+    state = ", held until Begin" if found["held"] else ""
+    return f"{found['mission_s']:.3f} s of the mission, at speed {found['speed']:g}{state}"
+
+
+def _link(peer: dict[str, Any]) -> dict[str, Any]:
+    rtt_s = peer["rtt_s"]
+    return {
+        "link to": peer["name"],
+        "role": peer["role"],
+        "address": peer["address"] or peer["remote"],
+        "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
+        "packets out": peer["packets_out"],
+        "packets in": peer["packets_in"],
+        "kB out": peer["bytes_out"] / 1e3,
+        "kB in": peer["bytes_in"] / 1e3,
+        "waiting": peer["waiting"],
+        "dropped": peer["dropped"],
+    }

@@ -9,26 +9,64 @@ import click
 
 from pancakes.cli.client import Client
 from pancakes.cli.names import TaskName
-from pancakes.control import Describe
+from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
 
 
-def survey(at: Sequence[str], timeout_s: float, agent: str = "") -> list[dict[str, Any]]:
-    """Returns what the agents (or only `agent`) say of themselves; names on standard error who said nothing.
+def survey(at: Sequence[str], timeout_s: float, *agents: str) -> list[dict[str, Any]]:
+    """Returns what the agents say of themselves; names on standard error who said nothing.
+
+    Args:
+        at: addresses to begin with; none: what runs on this machine.
+        timeout_s: the time limit.
+        agents: only these; empty strings do not count, so that an argument that was left out can be passed on.
 
     Raises:
-        PancakesError: nobody answers, ...
+        Unreachable: nobody answers, or somebody is named who is not there.
+        PancakesError: ...
     """
     with Client(at, timeout_s) as client:
-        found = client.survey(agent)
+        found = client.survey(*agents)
     for sentence in found.silent:
         click.echo(sentence, err=True)
     return found.agents
 
 
+def ask_each(at: Sequence[str], timeout_s: float, body: Any, *agents: str) -> list[tuple[str, Any]]:
+    """Asks all agents, or those named, the same, all at once; names on standard error who gave no answer.
+
+    Args:
+        at: addresses to begin with; none: what runs on this machine.
+        timeout_s: the time limit for all of it.
+        body: a control packet's body that changes nothing, such as `Channels()`.
+        agents: only these; empty strings do not count.
+
+    Returns:
+        The agents' names, each with the result that it answered with.
+
+    Raises:
+        Unreachable: nobody answers, or somebody is named who is not there.
+        ControlRefused: all of them refuse.
+    """
+    with Client(at, timeout_s) as client:
+        found = client.ask_each(body, *agents)
+    sentences = [*found.silent, *(f"{agent} refused: {reply.reason}" for agent, reply in found.replies if not reply.ok)]
+    answers = [(agent, reply.result) for agent, reply in found.replies if reply.ok]
+    if not answers:
+        raise ControlRefused("\n".join(sentences))
+    for sentence in sentences:
+        click.echo(sentence, err=True)
+    return answers
+
+
 def order(client: Client, agent: str, body: Any) -> Any:
-    """Has an agent do something, and returns the result that it answers with.
+    """Has an agent do something, and returns the result that it answers with; see `accepted`."""
+    return accepted(client, agent, body).result
+
+
+def accepted(client: Client, agent: str, body: Any) -> Reply:
+    """Has an agent do something, and returns its reply once it has done it.
 
     Raises:
         ControlRefused: it refuses; the message is its reason.
@@ -37,7 +75,7 @@ def order(client: Client, agent: str, body: Any) -> Any:
     reply = client.request(agent, body)
     if not reply.ok:
         raise ControlRefused(reply.reason)
-    return reply.result
+    return reply
 
 
 def placed(client: Client, name: TaskName) -> TaskName:

@@ -24,6 +24,9 @@ from pancakes.runtime_dir import entries, runtime_dir
 from pancakes.suggestion import suggestion
 from pancakes.wire.messages import Hello
 
+Answers = dict[tuple[str, str], Reply]
+"""Replies by the fleet and the name of who gave them."""
+
 LOOK_S: Final = 0.1
 """How often it is looked again at what nobody announces, such as an agent that says it sleeps."""
 
@@ -61,6 +64,19 @@ class Survey:
     silent: list[str] = field(default_factory=list)
 
 
+@dataclass
+class Replies:
+    """What the agents answer that were all asked the same.
+
+    Attributes:
+        replies: the name of each that answered, and its reply, by fleet and name.
+        silent: a sentence for each that did not.
+    """
+
+    replies: list[tuple[str, Reply]]
+    silent: list[str]
+
+
 class Client:
     """Speaks to the agents of this machine, or to those at given addresses, and through any of them to their fleets.
 
@@ -86,6 +102,7 @@ class Client:
         self._condition = threading.Condition(threading.RLock())
         self._doors: dict[tuple[str, str], Door] = {}
         self._leads: list[Lead] = []
+        self._at = tuple(at)
         self._where = "at " + ", ".join(at) if at else f"on this machine ({runtime_dir()} names none)"
         if at:
             known = [Lead(address) for address in dict.fromkeys(at)]
@@ -130,31 +147,70 @@ class Client:
         number = door.ask(agent, body)
         self._wait(until_s, lambda: door.answer(number) is not None)
         answer = door.answer(number)
+        door.forget(number)
         if isinstance(answer, Reply):
             return answer
         raise NoAnswer(f"{agent} did not answer: {answer or self._late(timeout_s)}")
 
-    def survey(self, agent: str = "", timeout_s: float | None = None) -> Survey:
+    def survey(self, *agents: str, timeout_s: float | None = None) -> Survey:
         """Asks all agents what they are and run; those that agents know of are asked as well.
 
         Args:
-            agent: only this one.
+            agents: only these; empty strings do not count.
             timeout_s: the time limit; None: that of the client.
 
         Raises:
-            Unreachable: there is no such agent, or nobody answers in time.
+            Unreachable: nobody answers in time, or there is no agent of a name.
+            ControlRefused: agents of two fleets bear a name.
         """
-        until_s = self._until_s(timeout_s)
-        if agent:
-            reply = self.request(agent, Describe(), timeout_s)
-            if not reply.ok:
-                raise ControlRefused(f"{agent} refused: {reply.reason}")
-            return Survey([reply.result])
-        answers, silent = self._ask_all(until_s, lambda answers: False)
-        sentences = [f"{lead} did not answer: {why or self._late(timeout_s)}" for lead, why in silent]
-        if not answers:
-            raise Unreachable("\n".join(sentences) or f"no agent runs {self._where}: start one, or name one with --at")
-        return Survey([answers[key] for key in sorted(answers)], sentences)
+        replies, silent = self._gather(None, agents, timeout_s)
+        return Survey([reply.result for _, reply in replies], silent)
+
+    def ask_each(self, body: Any, *agents: str, timeout_s: float | None = None) -> Replies:
+        """Asks all agents the same, all at once; the arguments and errors are those of `survey`.
+
+        Args:
+            body: a control packet's body that changes nothing, such as `Channels()`.
+            agents: see `survey`.
+            timeout_s: see `survey`.
+        """
+        return Replies(*self._gather(body, agents, timeout_s))
+
+    # For what goes on ------------------------------------------------------------------------------------------
+
+    def now(self) -> float:
+        """Returns the host time, in seconds."""
+        return self._clock.now()
+
+    def wait(self, until_s: float, condition: Callable[[], bool]) -> bool:
+        """Waits until the condition holds, at most until a host time; returns whether it does.
+
+        It is looked at whenever an agent comes, goes, answers or sends something, and now and then.
+        """
+        self._wait(until_s, condition)
+        return condition()
+
+    def doors(self) -> list[Door]:
+        """Returns the doors of the fleets that are known by now."""
+        with self._condition:
+            return list(self._doors.values())
+
+    def look_again(self) -> None:
+        """Finds agents of this machine that were started since (where none was named), and dials those that are away.
+
+        Raises:
+            PancakesError: the runtime directory cannot be used.
+        """
+        running = [] if self._at else [Lead(it.listen, it.fleet, it.name) for it in entries() if it.role != "client"]
+        with self._condition:
+            known = {(lead.fleet, lead.name, lead.address) for lead in self._leads}
+            new = [lead for lead in running if (lead.fleet, lead.name, lead.address) not in known]
+            moved = {(lead.fleet, lead.name) for lead in new}
+            self._leads = [lead for lead in self._leads if (lead.fleet, lead.name) not in moved]
+            for lead in new:
+                self._follow(lead)
+            for door in self._doors.values():
+                door.dial_again([lead.address for lead in self._leads if lead.fleet == door.fleet and lead.address])
 
     # Finding them ----------------------------------------------------------------------------------------------
 
@@ -211,20 +267,50 @@ class Client:
 
     # Waiting ---------------------------------------------------------------------------------------------------
 
+    def _gather(
+        self, body: Any, agents: Sequence[str], timeout_s: float | None
+    ) -> tuple[list[tuple[str, Reply]], list[str]]:
+        """See `survey`; body: what else to ask them for, None: only to describe themselves."""
+        wanted = [name for name in dict.fromkeys(agents) if name]
+
+        def enough(answers: Answers) -> bool:
+            return bool(wanted) and all(
+                self._is_there(name, {it[0] for it in answers if it[1] == name}) for name in wanted
+            )
+
+        answers, silent = self._ask_all(self._until_s(timeout_s), enough, body, wanted)
+        with self._condition:
+            if wanted:
+                for name in wanted:
+                    self._must_be_one(name, [fleet for fleet, other in answers if other == name])
+                    if all(it[1] != name for it in answers) and all(lead.name != name for lead, _ in silent):
+                        raise Unreachable(self._nobody(name, sorted({other for _, other in answers}), silent))
+                answers = {key: reply for key, reply in answers.items() if key[1] in wanted}
+                silent = [(lead, why) for lead, why in silent if lead.name in wanted]
+            sentences = [f"{lead} did not answer: {why or self._late(timeout_s)}" for lead, why in silent]
+            if not answers:
+                raise Unreachable(
+                    "\n".join(sentences) or f"no agent runs {self._where}: start one, or name one with --at"
+                )
+            return [(key[1], answers[key]) for key in sorted(answers)], sentences
+
     def _ask_all(
-        self, until_s: float, enough: Callable[[dict[tuple[str, str], dict[str, Any]]], bool]
-    ) -> tuple[dict[tuple[str, str], dict[str, Any]], list[tuple[Lead, str]]]:
+        self, until_s: float, enough: Callable[[Answers], bool], body: Any = None, wanted: Sequence[str] = ()
+    ) -> tuple[Answers, list[tuple[Lead, str]]]:
         """Asks everybody who can be found to describe itself.
 
         Args:
             until_s: when to give up.
-            enough: whether the answers so far, by (fleet, name), will do.
+            enough: whether the answers so far will do.
+            body: what else to ask them for; its answer is then the one that counts.
+            wanted: only these agents are asked for that; none: all.
 
         Returns:
             The answers, and those who have given none, with the reason where one is known.
         """
         asked: dict[tuple[str, str], tuple[Door, int]] = {}
-        answers: dict[tuple[str, str], dict[str, Any]] = {}
+        described: set[tuple[str, str]] = set()
+        answers: Answers = {}
         failed: dict[tuple[str, str], str] = {}
 
         def silent() -> Iterator[tuple[Lead, str]]:
@@ -232,6 +318,18 @@ class Client:
                 key = (lead.fleet, lead.name)
                 if key not in answers:
                     yield lead, lead.failed or failed.get(key, "")
+
+        def take(key: tuple[str, str], door: Door, reply: Reply) -> None:
+            if key in described:
+                answers[key] = reply
+                return
+            described.add(key)
+            self._learn(key[0], reply.result)
+            if body is not None and (not wanted or key[1] in wanted):
+                door.forget(asked[key][1])
+                asked[key] = door, door.ask(key[1], body)
+            else:
+                answers[key] = reply
 
         def done() -> bool:
             for door in list(self._doors.values()):
@@ -241,17 +339,20 @@ class Client:
                         asked[key] = door, door.ask(hello.name, Describe())
                 for name, for_s in door.asleep().items():
                     failed[door.fleet, name] = "its network sleeps" + ("" if for_s is None else f" for {for_s:.1f} s")
-            for key, (door, number) in asked.items():
+            for key, (door, number) in list(asked.items()):
                 answer = door.answer(number)
                 if isinstance(answer, str):
                     failed[key] = answer
+                elif answer is not None and not answer.ok and key not in described:
+                    failed[key] = answer.reason
                 elif answer is not None and key not in answers:
-                    answers[key] = answer.result
-                    self._learn(key[0], answer.result)
+                    take(key, door, answer)
             return enough(answers) or all(why for _, why in silent())
 
         self._wait(until_s, done)
         with self._condition:
+            for door, number in asked.values():
+                door.forget(number)
             return answers, list(silent())
 
     def _door_of(self, agent: str, until_s: float) -> Door:
@@ -261,23 +362,33 @@ class Client:
             return [door for door in self._doors.values() if door.connected(agent)]
 
         def there() -> bool:
-            # Who is known to be there by that name is waited for, so that two of one name are seen.
-            named = {lead.fleet for lead in self._leads if lead.name == agent and not lead.failed}
-            found = {door.fleet for door in doors()}
-            return bool(found) and named <= found
+            return self._is_there(agent, {door.fleet for door in doors()})
 
-        answers, silent = self._ask_all(until_s, lambda answers: there())
+        with self._condition:
+            known = there()
+        answers, silent = ({}, []) if known else self._ask_all(until_s, lambda answers: there())
         with self._condition:
             found = doors()
-        if len(found) > 1:
-            fleets = " and ".join(sorted(door.fleet for door in found))
-            raise ControlRefused(f"the fleets {fleets} both have an agent {agent}: name one of them with --at")
+        self._must_be_one(agent, [door.fleet for door in found])
         if found:
             return found[0]
         why = next((why or "it did not answer in time" for lead, why in silent if lead.name == agent), "")
         if why:
             raise Unreachable(f"{agent} cannot be reached: {why}")
         raise Unreachable(self._nobody(agent, sorted({name for _, name in answers}), silent))
+
+    def _is_there(self, agent: str, found: set[str]) -> bool:
+        """Whether an agent has been found, given the fleets in which one of its name has been.
+
+        All that are known to be there by that name are waited for, so that two of one name are seen.
+        """
+        named = {lead.fleet for lead in self._leads if lead.name == agent and not lead.failed}
+        return bool(found) and named <= found
+
+    def _must_be_one(self, agent: str, fleets: Sequence[str]) -> None:
+        if len(fleets) > 1:
+            several = " and ".join(sorted(fleets))
+            raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --at")
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
         lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]

@@ -6,13 +6,18 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pancakes.cli.errors import sentences
 from pancakes.plugins import Plugins, UnknownPlugin
+
+if TYPE_CHECKING:
+    from pancakes.demo import Comparison, Demo, Run
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
 
@@ -89,7 +94,8 @@ def demo(
         return
     if faults and not virtual:
         raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
-    sys.exit(_run(plugins, name, virtual, seed, speed, duration, out, configs, sets, headless, faults))
+    options = _Options(virtual, seed, speed, duration, configs, sets, headless, faults)
+    sys.exit(_run(plugins, name, out, options))
 
 
 def _list(plugins: Plugins) -> None:
@@ -97,60 +103,94 @@ def _list(plugins: Plugins) -> None:
         click.echo(f"{name:16} {plugins.get('pancakes.demos', name).title}")
 
 
-def _run(
-    plugins: Plugins,
-    name: str,
-    virtual: bool,
-    seed: int,
-    speed: float,
-    duration: float | None,
-    out: Path | None,
-    configs: Path | None,
-    sets: tuple[str, ...],
-    headless: bool,
-    faults: bool,
-) -> int:
-    from pancakes.demo import Demo
+@dataclass(frozen=True)
+class _Options:
+    """What the command line says about how to run a mission."""
+
+    virtual: bool
+    seed: int
+    speed: float
+    duration_s: float | None
+    configs: Path | None
+    sets: tuple[str, ...]
+    headless: bool
+    faults: bool
+
+
+def _run(plugins: Plugins, name: str, out: Path | None, options: _Options) -> int:
+    from pancakes.demo import Comparison
+
+    try:
+        found: Demo | Comparison = plugins.get("pancakes.demos", name)
+    except UnknownPlugin as error:
+        raise click.BadParameter(str(error), param_hint="NAME") from None
+    out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
+    interrupted = threading.Event()
+    _on_signal(interrupted)
+    if isinstance(found, Comparison):
+        return _compare(plugins, found, out, options, interrupted)
+    flown = _fly(plugins, found, name, out, options, interrupted)
+    if flown is None:
+        return INTERRUPTED
+    run, summary, timing = flown
+    if found.draw is not None:
+        found.draw(run, summary)
+    _say_pace(timing)
+    return _verdict(summary, f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}")
+
+
+def _fly(
+    plugins: Plugins, found: Demo, folder: str, out: Path, options: _Options, interrupted: threading.Event
+) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
+    """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
     from pancakes.demo.launcher import Faults, fresh, judge, run_live, run_of, run_virtual
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
-    try:
-        found: Demo = plugins.get("pancakes.demos", name)
-    except UnknownPlugin as error:
-        raise click.BadParameter(str(error), param_hint="NAME") from None
-    out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
-    duration_s = duration if duration is not None else found.duration_s
-    plan = make_plan(
-        found,
-        find_configs(name, configs),
-        out,
-        seed,
-        1.0 if virtual else speed,
-        duration_s,
-        sets,
-        not virtual,
-        plugins,
-    )
-    fresh(out)
+    virtual, seed = options.virtual, options.seed
+    duration_s = options.duration_s if options.duration_s is not None else found.duration_s
+    configs = find_configs(folder, options.configs)
+    speed = 1.0 if virtual else options.speed
+    plan = make_plan(found, configs, out, seed, speed, duration_s, options.sets, not virtual, plugins)
+    fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
-    interrupted = threading.Event()
-    _on_signal(interrupted)
-    plain = headless or virtual or not sys.stdout.isatty()
+    plain = options.headless or virtual or not sys.stdout.isatty()
     click.echo(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
     with PlainView(found, mission) if plain else LiveView(found, mission):
         if virtual:
-            timing = run_virtual(plan, mission, interrupted, Faults(seed) if faults else None)
+            timing = run_virtual(plan, mission, interrupted, Faults(seed) if options.faults else None)
         else:
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
         click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
-        return INTERRUPTED
+        return None
     run = run_of(plan, mission)
-    summary = judge(plan, run, timing)
-    found.draw(run, summary)
-    return _verdict(summary, timing, out)
+    return run, judge(plan, run, timing), timing
+
+
+def _compare(plugins: Plugins, found: Comparison, out: Path, options: _Options, interrupted: threading.Event) -> int:
+    """Runs all variants of a mission one after the other, and judges what is different about them."""
+    from pancakes.demo.launcher import fresh, write_results
+
+    fresh(out, (found.picture,))
+    runs: dict[str, Run] = {}
+    summaries: dict[str, dict[str, Any]] = {}
+    timings: dict[str, dict[str, Any]] = {}
+    for variant in found.variants:
+        mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
+        # What the command line says comes last, and so goes before what is different by itself.
+        own = replace(options, sets=(*variant.sets, *options.sets))
+        flown = _fly(plugins, mission, found.name, out / variant.name, own, interrupted)
+        if flown is None:
+            return INTERRUPTED
+        runs[variant.name], summaries[variant.name], timings[variant.name] = flown
+        _say_pace(timings[variant.name])
+    summary = found.judge(out, runs, summaries)
+    write_results(out, summary, timings)
+    found.draw(out, runs, summary)
+    folders = _listed(variant.name for variant in found.variants)
+    return _verdict(summary, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
 
 
 def _on_signal(interrupted: threading.Event) -> None:
@@ -169,24 +209,32 @@ def _on_signal(interrupted: threading.Event) -> None:
     signal.signal(signal.SIGHUP, stop)
 
 
+def _listed(names: Iterable[str]) -> str:
+    *others, last = sorted(names)
+    return f"{', '.join(others)} and {last}" if others else last
+
+
 def _nice(path: Path) -> str:
     relative = os.path.relpath(path)
     return relative if not relative.startswith("..") else str(path)
 
 
-def _verdict(summary: dict[str, Any], timing: dict[str, Any], out: Path) -> int:
-    """Says how it went, in the manner of Robotarium."""
-    passed = summary["verdict"] == "PASS"
+def _say_pace(timing: dict[str, Any]) -> None:
+    """Says how fast a mission went."""
     if timing["mode"] == "virtual":
         click.echo(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
     elif timing["behind_max_s"] > 0.25:
         click.echo(f"fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
     else:
         click.echo("did not fall behind the clock")
+
+
+def _verdict(summary: dict[str, Any], results: str) -> int:
+    """Says how it went, in the manner of Robotarium, and where the results are."""
     for line in summary.get("said", ()):
         click.echo(line)
     click.echo(f"verdict: {summary['verdict']}")
     for reason in summary["reasons"]:
         click.echo(f"  - {reason}")
-    click.echo(f"summary.json, events.jsonl, trajectory.csv and paths.png are in {_nice(out)}")
-    return PASSED if passed else FAILED
+    click.echo(results)
+    return PASSED if summary["verdict"] == "PASS" else FAILED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pancakes.clock import Clock
@@ -17,6 +17,9 @@ from pancakes.wire.messages import Hello, Identity
 
 Answer = Reply | str
 """What became of a request: the agent's reply, or the reason why there will be none."""
+
+Listener = Callable[[str, Packet], None]
+"""Takes (agent, packet) of what an agent sent that answers none of our requests. In the transport's thread."""
 
 
 class Door:
@@ -37,6 +40,8 @@ class Door:
         self._seq = 0
         self._asked: dict[int, str] = {}
         self._answers: dict[int, Answer] = {}
+        self._listeners: tuple[Listener, ...] = ()
+        self._links: dict[str, int] = {}
         self._mesh = Mesh(
             Identity(name, str(uuid.uuid4()), 0, fleet, "client"),
             transport,
@@ -45,7 +50,7 @@ class Door:
             random.Random(),
             clock,
             on_packet=self._on_packet,
-            on_peer_up=lambda hello: changed(),
+            on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
         )
         self._mesh.start()
@@ -54,6 +59,15 @@ class Door:
         """Connects to the agent at an address; those that it is connected to follow."""
         self._mesh.learn((address,))
 
+    def dial_again(self, addresses: Sequence[str]) -> None:
+        """Dials at once who is not connected, here or elsewhere, instead of when its next attempt is due."""
+        self._mesh.learn(tuple(addresses))
+        self._mesh.redial()
+
+    def listen(self, listener: Listener) -> None:
+        """Hands on what agents send of themselves, such as what is followed."""
+        self._listeners = (*self._listeners, listener)
+
     def agents(self) -> list[Hello]:
         """Returns what the connected agents said about themselves, by name; other clients are none."""
         return [hello for hello in self._mesh.connected() if hello.role != "client"]
@@ -61,6 +75,13 @@ class Door:
     def connected(self, agent: str) -> bool:
         """Returns whether an agent can be asked."""
         return any(hello.name == agent for hello in self.agents())
+
+    def link(self, agent: str) -> int:
+        """Returns the number of the link to an agent that stands now, 0 where none does.
+
+        An agent forgets who followed something when a link ends, so each link has a number of its own.
+        """
+        return self._links.get(agent, 0) if self.connected(agent) else 0
 
     def asleep(self) -> dict[str, float | None]:
         """Returns the agents that said they sleep, and for how many more seconds (None: they did not say)."""
@@ -85,6 +106,27 @@ class Door:
         """Returns what became of a request; None where that is not known yet."""
         return self._answers.get(number)
 
+    def forget(self, number: int) -> None:
+        """Drops a request: what became of it, or will."""
+        self._asked.pop(number, None)
+        self._answers.pop(number, None)
+
+    def publish(self, agent: str, channel: str, body: Any, stamp: float, destination: str = "") -> None:
+        """Publishes a packet on a channel of a connected agent.
+
+        Args:
+            agent: the agent.
+            channel: its channel.
+            body: the packet's body.
+            stamp: the agent's mission time.
+            destination: an address on the agent; empty: whoever subscribes there.
+
+        Raises:
+            PancakesError: it cannot travel, or the agent is not connected any more.
+        """
+        self._seq += 1
+        self._mesh.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, self._seq, body))
+
     def close(self) -> None:
         """Says goodbye. The transport is closed by whoever made it."""
         self._mesh.stop()
@@ -96,7 +138,14 @@ class Door:
     def _on_packet(self, peer: str, packet: Packet) -> None:
         if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
             self._settle(packet.cause[1], packet.body)
-            self._changed()
+        else:
+            for listener in self._listeners:
+                listener(peer, packet)
+        self._changed()
+
+    def _on_peer_up(self, hello: Hello) -> None:
+        self._links[hello.name] = self._links.get(hello.name, 0) + 1
+        self._changed()
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         for number, agent in list(self._asked.items()):

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import os
+from typing import Final
+
 import click
 
 from pancakes import __version__
 from pancakes.cli.errors import sentences
 from pancakes.cli.lazy import Later, LazyGroup
 
+PROGRAM: Final = "pancakes"
+VARIABLE: Final = "_PANCAKES_COMPLETE"
+"""The environment variable with which a shell asks how the line may go on."""
+
 COMMANDS = {
     "agent": Later("pancakes.cli.agent_verbs:agent", "Agents that run."),
     "task": Later("pancakes.cli.task_verbs:task", "Tasks that agents have."),
     "service": Later("pancakes.cli.service_verbs:service", "Services that agents have."),
+    "channel": Later("pancakes.cli.channel_verbs:channel", "Channels, and the packets on them."),
+    "param": Later("pancakes.cli.param_verbs:param", "Settings of tasks."),
+    "log": Later("pancakes.cli.log:log", "What agents say and do."),
+    "record": Later("pancakes.cli.record:record", "Recordings of what agents say."),
+    "top": Later("pancakes.cli.top:top", "Watch agents and tasks: rates, lateness, load."),
+    "launch": Later("pancakes.cli.launch:launch", "Run a fleet from its files."),
+    "down": Later("pancakes.cli.down:down", "End agents in order."),
     "demo": Later("pancakes.cli.demo:demo", "Run a whole mission, and judge it."),
+    "new": Later("pancakes.cli.new:new", "Begin a task, driver, service or plug-in of one's own."),
+    "config": Later("pancakes.cli.config_verbs:config", "Check and show configuration files."),
+    "plugin": Later("pancakes.cli.plugin_verbs:plugin", "What is installed for agents to use."),
+    "doctor": Later("pancakes.cli.doctor:doctor", "Look for what is wrong on this machine and with its agents."),
+    "completion": Later("pancakes.cli.completion:completion", "Completion of names in the shell."),
 }
 
 
@@ -31,7 +50,11 @@ def pancakes() -> None:
 @sentences
 def main() -> None:
     """The console script."""
-    pancakes()
+    if VARIABLE in os.environ:
+        from pancakes.cli.completion import answer_shell
+
+        answer_shell()
+    pancakes(prog_name=PROGRAM)
 
 
 if __name__ == "__main__":

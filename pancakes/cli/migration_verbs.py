@@ -7,12 +7,13 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import order
+from pancakes.cli.asking import accepted, ask_each
 from pancakes.cli.client import Client
-from pancakes.cli.errors import NoAnswer, Unreachable, sentences
-from pancakes.cli.names import TaskName, a_task
-from pancakes.cli.options import asks_agents, asks_agents_for, orders_agents
-from pancakes.cli.output import show, show_json
+from pancakes.cli.completing import costs, tasks_beside
+from pancakes.cli.errors import NoAnswer, sentences
+from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
+from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show, show_json
 from pancakes.control import Adopt, Migrate, Migrations
 from pancakes.errors import ControlRefused
 
@@ -34,10 +35,23 @@ MOVES = (
 
 @click.command()
 @a_task
-@click.option("--to", metavar="NAME", default="", help="Ask only this neighbour.")
-@click.option("--then", metavar="TASK", default="", help="Start this task where the other was, once it has gone.")
-@click.option("--cost", metavar="NAME", default="tasks", show_default=True, help="The cost function to bid with.")
-@click.option("--dry-run", is_flag=True, help="Only ask who would take it, and move nothing.")
+@click.option("--to", metavar="AGENT", type=AgentNameType(), default="", help="Ask only this neighbour.")
+@click.option(
+    "--then",
+    metavar="TASK",
+    default="",
+    shell_complete=tasks_beside,
+    help="Start this task where the other was, once it has gone.",
+)
+@click.option(
+    "--cost",
+    metavar="NAME",
+    default="tasks",
+    show_default=True,
+    shell_complete=costs,
+    help="The cost function to bid with.",
+)
+@click.option("--dry-run", is_flag=True, help="Only ask who would take it, and for what cost; move nothing.")
 @asks_agents_for(30.0)
 @sentences
 def migrate(
@@ -75,11 +89,11 @@ def migrate(
 
 
 @click.command()
-@click.argument("agent", default="")
+@agents
 @asks_agents
 @sentences
-def migrations(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
-    """List the moves that all agents, or AGENT, were asked for: the newest 100 of each, oldest first.
+def migrations(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """List the moves that all agents, or those that are named, were asked for: the newest 100 of each, oldest first.
 
     They come from the journals of the agents that the tasks were to leave. As JSON, each has a line for every
     neighbour that was asked.
@@ -89,20 +103,7 @@ def migrations(agent: str, format_: str, at: tuple[str, ...], timeout: float) ->
         pancakes task migrations
         pancakes task migrations agent1 --format json
     """
-    moves: list[dict[str, Any]] = []
-    with Client(at, timeout) as client:
-        if agent:
-            moves = order(client, agent, Migrations())
-        else:
-            found = client.survey()
-            silent = list(found.silent)
-            for name in [described["agent"] for described in found.agents]:
-                try:
-                    moves += order(client, name, Migrations())
-                except (Unreachable, ControlRefused) as error:
-                    silent.append(str(error))
-            for sentence in silent:
-                click.echo(sentence, err=True)
+    moves: list[dict[str, Any]] = [move for _, moves in ask_each(at, timeout, Migrations(), *agents) for move in moves]
     if format_ == "json":
         show_json(moves)
     else:
@@ -112,10 +113,25 @@ def migrations(agent: str, format_: str, at: tuple[str, ...], timeout: float) ->
 @click.command()
 @a_task
 @click.option("--force", is_flag=True, help="Do it. Without, it is only said what it would mean.")
-@click.option("--birthplace", metavar="AGENT", default="", help="Where it was born, if two of its name are in doubt.")
+@click.option(
+    "--birthplace",
+    metavar="AGENT",
+    type=AgentNameType(),
+    default="",
+    help="Where it was born, if two of its name are in doubt.",
+)
+@dry_run_option
 @orders_agents
 @sentences
-def adopt(name: TaskName, force: bool, birthplace: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def adopt(
+    name: TaskName,
+    force: bool,
+    birthplace: str,
+    dry_run: bool,
+    format_: str,
+    at: tuple[str, ...],
+    timeout: float,
+) -> None:
     """Run a task on AGENT whose hand-off is in doubt, because the other agent is gone for good.
 
     This is the one act that can make two of a task: where the other agent runs it, or comes back with its disk. So
@@ -129,8 +145,14 @@ def adopt(name: TaskName, force: bool, birthplace: str, format_: str, at: tuple[
         pancakes task adopt agent1/ScanTarget --force
     """
     with Client(at, timeout) as client:
-        done = order(client, name.agent, Adopt(name.target, force, birthplace))
-    row = {"agent": name.agent, "task_id": done["task_id"], "done": "adopted", "instead_of": done["peer"]}
+        reply = accepted(client, name.agent, Adopt(name.target, force, birthplace, dry_run))
+    row = {
+        "agent": name.agent,
+        "task_id": reply.result["task_id"],
+        "done": DRY_RUN if dry_run else "adopted",
+        "instead_of": reply.result["peer"],
+        "number": reply.number,
+    }
     show([row], tuple(row), format_)
 
 

@@ -46,6 +46,17 @@ class Duration(click.ParamType):
         return float(found[1]) * self._UNITS_S[found[2]]
 
 
+format_option = click.option(
+    "--format",
+    "format_",
+    type=click.Choice(["table", "json"]),
+    default="table",
+    show_default=True,
+    help="How to print the answer.",
+)
+"""The option `--format` of every verb; its parameter is `format_`."""
+
+
 def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     """Gives a verb the options `--at`, `--timeout` and `--format`; its parameters are `at`, `timeout`, `format_`.
 
@@ -53,14 +64,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
         timeout_s: the time limit where none is given.
     """
     options = (
-        click.option(
-            "--format",
-            "format_",
-            type=click.Choice(["table", "json"]),
-            default="table",
-            show_default=True,
-            help="How to print the answer.",
-        ),
+        format_option,
         click.option(
             "--at",
             metavar="HOST:PORT",
@@ -90,3 +94,6 @@ asks_agents = asks_agents_for(3.0)
 """For verbs that only look."""
 orders_agents = asks_agents_for(10.0)
 """For verbs that change something: a task may be busy before it can stop."""
+
+dry_run_option = click.option("--dry-run", is_flag=True, help="Only ask whether it would be done, and change nothing.")
+"""The option `dry_run` of every verb that changes something; the agent itself checks, as far as it would."""

@@ -5,9 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+DRY_RUN: Final = "dry run"
+"""What stands under `done` where it was only asked whether it would be."""
 
 
 def show_json(value: Any) -> None:
@@ -27,18 +33,49 @@ def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str
     if format_ == "json":
         show_json(picked)
         return
+    _print(_table(picked, columns))
+
+
+def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]]]) -> None:
+    """Prints all about one thing, for people: under each title, facts (a mapping) or a table (rows of the same keys).
+
+    Where there is nothing under a title, it is left out.
+    """
+    from rich.table import Table
+    from rich.text import Text
+
+    for title, content in sections.items():
+        if not content:
+            continue
+        if isinstance(content, Mapping):
+            table = Table.grid(padding=(0, 2), pad_edge=False)
+            for name, value in content.items():
+                table.add_row(Text(f"  {name}"), Text(_text(value) or "-"))
+        else:
+            table = _table(content, list(content[0]))
+        _print(Text(title, style="bold"), table)
+
+
+def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in columns:
-        table.add_column(column, justify="right" if _numeric(picked, column) else "left")
-    for row in picked:
-        table.add_row(*(Text(_text(value)) for value in row.values()))
+        table.add_column(column, justify="right" if _numeric(rows, column) else "left")
+    for row in rows:
+        table.add_row(*(Text(_text(row[column])) for column in columns))
+    return table
+
+
+def _print(*things: Any) -> None:
+    from rich.console import Console
+
     # Into a file or a pipe nothing is cut off or folded.
-    Console(width=None if sys.stdout.isatty() else 1000).print(table)
+    console = Console(width=None if sys.stdout.isatty() else 1000)
+    for thing in things:
+        console.print(thing)
 
 
 def _numeric(rows: Sequence[Mapping[str, Any]], column: str) -> bool:
@@ -53,6 +90,8 @@ def _text(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:g}" if abs(value) < 1e-3 else f"{value:.3f}".rstrip("0").rstrip(".")
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_text(item)}" for key, item in value.items()) or "-"
     if isinstance(value, (list, tuple)):
-        return ", ".join(str(item) for item in value) or "-"
+        return ", ".join(_text(item) for item in value) or "-"
     return str(value)

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 import click
 
-from pancakes.cli.asking import order, placed, survey
+from pancakes.cli.asking import accepted, order, placed, survey
 from pancakes.cli.client import Client
+from pancakes.cli.completing import timers
 from pancakes.cli.errors import sentences
 from pancakes.cli.migration_verbs import adopt, migrate, migrations
-from pancakes.cli.names import TaskName, a_task
-from pancakes.cli.options import asks_agents, orders_agents
-from pancakes.cli.output import show
-from pancakes.control import Reschedule, Restart, Start, Stop
+from pancakes.cli.names import TaskName, a_task, agents
+from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
-DONE = ("agent", "service", "task", "done")
+LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
+DONE = ("agent", "service", "task", "done", "number")
 
 
 @click.group()
 def task() -> None:
-    """Tasks that agents have."""
+    """Tasks that agents have; a device is a task too, and bears the device's name."""
 
 
 task.add_command(migrate)
@@ -31,11 +34,24 @@ task.add_command(adopt)
 
 
 @task.command("list")
-@click.argument("agent", default="")
+@agents
+@click.option("--service", metavar="NAME", default="", help="Only tasks of the service of this name.")
+@click.option("--type", "type_", metavar="PATTERN", default="*", help="Only tasks of these types: sim.*")
+@click.option("--state", metavar="STATE", default="", help="Only tasks in this state: running, stopped, failed, ...")
+@click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
 @asks_agents
 @sentences
-def list_(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
-    """List the tasks of all agents, or of AGENT.
+def list_(
+    agents: tuple[str, ...],
+    service: str,
+    type_: str,
+    state: str,
+    long: bool,
+    format_: str,
+    at: tuple[str, ...],
+    timeout: float,
+) -> None:
+    """List the tasks of all agents, or of those that are named.
 
     Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
 
@@ -43,16 +59,49 @@ def list_(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None
     Example:
         pancakes task list
         pancakes task list agent1 --format json
+        pancakes task list --service device --state running
     """
-    show([row for found in survey(at, timeout, agent) for row in found["tasks"]], COLUMNS, format_)
+    rows = [
+        row
+        for found in survey(at, timeout, *agents)
+        for row in found["tasks"]
+        if service in ("", row["service"]) and state in ("", row["state"]) and fnmatchcase(row["type"], type_)
+    ]
+    show(rows, LONG if long else COLUMNS, format_)
+
+
+@task.command()
+@a_task
+@asks_agents
+@sentences
+def info(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """Show all that is known of a task: its timers, what it reads, its settings, when it is started again.
+
+    As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings.
+
+    \b
+    Example:
+        pancakes task info agent1/ScanTarget
+        pancakes task info agent1/pose --format json
+    """
+    with Client(at, timeout) as client:
+        name = placed(client, name)
+        found = order(client, name.agent, Describe(name.target))
+    if format_ == "json":
+        show_json([found])
+    else:
+        show_sections(_sections(str(name), found))
 
 
 @task.command()
 @a_task
 @click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Start it with this setting. Repeatable.")
+@dry_run_option
 @orders_agents
 @sentences
-def start(name: TaskName, sets: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: float) -> None:
+def start(
+    name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
+) -> None:
     """Start a task that stands still, and wait until it runs.
 
     A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
@@ -65,15 +114,16 @@ def start(name: TaskName, sets: tuple[str, ...], format_: str, at: tuple[str, ..
     settings = _settings(sets) or None
     with Client(at, timeout) as client:
         name = placed(client, name)
-        order(client, name.agent, Start(name.target, settings))
-    _show_done(name, "started", format_)
+        number = accepted(client, name.agent, Start(name.target, settings, dry_run)).number
+    _show_done(name, "started", number, dry_run, format_)
 
 
 @task.command()
 @a_task
+@dry_run_option
 @orders_agents
 @sentences
-def stop(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def stop(name: TaskName, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
     """Stop a task once it has finished what it has in hand, and wait for that.
 
     It stays stopped, also when its agent is started anew.
@@ -84,8 +134,8 @@ def stop(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> N
     """
     with Client(at, timeout) as client:
         name = placed(client, name)
-        order(client, name.agent, Stop(name.target))
-    _show_done(name, "stopped", format_)
+        number = accepted(client, name.agent, Stop(name.target, dry_run=dry_run)).number
+    _show_done(name, "stopped", number, dry_run, format_)
 
 
 @task.command()
@@ -96,9 +146,10 @@ def stop(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> N
     show_default=True,
     help="Whether it goes on with its state and settings, or begins as its configuration says.",
 )
+@dry_run_option
 @orders_agents
 @sentences
-def restart(name: TaskName, keep_state: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
     """Stop a task, start it, and wait until it runs.
 
     \b
@@ -107,17 +158,26 @@ def restart(name: TaskName, keep_state: bool, format_: str, at: tuple[str, ...],
     """
     with Client(at, timeout) as client:
         name = placed(client, name)
-        order(client, name.agent, Restart(name.target, keep_state))
-    _show_done(name, "restarted", format_)
+        number = accepted(client, name.agent, Restart(name.target, keep_state, dry_run)).number
+    _show_done(name, "restarted", number, dry_run, format_)
 
 
 @task.command()
 @a_task
 @click.argument("rate_hz", metavar="HZ", type=click.FloatRange(min=0.0))
-@click.option("--timer", metavar="METHOD", default="", help="Which of its timers, where it has several.")
+@click.option(
+    "--timer",
+    metavar="METHOD",
+    default="",
+    shell_complete=timers,
+    help="Which of its timers, where it has several.",
+)
+@dry_run_option
 @orders_agents
 @sentences
-def rate(name: TaskName, rate_hz: float, timer: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def rate(
+    name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
+) -> None:
     """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
 
     \b
@@ -127,13 +187,54 @@ def rate(name: TaskName, rate_hz: float, timer: str, format_: str, at: tuple[str
     """
     with Client(at, timeout) as client:
         name = placed(client, name)
-        now = order(client, name.agent, Reschedule(name.target, rate_hz, timer))
-    _show_done(name, "rate changed", format_, rate_hz=now["rate_hz"])
+        reply = accepted(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run))
+    _show_done(name, "rate changed", reply.number, dry_run, format_, **reply.result)
 
 
-def _show_done(name: TaskName, done: str, format_: str, **others: Any) -> None:
-    row = {**name._asdict(), "done": done, **others}
+def _show_done(name: TaskName, done: str, number: int, dry_run: bool, format_: str, **others: Any) -> None:
+    row = {**name._asdict(), "done": DRY_RUN if dry_run else done, "number": number, **others}
     show([row], (*DONE, *others), format_)
+
+
+def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """All about one task, for people."""
+    restart, fence = found["restart"], found["fence"]
+    return {
+        name: {
+            "type": found["type"],
+            "state": found["state"],
+            "reason": found["reason"],
+            "starts": found["incarnation"],
+            "requires": found["requires"],
+            "on disk": found["durability"],
+            "started again": f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s",
+            "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
+            "packets dropped": found["dropped"],
+        },
+        "timers": [
+            {
+                "timer": timer["timer"],
+                "rate_hz": timer["rate_hz"],
+                "ticks": timer["ticks"],
+                "missed": timer["missed"],
+                "lateness_mean_ms": 1e3 * timer["lateness_mean_s"],
+                "lateness_max_ms": 1e3 * timer["lateness_max_s"],
+            }
+            for timer in found["timers"]
+        ],
+        "reads": [
+            {
+                "channel": row["channel"],
+                "types": "all" if row["types"] is None else row["types"],
+                "keep": row["keep"],
+                "limit": row["limit"],
+                "waiting": row["waiting"],
+                "dropped": row["dropped"],
+            }
+            for row in found["reads"]
+        ],
+        "settings": found["settings"],
+    }
 
 
 def _settings(sets: Sequence[str]) -> dict[str, Any]:

@@ -44,8 +44,7 @@ class Places:
         outermost = 2 if len(key) > 1 and key[0] in self._named else 1  # another's [task.NAME] is no place for this
         for length in range(len(key), outermost - 1, -1):
             if key[:length] in self._sets:
-                text = self._sets[key[:length]]
-                return f"--set {text if len(text) <= 60 else text[:57] + '...'}"
+                return set_text(self._sets[key[:length]])
             if key[:length] in self._lines:
                 return f"{self._path}:{self._lines[key[:length]]}"
         return self._path
@@ -68,6 +67,11 @@ class Places:
             return int(number) if number.isdecimal() else float("inf")
 
         return sorted(faults, key=line)
+
+
+def set_text(text: str) -> str:
+    """Returns an override as messages name it."""
+    return f"--set {text if len(text) <= 60 else text[:57] + '...'}"
 
 
 def _paths(value: Any, key: KeyPath) -> Iterator[KeyPath]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from pancakes.control import Begin, Describe, Follow, Reply
-from pancakes.events import Event, LogLine
+from pancakes.control import Begin, Describe, Follow, History, Reply
+from pancakes.events import Event
 from pancakes.kernel.mailbox import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.services.log import line_of, record_of
@@ -19,6 +19,10 @@ ASK_S = 0.25
 """How often, in host time, an agent that is not ready is asked again."""
 COUNTDOWN_S = 0.25
 """How long, in host time, before the mission begins everybody is told."""
+OVERLAP_S = 1.0
+"""So much more is asked of what an agent said while it could not be heard: its clock may be a little off."""
+RECENT = 500
+"""Among so many of the newest events it is looked whether one has been heard already."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
 
 
@@ -79,6 +83,7 @@ class Conductor(Task):
         self._path = events
         self._ready: dict[str, list[str]] = {}
         self._followed: dict[str, int] = {}
+        self._lost_s: dict[str, float] = {}
         self._file: TextIO | None = None
 
     def on_start(self) -> None:
@@ -107,7 +112,11 @@ class Conductor(Task):
         """An agent says how far it is, or that it sends what it was asked to."""
         agent = agent_of(packet.source)
         reply: Reply = packet.body
-        if self._mission.phase != "connecting" or agent not in self._mission.agents:
+        if agent not in self._mission.agents:
+            return
+        if self._mission.phase == "running" and isinstance(reply.result, (list, tuple)):
+            self._catch_up(agent, reply.result)
+        if self._mission.phase != "connecting":
             return
         if not reply.ok:
             self._mission.waiting_for[agent] = reply.reason
@@ -129,9 +138,12 @@ class Conductor(Task):
             tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
             self._ready[agent] = [task["task"] for task in tasks if task["state"] == "running"]
             self._mission.waiting_for.pop(agent, None)
-            for channel, types in FOLLOWED:
-                self.publish(SYSCTRL, Follow(channel, types), to=agent)
+            self._follow(agent)
         self._mission.changed()
+
+    def _follow(self, agent: str) -> None:
+        for channel, types in FOLLOWED:
+            self.publish(SYSCTRL, Follow(channel, types), to=agent)
 
     def _begin_if_all_are_ready(self) -> None:
         if any(self._followed.get(agent, 0) < len(FOLLOWED) for agent in self._mission.agents):
@@ -180,12 +192,39 @@ class Conductor(Task):
         if agent == self.agent:
             self._on_own_log(packet)
             return
-        if self._mission.ended:
+        if not self._mission.ended:
+            self._note(record_of(packet))
+
+    def _on_own_log(self, packet: Packet) -> None:
+        body = packet.body
+        if not isinstance(body, Event) or body.kind not in ("peer_up", "peer_down"):
             return
-        if isinstance(packet.body, LogLine) and packet.body.level == "debug":
+        peer = str(body.fields.get("peer"))
+        if body.kind == "peer_down" and peer == self._mission.agents[0]:
+            # Without its world the mission has no ground to stand on.
+            self.end(f"the agent {peer} is gone: {body.fields.get('reason', '')}")
+        elif body.kind == "peer_down" and self._mission.phase == "running":
+            self._lost_s[peer] = self.now()
+        elif peer in self._lost_s:
+            # It slept, or its link broke. Its Network Service may be a new one, which knows nothing of followers.
+            self._follow(peer)
+            self.publish(SYSCTRL, History(self.now() - self._lost_s.pop(peer) + OVERLAP_S), to=peer)
+
+    def _catch_up(self, agent: str, records: Sequence[Mapping[str, Any]]) -> None:
+        """Takes what an agent said while it could not be heard, as far as that was not heard after all."""
+        heard = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
+        for entry in records:
+            record = {key: value for key, value in entry.items() if key != "entry"}
+            if record["agent"] == agent and record not in heard:
+                self._note(record)
+        if records:
+            self.publish(SYSCTRL, History(after=records[-1]["entry"]), to=agent)
+
+    def _note(self, record: dict[str, Any]) -> None:
+        """Keeps a record, and what follows from it."""
+        if record["kind"] == "line" and record["level"] == "debug":
             return
-        record = record_of(packet)
-        running = self._mission.running.setdefault(agent, [])
+        running = self._mission.running.setdefault(record["agent"], [])
         service = record.get("service")
         if record["kind"] == "task_started" and service not in ("device", "network", "log"):
             if record["task"] not in running:
@@ -193,12 +232,6 @@ class Conductor(Task):
         elif record["kind"] in ("task_stopped", "task_given_up") and record.get("task") in running:
             running.remove(record["task"])
         self._keep(record)
-
-    def _on_own_log(self, packet: Packet) -> None:
-        body = packet.body
-        if isinstance(body, Event) and body.kind == "peer_down" and body.fields.get("peer") == self._mission.agents[0]:
-            # Without its world the mission has no ground to stand on.
-            self.end(f"the agent {body.fields['peer']} is gone: {body.fields.get('reason', '')}")
 
     def _keep(self, record: dict[str, Any]) -> None:
         self._mission.events.append(record)

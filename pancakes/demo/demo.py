@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +40,12 @@ class Demo:
         duration_s: how long it lasts, in mission seconds.
         judge: returns the summary of a run; its `verdict` is `PASS` where all went well, else its `reasons` say what
             did not.
-        draw: draws the pictures of a run from its summary.
+        draw: draws the pictures of a run from its summary; None: it has none.
         circled: the body that robots circle, for the live view's distance to the circle; empty: none.
         radius_m: the radius of that circle.
+        records: the files that tasks of the world write, by the task's name.
+        arrange: takes the folder of a run, and whether it is live; returns what is to be set in each agent's file for
+            that, as `--set` takes it, by agent. None: nothing.
     """
 
     name: str
@@ -50,6 +53,47 @@ class Demo:
     agents: tuple[str, ...]
     duration_s: float
     judge: Callable[[Run], dict[str, Any]]
-    draw: Callable[[Run, Mapping[str, Any]], None]
+    draw: Callable[[Run, Mapping[str, Any]], None] | None = None
     circled: str = ""
     radius_m: float = 0.0
+    records: Mapping[str, str] = field(default_factory=lambda: {"Trajectory": "trajectory.csv"})
+    arrange: Callable[[Path, bool], Mapping[str, Sequence[str]]] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One of the missions of a comparison.
+
+    Attributes:
+        name: its name, and that of the folder with its results.
+        title: what is different about it, in a few words.
+        sets: what is different in its agents' configurations, as `--set` takes it.
+    """
+
+    name: str
+    title: str
+    sets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A demo that runs one mission several times, each time with something else in its configurations.
+
+    Attributes:
+        name: its name, as in `pancakes demo NAME`.
+        title: what it shows, in a few words.
+        mission: the mission; each run of it is judged by itself.
+        variants: what is compared; the first is what the others are measured by.
+        judge: takes the folder with all results, and each variant's run and summary by its name; returns the summary
+            of the whole, with `verdict`, `reasons` and, for the terminal, `said`.
+        draw: takes the folder, the runs and the summary, and draws the picture.
+        picture: the name of that picture.
+    """
+
+    name: str
+    title: str
+    mission: Demo
+    variants: tuple[Variant, ...]
+    judge: Callable[[Path, Mapping[str, Run], Mapping[str, Mapping[str, Any]]], dict[str, Any]]
+    draw: Callable[[Path, Mapping[str, Run], Mapping[str, Any]], None]
+    picture: str

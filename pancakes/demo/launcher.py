@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import shutil
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from pancakes.demo.demo import Run
 from pancakes.demo.plan import LAUNCHER, Plan
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
+from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
 
@@ -90,21 +89,8 @@ class Processes:
         logs = self._plan.out / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         for agent, path in self._plan.files.items():
-            command = [
-                sys.executable,
-                "-m",
-                "pancakes.cli.agent",
-                "--config",
-                str(path),
-                f"--die-with-parent={os.getpid()}",
-            ]
-            for change in self._plan.sets[agent]:
-                command += ["--set", change]
             with (logs / f"{agent}.txt").open("wb") as output:
-                # A session of their own: an interrupt at the terminal reaches the launcher, which stops them in order.
-                self._processes[agent] = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-                )
+                self._processes[agent] = start_agent(path, self._plan.sets[agent], output)
 
     def gone(self) -> str:
         """Returns a sentence about an agent that has ended by itself; empty where all run."""
@@ -117,16 +103,7 @@ class Processes:
 
     def stop(self) -> None:
         """Stops them all: in good order where they can, by force where they do not in time."""
-        for process in self._processes.values():
-            if process.poll() is None:
-                process.terminate()
-        deadline_s = time.monotonic() + STOP_S
-        for process in self._processes.values():
-            try:
-                process.wait(max(0.0, deadline_s - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        end_all(self._processes.values(), STOP_S)
 
 
 def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
@@ -254,9 +231,14 @@ def run_of(plan: Plan, mission: Mission) -> Run:
 def judge(plan: Plan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
     """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
     summary = plan.demo.judge(run)
-    for name, content in (("summary.json", summary), ("timing.json", timing)):
-        (plan.out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    write_results(plan.out, summary, timing)
     return summary
+
+
+def write_results(out: Path, summary: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
+    """Writes `summary.json` and `timing.json`."""
+    for name, content in (("summary.json", summary), ("timing.json", timing)):
+        (out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
@@ -281,13 +263,18 @@ def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
     return {agent: plain(config) for agent, config in plan.configs.items()}
 
 
-def fresh(out: Path) -> None:
-    """Makes the output folder, without the state and the results of an earlier run."""
+def fresh(out: Path, results: Sequence[str] = ("trajectory.csv", "paths.png")) -> None:
+    """Makes the output folder, without the state and the results of an earlier run.
+
+    Args:
+        out: the folder.
+        results: names of files in it that the run will write, besides those that each run does.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name in ("state", "logs"):
             shutil.rmtree(out / name, ignore_errors=True)
-        for name in ("events.jsonl", "trajectory.csv", "summary.json", "timing.json", "paths.png"):
+        for name in ("events.jsonl", "summary.json", "timing.json", *results):
             (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise PancakesError(f"the output folder {out} cannot be used: {error.strerror}") from None

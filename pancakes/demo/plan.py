@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pancakes.config import Config, load
 from pancakes.demo.demo import Demo
-from pancakes.demo.ports import Claim, claim_ports
-from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.errors import PancakesError
+from pancakes.launch.overrides import whose
+from pancakes.launch.ports import Claim, claim_ports
 from pancakes.plugins import Plugins
-from pancakes.suggestion import suggestion
 
 LAUNCHER = "launcher"
 
@@ -102,9 +102,12 @@ def make_plan(
         if live:
             # In virtual time `events.jsonl` tells all that these would.
             sets[agent].append(f'service.log.settings.file="{out / "logs" / (agent + ".jsonl")}"')
-    sets[demo.agents[0]].append(f'task.Trajectory.settings.path="{out / "trajectory.csv"}"')
+    for task, name in demo.records.items():
+        sets[demo.agents[0]].append(f'task.{task}.settings.path="{out / name}"')
+    for agent, changes in (demo.arrange(out, live) if demo.arrange is not None else {}).items():
+        sets[agent].extend(changes)
     for one in extra:
-        agents, change = _whose(one, demo.agents)
+        agents, change = whose(one, demo.agents)
         for agent in agents:
             sets[agent].append(change)
     claim, moved = claim_ports(files) if live else (None, {})
@@ -119,22 +122,6 @@ def make_plan(
         raise
     frozen = {agent: tuple(changes) for agent, changes in sets.items()}
     return Plan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
-
-
-def _whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
-    """Returns the agents that a change from the command line concerns, and what is left of it for them.
-
-    Raises:
-        ConfigError: it names an agent that the demo has not.
-    """
-    keys, equals, value = change.partition("=")
-    agent, colon, rest = keys.partition(":")
-    if not colon:
-        return agents, change
-    if agent not in agents:
-        near = suggestion(agent, agents)
-        raise ConfigError([Fault(f"--set {change}", agent, f"is none of the agents {', '.join(agents)}", near)])
-    return (agent,), f"{rest}{equals}{value}"
 
 
 def find_configs(name: str, given: Path | None = None) -> Path:

@@ -138,9 +138,9 @@ class LiveView:
 
         mission = self._mission
         table = Table(box=box.SIMPLE_HEAD, expand=True, pad_edge=False)
-        for title, justify in (("agent", "left"), ("runs", "left"), ("wheels follow", "left")):
-            table.add_column(title, justify=justify)  # type: ignore[arg-type]
-        for title in ("battery", "to the circle", "position"):
+        for title in ("agent", "runs", *(("wheels follow",) if self._demo.circled else ())):
+            table.add_column(title)
+        for title in ("battery", *(("to the circle",) if self._demo.circled else ()), "position"):
             table.add_column(title, justify="right")
         for agent in mission.agents:
             table.add_row(*self._row(agent))
@@ -160,12 +160,14 @@ class LiveView:
         mission = self._mission
         body = mission.bodies.get(agent)
         battery = mission.batteries.get(agent)
+        follows = (body.driven_by if body is not None else "",) if self._demo.circled else ()
+        distance = (self._distance(body),) if self._demo.circled else ()
         return (
             agent,
             ", ".join(mission.running.get(agent, ())),
-            body.driven_by if body is not None else "",
+            *follows,
             f"{battery.voltage_v:.2f} V {battery.level:4.0%}" if battery is not None else "",
-            self._distance(body),
+            *distance,
             f"{body.x_m:+.2f} {body.y_m:+.2f} m" if body is not None else "",
         )
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import heapq
+import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
@@ -16,6 +17,9 @@ from pancakes.errors import RemoteProtocolError
 from pancakes.recording.entry import Entry, RecordingError, packet_from_data
 from pancakes.recording.parts import SUFFIX, parts_of
 from pancakes.recording.writer import METADATA
+
+READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
+"""What reading a file raises that was cut off, torn, or never a recording."""
 
 
 @dataclass
@@ -115,7 +119,7 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[Channel, Messag
                 reading.about.update(record.metadata)
             elif isinstance(record, Message):
                 yield channels[record.channel_id], record
-    except (McapError, ValueError, KeyError, OverflowError, OSError) as error:
+    except READ_ERRORS as error:
         if not begun:
             raise RecordingError(f"{reading.path} is no recording: {error or type(error).__name__}") from None
         reading.cut = str(error) or type(error).__name__

@@ -21,18 +21,19 @@ READY = "/kernel: ready"
 
 
 class Running:
-    """A process, and the lines that it has said on standard error."""
+    """A process, and the lines that it has said on standard error; on standard output too where it is to be `whole`."""
 
-    def __init__(self, command: list[str], environment: dict[str, str], directory: Path) -> None:
+    def __init__(self, command: list[str], environment: dict[str, str], directory: Path, whole: bool = False) -> None:
         self.process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
+            stdout=subprocess.PIPE if whole else subprocess.DEVNULL,
+            stderr=subprocess.STDOUT if whole else subprocess.PIPE,
             text=True,
             env=environment,
             cwd=directory,
         )
+        self._said_to = self.process.stdout if whole else self.process.stderr
         self.pid = self.process.pid
         self.said: list[str] = []
         self._silent = False
@@ -41,8 +42,8 @@ class Running:
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
+        assert self._said_to is not None
+        for line in self._said_to:
             self._lines.put(line.rstrip("\n"))
         self._lines.put(None)
 
@@ -84,8 +85,8 @@ class Running:
             self.process.kill()
             self.process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
-        assert self.process.stderr is not None
-        self.process.stderr.close()
+        assert self._said_to is not None
+        self._said_to.close()
 
     def signalled(self, number: int) -> tuple[int, float]:
         """Sends a signal and waits for the end; returns the exit code, and the seconds that it took."""
@@ -126,9 +127,9 @@ class Rig:
         (information / "entry_points.txt").write_text(entry_points)
         (self.plugins / f"plugin_{name}.py").write_text(source)
 
-    def run(self, *command: str) -> Running:
-        """Starts a Python process."""
-        running = Running([sys.executable, *command], self.environment, self.directory)
+    def run(self, *command: str, whole: bool = False) -> Running:
+        """Starts a Python process; see `Running` for `whole`."""
+        running = Running([sys.executable, *command], self.environment, self.directory, whole)
         self._running.append(running)
         return running
 
@@ -142,6 +143,10 @@ class Rig:
         running.hear(READY)
         self.entry(running.pid)
         return running
+
+    def launch(self, *arguments: str | Path) -> Running:
+        """Starts `pancakes launch`."""
+        return self.run("-m", "pancakes.cli.main", "launch", *map(str, arguments), whole=True)
 
     def entry(self, pid: int) -> dict[str, Any]:
         """Waits for a process's entry in the runtime directory, and returns it."""

@@ -221,8 +221,13 @@ def test_a_task_in_doubt_is_adopted_by_force(rig: Rig):
     assert "only after that set b up anew" in said
     assert running(rig) == []
 
-    row = {"agent": "a", "task_id": "a/Count", "done": "adopted", "instead_of": "b"}
-    assert command(rig, "task", "adopt", "a/Count", "--force") == (0, [row], "")
+    row = {"agent": "a", "task_id": "a/Count", "instead_of": "b"}
+    code, (tried,), _ = command(rig, "task", "adopt", "a/Count", "--force", "--dry-run")
+    assert (code, {**tried, "number": 0}) == (0, {**row, "done": "dry run", "number": 0})
+    assert running(rig) == []
+
+    code, (adopted,), _ = command(rig, "task", "adopt", "a/Count", "--force")
+    assert (code, adopted) == (0, {**row, "done": "adopted", "number": adopted["number"]})
     assert running(rig) == ["a"]
     agent.hear("counted n=")
 

@@ -66,12 +66,10 @@ def agent(rig: Rig) -> Running:
 
 
 def test_a_task_is_stopped_and_started_with_other_settings(rig: Rig, agent: Running):
-    assert done(rig, "task", "stop", "a/Count") == {
-        "agent": "a",
-        "service": "client",
-        "task": "Count",
-        "done": "stopped",
-    }
+    row = done(rig, "task", "stop", "a/Count")
+    number = row.pop("number")
+    assert row == {"agent": "a", "service": "client", "task": "Count", "done": "stopped"}
+    assert agent.hear("asked what=stop").endswith(f" number={number}")
     assert listed(rig, "Count")[0] == "stopped"
     assert refused(rig, "task", "stop", "a/Count") == "a/client/Count is stopped already"
 
@@ -84,7 +82,7 @@ def test_a_task_is_stopped_and_started_with_other_settings(rig: Rig, agent: Runn
 
 def test_a_setting_that_is_none_starts_nothing(rig: Rig, agent: Running):
     assert "step" in refused(rig, "task", "start", "a/Idle", "--set", "step=fast")
-    assert "stepp" in refused(rig, "task", "start", "a/Idle", "--set", "stepp=2")
+    assert "stepp: unknown key, did you mean 'step'?" in refused(rig, "task", "start", "a/Idle", "--set", "stepp=2")
     assert rig.pancakes("task", "start", "a/Idle", "--set", "step").returncode == 2
     assert listed(rig, "Idle")[0] == "stopped"
 
@@ -112,13 +110,16 @@ def test_a_table_says_what_was_done(rig: Rig, agent: Running):
     result = rig.pancakes("task", "rate", "a/Count", "5", "--at", rig.address(agent))
 
     head, _, row = (line.split() for line in result.stdout.splitlines() if line.strip())
-    assert head == ["agent", "service", "task", "done", "rate_hz"]
-    assert row == ["a", "client", "Count", "rate", "changed", "5"]
+    assert head == ["agent", "service", "task", "done", "number", "timer", "rate_hz", "before_hz"]
+    assert row[:5] + row[6:] == ["a", "client", "Count", "rate", "changed", "tick", "5", "20"]
+    assert f" number={row[5]} " in agent.hear("rate_changed")
 
 
 def test_a_service_is_stopped_for_a_time_and_started(rig: Rig, agent: Running):
     row = done(rig, "service", "stop", "a/client")
+    number = row.pop("number")
     assert row == {"agent": "a", "service": "client", "done": "stopped", "for_s": None}
+    assert agent.hear("asked what=stop").endswith(f" number={number}")
     assert refused(rig, "service", "stop", "a/client") == "a/client is stopped, not running"
     assert done(rig, "service", "start", "a/client")["done"] == "started"
     assert listed(rig, "Count")[0] == "running"
@@ -129,6 +130,20 @@ def test_a_service_is_stopped_for_a_time_and_started(rig: Rig, agent: Running):
 
     assert done(rig, "service", "restart", "a/device")["done"] == "restarted"
     agent.hear("service_stopped service=device")
+
+
+def test_a_restart_of_a_service_keeps_the_state_of_its_tasks_or_drops_it(rig: Rig, agent: Running):
+    done(rig, "task", "rate", "a/Count", "40")
+    agent.hear("counted n=10")
+    assert done(rig, "service", "restart", "a/client")["done"] == "restarted"
+    agent.hear("service_started service=client")
+    assert counted(agent.hear("counted")) > 10
+    assert listed(rig, "Count") == ("running", 40.0)
+
+    assert done(rig, "service", "restart", "a/client", "--drop-state")["done"] == "restarted"
+    agent.hear("service_started service=client")
+    assert counted(agent.hear("counted")) < 10
+    assert listed(rig, "Count") == ("running", 20.0)
 
 
 def test_the_network_can_be_stopped_for_a_time_only(rig: Rig, agent: Running):

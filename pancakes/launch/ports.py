@@ -1,4 +1,4 @@
-"""The TCP ports of a demo: those of its files, or free ones where another program, or another demo, has them."""
+"""The ports of a fleet: those of its files, or free ones where another program, or another fleet, has them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from typing import Any
 
 from pancakes.runtime_dir import runtime_dir
 
-ADDRESS = re.compile(r"^tcp://([^/]+):(\d+)$")
+ADDRESS = re.compile(r"^(tcp|udp)://([^/]+):(\d+)$")
+_Place = tuple[str, str, int]
+"""Scheme, host and port."""
 
 
 class Claim:
-    """Keeps other demos on this machine from some ports, also while no agent listens there yet.
+    """Keeps other launchers on this machine from some ports, also while no agent listens there yet.
 
-    Two demos that are started at once would else both find them free. It ends with the process at the latest.
+    Two fleets that are started at once would else both find them free. It ends with the process at the latest.
     """
 
     def __init__(self, locks: list[int]) -> None:
@@ -28,11 +30,13 @@ class Claim:
 
     @classmethod
     def to(cls, ports: Iterable[int]) -> Claim | None:
-        """Claims ports; returns None where another demo has claimed one of them."""
+        """Claims ports; returns None where another launcher has claimed one of them."""
         directory = runtime_dir() / "ports"
         claim = cls([])
         with contextlib.suppress(OSError):  # who cannot write there claims nothing, and may find the ports free
-            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+            # One after the other: a directory made on the way would be open to others, and no agent would use it.
+            for made in (runtime_dir(), directory):
+                made.mkdir(mode=0o700, parents=True, exist_ok=True)
             for port in ports:
                 lock = os.open(directory / str(port), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
                 claim._locks.append(lock)
@@ -51,7 +55,7 @@ class Claim:
 
 
 def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, list[str]]]:
-    """Sees to it that the agents of a demo can listen.
+    """Sees to it that the agents of a fleet can listen, at other ports if need be.
 
     Args:
         files: the agents' configuration files, by agent.
@@ -67,20 +71,20 @@ def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, l
         except (OSError, ValueError):
             return None, {}  # whatever is wrong with it, reading it as a configuration says so better
     addresses = {text: None for table in tables.values() for _, text in _strings(table, ())}
-    places = [(match[1], int(match[2])) for text in addresses if (match := ADDRESS.match(text))]
-    claim = Claim.to(port for _, port in places)
+    places = [_place(match) for text in addresses if (match := ADDRESS.match(text))]
+    claim = Claim.to(dict.fromkeys(port for _, _, port in places))
     if claim is not None:
-        if all(_is_free(host, port) for host, port in places):
+        if not any(listening_fault(host, port, scheme) for scheme, host, port in places):
             return claim, {}
         claim.release()
-    taken = [_take_free_port(host) for host, _ in places]
+    taken = [_take_free_port(host, scheme) for scheme, host, _ in places]
     free = {place: port for place, (_, port) in zip(places, taken, strict=True)}
     for held, _ in taken:
         held.close()
     return None, {agent: _moved(table, free) for agent, table in tables.items()}
 
 
-def _moved(table: Any, free: Mapping[tuple[str, int], int]) -> list[str]:
+def _moved(table: Any, free: Mapping[_Place, int]) -> list[str]:
     """Returns what is to be set in one agent's file so that its addresses have other ports."""
     changes: list[str] = []
     lists: dict[tuple[str, ...], list[str]] = {}
@@ -88,7 +92,7 @@ def _moved(table: Any, free: Mapping[tuple[str, int], int]) -> list[str]:
         match = ADDRESS.match(text)
         if match is None:
             continue
-        address = f'"tcp://{match[1]}:{free[match[1], int(match[2])]}"'
+        address = f'"{match[1]}://{match[2]}:{free[_place(match)]}"'
         if keys[-1] == "*":
             lists.setdefault(keys[:-1], []).append(address)
         else:
@@ -109,18 +113,28 @@ def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
         yield path, value
 
 
-def _is_free(host: str, port: int) -> bool:
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+def _place(match: re.Match[str]) -> _Place:
+    return match[1], match[2], int(match[3])
+
+
+def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:
+    """Returns why no program could listen there now, as a phrase; empty where one could."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, _kind(scheme)) as probe:
+        if scheme == "tcp":  # over UDP this would let two programs have one port
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
-        except OSError:
-            return False
-        return True
+        except OSError as error:
+            return (error.strerror or str(error)).lower()
+        return ""
 
 
-def _take_free_port(host: str) -> tuple[socket.socket, int]:
+def _kind(scheme: str) -> socket.SocketKind:
+    return socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+
+
+def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
     """Takes a free port; the socket holds it until it is closed, so that no two calls return the same."""
-    held = socket.socket()
+    held = socket.socket(type=_kind(scheme))
     held.bind((host, 0))
     return held, held.getsockname()[1]

@@ -1,0 +1,128 @@
+"""`pancakes channel ...`: the channels of agents, and the packets on them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pancakes.cli.asking import ask_each, order
+from pancakes.cli.client import Client
+from pancakes.cli.echo import echo
+from pancakes.cli.errors import sentences
+from pancakes.cli.following import Following
+from pancakes.cli.listening import listen
+from pancakes.cli.names import ChannelName, a_channel, an_agent
+from pancakes.cli.options import Duration, asks_agents
+from pancakes.cli.output import show, show_json
+from pancakes.cli.publish import pub
+from pancakes.cli.rates import bw, hz
+from pancakes.cli.streaming import say
+from pancakes.cli.throughput import Throughput, size_of
+from pancakes.control import Channels
+from pancakes.packet import agent_of
+
+LISTED = ("agent", "channel", "core", "subscribers", "waiting", "dropped", "followers")
+SUBSCRIBERS = ("subscriber", "types", "keep", "limit", "waiting", "dropped")
+PUBLISHERS = ("publisher", "type", "packets", "rate_hz", "bytes_per_s")
+
+
+@click.group()
+def channel() -> None:
+    """Channels that agents have, and the packets on them."""
+
+
+for verb in (echo, hz, bw, pub):
+    channel.add_command(verb)
+
+
+@channel.command("list")
+@an_agent
+@asks_agents
+@sentences
+def list_(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """List the channels of all agents, or of AGENT.
+
+    For each: how many components subscribe to it, how many packets wait for those and how many they have lost, and how
+    many terminals and other agents follow it from elsewhere.
+
+    \b
+    Example:
+        pancakes channel list
+        pancakes channel list agent1 --format json
+    """
+    rows = [
+        {
+            **found,
+            "subscribers": len(found["subscribers"]),
+            "waiting": sum(reader["waiting"] for reader in found["subscribers"]),
+            "dropped": sum(reader["dropped"] for reader in found["subscribers"]),
+            "followers": len(found["followers"]),
+        }
+        for _, result in ask_each(at, timeout, Channels(), agent)
+        for found in result
+    ]
+    show(rows, LISTED, format_)
+
+
+@channel.command()
+@a_channel
+@click.option(
+    "--for",
+    "for_s",
+    metavar="TIME",
+    type=Duration(),
+    default="1s",
+    show_default=True,
+    help="How long to listen for who publishes.",
+)
+@asks_agents
+@sentences
+def info(name: ChannelName, for_s: float, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """Show who subscribes to a channel, who follows it, and who publishes on it.
+
+    Nobody declares what it will publish, so that is listened for; whoever publishes seldom may need a longer --for.
+    Rates are packets for each second of the publisher's mission time, bytes are for each second here.
+
+    \b
+    Example:
+        pancakes channel info agent1/system
+        pancakes channel info agent1/ctrl --for 10s --format json
+    """
+    with Client(at, timeout) as client:
+        (found,) = order(client, name.agent, Channels(name.channel))
+        heard = Throughput(client.now())
+        with Following(client, name.channel, foreign=True, agents=(name.agent,), say=say) as following:
+            for packet in listen(client, following, for_s):
+                if packet is not None:
+                    heard.add(packet.packet, packet.at_s, size_of(packet.packet))
+        publishers = [row for row in heard.rows(client.now()) if agent_of(row["source"]) != client.name]
+    row = {**found, "publishers": publishers, "heard_s": for_s}
+    if format_ == "json":
+        show_json([row])
+    else:
+        _show(row)
+
+
+def _show(row: dict[str, Any]) -> None:
+    kind = "a core channel" if row["core"] else "a channel"
+    click.echo(f"{row['agent']}/{row['channel']} is {kind}")
+    subscribers = [
+        {**it, "subscriber": it["address"], "types": _types(it["types"], it["open_types"])} for it in row["subscribers"]
+    ]
+    if subscribers:
+        show(subscribers, SUBSCRIBERS, "table")
+    else:
+        click.echo("\nNobody on this agent subscribes to it.")
+    click.echo("Followed from elsewhere by " + (", ".join(row["followers"]) or "nobody") + ".")
+    if row["publishers"]:
+        show([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS, "table")
+    else:
+        click.echo(f"Nobody published on it within {row['heard_s']:g} s.")
+
+
+def _types(types: list[str] | None, open_types: list[str] | None) -> str:
+    """Returns which types a subscriber gets; those in brackets only where a packet is addressed to it."""
+    if types is None:
+        return "all" if open_types is None else ", ".join([*open_types, "(all)"])
+    return ", ".join(name if open_types is None or name in open_types else f"({name})" for name in types)

@@ -1,0 +1,150 @@
+"""What a shell may put in place of a name that is not written to its end: what the running agents have.
+
+A completion comes while somebody types, so it takes `LIMIT_S` at most, and where something goes wrong there is just
+nothing to complete. Whatever ends in a slash is only a part of a name; a shell would end the word after it where there
+is no other choice, so such a one is followed to what is behind it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from typing import Any, Final
+
+import click
+from click.shell_completion import CompletionItem
+
+from pancakes.cli.names import TaskName, TaskNameType
+from pancakes.control import Describe
+
+LIMIT_S: Final = 1.0
+"""How long a person waits for a completion, at most."""
+
+Choices = Iterable[tuple[str, str]]
+"""Names, each with a line that says what it is."""
+
+
+def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes `AGENT`; those that stand on the line already are not offered again."""
+    named = ctx.params.get(param.name or "")
+    taken = named if isinstance(named, (list, tuple)) else ()
+    return [
+        CompletionItem(found["agent"], help=f"{found['role']} in {found['fleet']}")
+        for found in descriptions(ctx)
+        if found["agent"].startswith(incomplete) and found["agent"] not in taken
+    ]
+
+
+def tasks(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Completes `AGENT/TASK`, and `AGENT/SERVICE/TASK` where a service is begun or a name is in several services."""
+    return _below(ctx, incomplete, _tasks)
+
+
+def services(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Completes `AGENT/SERVICE`."""
+    return _below(ctx, incomplete, lambda found, begun: ((row["service"], row["state"]) for row in found["services"]))
+
+
+def channels(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Completes `AGENT/CHANNEL`."""
+    return _below(ctx, incomplete, lambda found, begun: ((name, "") for name in found["channels"]))
+
+
+def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the timers of the task that is named on the line already."""
+    name = _task_named(ctx)
+    found = answer(ctx, name.agent, Describe(name.target)) if name is not None else None
+    # A service of that name would answer with a list.
+    rows = found["timers"] if isinstance(found, dict) else []
+    return [
+        CompletionItem(row["timer"], help=f"{row['rate_hz']:g} Hz")
+        for row in rows
+        if row["timer"].startswith(incomplete)
+    ]
+
+
+def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the tasks on the agent of the task that is named on the line already."""
+    name = _task_named(ctx)
+    if name is None:
+        return []
+    return [
+        CompletionItem(row["task"], help=f"{row['type']}, {row['state']}")
+        for description in descriptions(ctx, name.agent)
+        for row in description["tasks"]
+        if row["task"].startswith(incomplete) and row["task"] != name.task
+    ]
+
+
+def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the cost functions that are installed here."""
+    from pancakes.plugins import Plugins
+
+    return [CompletionItem(name) for name in Plugins().names("pancakes.costs") if name.startswith(incomplete)]
+
+
+def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
+    """Returns what the agents (or only those named) say of themselves; nothing where nobody answers in time."""
+    from pancakes.cli.client import Client
+
+    try:
+        with Client(_at(ctx), LIMIT_S) as client:
+            return client.survey(*agents).agents
+    except Exception:  # whatever it is: it must not come between somebody and what they type
+        return []
+
+
+def answer(ctx: click.Context, agent: str, body: Any) -> Any:
+    """Returns the result that an agent answers a control packet with; None where it gives none in time."""
+    from pancakes.cli.client import Client
+
+    try:
+        with Client(_at(ctx), LIMIT_S) as client:
+            return client.request(agent, body).result
+    except Exception:
+        return None
+
+
+def _at(ctx: click.Context) -> Sequence[str]:
+    """The addresses that are on the line already."""
+    return ctx.params.get("at") or ()
+
+
+def _task_named(ctx: click.Context) -> TaskName | None:
+    """The argument that names a task; click leaves arguments unread where the value of an option is asked for."""
+    for word in ctx.args:
+        with suppress(click.BadParameter):
+            return TaskNameType().convert(word, None, ctx)
+    return None
+
+
+def _below(
+    ctx: click.Context, incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
+) -> list[CompletionItem]:
+    """Completes what is named below an agent.
+
+    Args:
+        choices: given an agent's description and what is written after `AGENT/`, returns what it has.
+    """
+    agent, slash, begun = incomplete.partition("/")
+    found = descriptions(ctx, agent) if slash else descriptions(ctx)
+    there = {description["agent"]: description for description in found if description["agent"].startswith(agent)}
+    if not slash and len(there) > 1:
+        return [CompletionItem(f"{name}/") for name in there]
+    return [
+        CompletionItem(f"{name}/{choice}", help=help_ or None)
+        for name, description in there.items()
+        for choice, help_ in choices(description, begun)
+        if choice.startswith(begun)
+    ]
+
+
+def _tasks(description: dict[str, Any], begun: str) -> Choices:
+    rows = [(row["service"], row["task"], f"{row['type']}, {row['state']}") for row in description["tasks"]]
+    names = [task for _, task, _ in rows]
+    short = [(task if names.count(task) == 1 else f"{service}/{task}", what) for service, task, what in rows]
+    if any(choice.startswith(begun) for choice, _ in short):
+        return short
+    full = [(f"{service}/{task}", what) for service, task, what in rows]
+    of_services = list(dict.fromkeys(service for service, _, _ in rows if service.startswith(begun)))
+    return full if len(of_services) < 2 else [(f"{service}/", "") for service in of_services]

@@ -1,0 +1,179 @@
+"""`pancakes config ...`: configuration files, checked and shown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pancakes.cli.errors import BAD_CONFIGURATION, OK, sentences
+from pancakes.cli.options import format_option
+from pancakes.cli.output import show, show_json
+from pancakes.errors import ConfigError
+
+SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
+
+
+@click.group()
+def config() -> None:
+    """Configuration files."""
+
+
+@config.command()
+@click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@format_option
+@sentences
+def check(paths: tuple[Path, ...], format_: str) -> None:
+    """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
+
+    Everything that is wrong is named, with file, line and key; the exit code is then 4. Plug-ins that the files name
+    and that cannot be imported are named too, as warnings: the rest of an agent runs without them.
+
+    \b
+    Example:
+        pancakes config check configs/encirclement robot.toml
+        pancakes config check robot.toml --format json
+    """
+    from pancakes.launch.plan import make_fleet
+    from pancakes.plugins import Plugins
+
+    plugins = Plugins()
+    rows: list[dict[str, Any]] = []
+    for path in paths:
+        try:
+            for member in make_fleet([path], (), None, plugins):
+                fleet = member.config.agent.fleet
+                rows.append({"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []})
+        except ConfigError as error:
+            faults = [
+                {"where": fault.where, "key": fault.key, "problem": fault.problem, "suggestion": fault.suggestion}
+                for fault in error.faults
+            ]
+            rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
+            if format_ == "table":
+                click.echo(str(error), err=True)
+    for problem in plugins.problems():
+        click.echo(f"warning: {problem}", err=True)
+    if format_ == "json":
+        show_json(rows)
+    else:
+        for row in rows:
+            if not row["faults"]:
+                click.echo(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
+    sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
+
+
+@config.command("show")
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says.")
+@format_option
+@sentences
+def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
+    """Show what an agent's configuration comes to: with all defaults, and where each value was said.
+
+    It is a configuration itself. As JSON it is a list of keys.
+
+    \b
+    Example:
+        pancakes config show configs/single.toml
+        pancakes config show configs/single.toml --set clock.speed=5 --format json
+    """
+    from pancakes.config import load
+    from pancakes.config.effective import effective, origin
+    from pancakes.config.toml_text import document_text, key_text
+    from pancakes.plugins import Plugins
+
+    plugins = Plugins()
+    found = load(file, sets, plugins)
+    for problem in plugins.problems():
+        click.echo(f"warning: {problem}", err=True)
+    tables = {table: value for table, value in effective(found, plugins).items() if value != {}}
+    if format_ == "table":
+        click.echo(document_text(tables, lambda keys: origin(found, keys)), nl=False)
+        return
+    show_json(
+        [
+            {"key": key_text(keys), "value": value, "from": origin(found, keys)}
+            for keys, value in _leaves(tables, ())
+            if value is not None
+        ]
+    )
+
+
+@config.command()
+@click.option("--fleet", is_flag=True, help="The schema of a fleet file instead, as `pancakes launch` takes it.")
+@click.option("--plugins", "with_plugins", is_flag=True, help="With the settings of all that is installed here.")
+@click.option(
+    "--format",
+    "format_",
+    type=click.Choice(["table", "json"]),
+    default="json",
+    show_default=True,
+    help="As a JSON Schema, or as a table of all keys.",
+)
+@sentences
+def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
+    """Print the JSON Schema of an agent's configuration, for editors that check and complete.
+
+    \b
+    Example:
+        pancakes config schema --plugins > agent.schema.json
+        pancakes config schema --format table
+    """
+    from pancakes.config.schema import config_schema
+    from pancakes.plugins import Plugins
+
+    if fleet and with_plugins:
+        raise click.UsageError("a fleet file names no plug-ins: --fleet and --plugins do not go together")
+    if fleet:
+        from pancakes.launch.fleet_file import fleet_schema
+
+        found = fleet_schema()
+    else:
+        found = config_schema(Plugins() if with_plugins else None)
+    if format_ == "json":
+        show_json(found)
+    else:
+        show(list(_schema_rows(found)), SCHEMA_COLUMNS, "table")
+
+
+def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for each key, with the table that it stands in."""
+    from pancakes.cli.schema_rows import rows_of
+    from pancakes.config.toml_text import value_text
+
+    for table, part in schema["properties"].items():
+        inner = part.get("additionalProperties")
+        named = isinstance(inner, Mapping)
+        if named or "properties" in part:
+            entry = inner if named else part
+            for row in rows_of(entry, definitions=schema["$defs"]):
+                default = "-" if row["default"] is None else value_text(row["default"])
+                default = "required" if row["required"] else default
+                yield {
+                    **row,
+                    "table": f"[{table}.NAME]" if named else f"[{table}]",
+                    "key": row["param"],
+                    "default": default,
+                }
+        else:
+            yield {
+                "table": "",
+                "key": table,
+                "type": value_text(part["const"]),
+                "default": "required",
+                "bounds": "",
+                "description": part["description"],
+            }
+
+
+def _leaves(value: Any, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """All values that are no tables, with the keys that lead to them."""
+    if isinstance(value, Mapping) and value:
+        for key, inner in value.items():
+            yield from _leaves(inner, (*keys, key))
+    else:
+        yield keys, value

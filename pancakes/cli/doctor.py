@@ -1,0 +1,100 @@
+"""`pancakes doctor`: looks for what is wrong on this machine and with its agents, and says what to do."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.cli.errors import OK, REFUSED, Unreachable, sentences
+from pancakes.cli.options import asks_agents
+from pancakes.cli.output import show_json
+
+if TYPE_CHECKING:
+    from pancakes.cli.finding import Finding
+
+MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
+
+
+@click.command()
+@click.option("--no-machine", is_flag=True, help="Look only at the agents.")
+@asks_agents
+@sentences
+def doctor(no_machine: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """Look for what is wrong on this machine and with its agents, and say what to do.
+
+    On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
+    In agents: who does not answer, is suspended, or has another's name or version; peers that are away; services and
+    tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is an error.
+
+    \b
+    Example:
+        pancakes doctor
+        pancakes doctor --at 192.168.1.20:7401 --no-machine --format json
+    """
+    found: list[Finding] = []
+    for finding in _look(not no_machine, at, timeout):
+        found.append(finding)
+        if format_ == "table":
+            _print(finding)
+    if format_ == "json":
+        columns = ("level", "about", "text", "advice")
+        show_json([{column: getattr(finding, column) for column in columns} for finding in found])
+    else:
+        count = Counter(finding.level for finding in found)
+        click.echo(f"{count['error']} errors, {count['warning']} warnings, {count['ok']} things are in order")
+    sys.exit(REFUSED if any(finding.level == "error" for finding in found) else OK)
+
+
+def _print(finding: Finding) -> None:
+    word, colour = MARKS[finding.level]
+    click.echo(f"{click.style(f'{word:8}', fg=colour)} {finding.about}: {finding.text}")
+    if finding.advice:
+        click.echo(f"{'':8} → {finding.advice}")
+
+
+def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
+    if machine:
+        from pancakes.cli.machine_checks import check_machine
+        from pancakes.plugins import Plugins
+
+        yield from check_machine(Plugins())
+    yield from _look_at_agents(at, timeout_s)
+
+
+def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
+    from pancakes.cli.agent_checks import check_entries, check_fleet
+    from pancakes.cli.client import Client
+    from pancakes.cli.finding import Finding
+    from pancakes.control import Describe
+    from pancakes.errors import PancakesError
+    from pancakes.runtime_dir import entries
+
+    if not at:
+        try:
+            there = [entry for entry in entries() if entry.role != "client"]
+        except PancakesError as error:
+            yield Finding("error", "agents", str(error), "without it no agent of this machine can be found")
+            return
+        if not there:
+            yield Finding("ok", "agents", "no agent runs on this machine")
+            return
+        yield from check_entries(there)
+    with Client(at, timeout_s) as client:
+        try:
+            found = client.survey()
+        except Unreachable as error:
+            for sentence in str(error).splitlines():
+                yield Finding("error", "agents", sentence, "see whether it runs, and whether its computer is away")
+            return
+
+        def ask(agent: str, target: str) -> Any:
+            try:
+                return client.request(agent, Describe(target)).result
+            except PancakesError:
+                return None
+
+        yield from check_fleet(found.agents, found.silent, ask)

@@ -1,0 +1,183 @@
+"""`pancakes down`: ends agents in good order, and waits until they are gone."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pancakes.cli.client import Client
+from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, NoAnswer, Unreachable, sentences
+from pancakes.cli.names import agents
+from pancakes.cli.options import dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show
+from pancakes.control import Shutdown
+from pancakes.runtime_dir import Entry, entries
+
+if TYPE_CHECKING:
+    import psutil
+
+COLUMNS = ("agent", "fleet", "role", "done")
+
+
+@dataclass
+class _Target:
+    """One agent that is to end.
+
+    Attributes:
+        process: its process, where that is one of this machine.
+        gone: whether it has ended.
+    """
+
+    name: str
+    fleet: str
+    role: str
+    process: psutil.Process | None
+    gone: bool = False
+
+
+@click.command()
+@agents
+@click.option("--all", "all_", is_flag=True, help="With --at: all agents that are found from there.")
+@dry_run_option
+@orders_agents
+@sentences
+def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """End agents: those that are named, or else all of this machine, and wait until they are gone.
+
+    Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
+    in it. Who has not ended within the time limit is named on standard error, and the exit code is then 3. A launcher
+    does not start again what was ended in this way, unless it was told to with --restart always.
+
+    \b
+    Example:
+        pancakes down
+        pancakes down agent1 agent2
+        pancakes down --at 192.168.1.20:7401 --all --dry-run
+    """
+    if at and not agents and not all_:
+        raise click.UsageError("name the agents to end, or say --all for those that are found through --at")
+    if all_ and (agents or not at):
+        raise click.UsageError("--all goes with --at alone: without both, all agents of this machine end")
+    here = {(entry.fleet, entry.name): entry for entry in entries() if entry.role != "client"}
+    ending = _Ending(timeout, dry_run)
+    if at or agents:
+        ending.end(at, agents, here)
+    else:
+        if not here:
+            click.echo("no agent runs on this machine", err=True)
+        ending.end_all(here)
+    if ending.rows or format_ == "json":
+        show(ending.rows, COLUMNS, format_)
+    sys.exit(ending.code)
+
+
+class _Ending:
+    """Ends agents of one fleet after the other.
+
+    Attributes:
+        rows: what was done.
+        code: the exit code so far.
+    """
+
+    def __init__(self, timeout_s: float, dry_run: bool) -> None:
+        self._timeout_s = timeout_s
+        self._dry_run = dry_run
+        self.rows: list[dict[str, Any]] = []
+        self.code = OK
+
+    def end_all(self, here: dict[tuple[str, str], Entry]) -> None:
+        """Ends the agents of this machine; those on other machines are left alone."""
+        for entry in here.values():
+            if not entry.listen:
+                text = f"{entry.name} listens at no address, so it cannot be asked: end its process with"
+                self._fail(f"{text} kill {entry.pid}", UNREACHABLE)
+        reached = [entry for entry in here.values() if entry.listen]
+        names = [entry.name for entry in reached]
+        if len(set(names)) < len(names):
+            # Agents of several fleets have the same name: their addresses tell them apart.
+            for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
+                self.end([entry.listen], [entry.name], here)
+        elif names:
+            self.end((), names, here)
+
+    def end(self, at: Sequence[str], names: Sequence[str], here: dict[tuple[str, str], Entry]) -> None:
+        """Ends agents that are found from some addresses (none: on this machine)."""
+        with Client(at, self._timeout_s) as client:
+            try:
+                found = client.survey(*names)
+            except Unreachable as error:
+                self._fail(str(error), UNREACHABLE)
+                return
+            for sentence in found.silent:
+                self._fail(sentence, UNREACHABLE)
+            targets = [_target(described, here) for described in found.agents]
+            worlds = [target for target in targets if target.role == "environment"]
+            for group in ([target for target in targets if target not in worlds], worlds):
+                self._await(client, [target for target in group if self._ask(client, target)])
+
+    def _ask(self, client: Client, target: _Target) -> bool:
+        """Asks an agent to end; returns whether it does."""
+        try:
+            reply = client.request(target.name, Shutdown(self._dry_run))
+        except NoAnswer as error:
+            self._fail(str(error), UNREACHABLE)
+            return False
+        if not reply.ok:
+            self._fail(f"{target.name} does not end: {reply.reason}", REFUSED)
+            return False
+        if self._dry_run:
+            self._done(target, DRY_RUN)
+        return not self._dry_run
+
+    def _await(self, client: Client, targets: Sequence[_Target]) -> None:
+        def all_gone() -> bool:
+            for target in targets:
+                # What was seen to be gone may come back: its launcher may start it again.
+                target.gone = target.gone or _is_gone(client, target)
+            return all(target.gone for target in targets)
+
+        client.wait(client.now() + self._timeout_s, all_gone)
+        for target in targets:
+            if target.gone:
+                self._done(target, "ended")
+            else:
+                process = f" (process {target.process.pid})" if target.process is not None else ""
+                self._fail(f"{target.name}{process} has not ended within {self._timeout_s:g} s", UNREACHABLE)
+
+    def _done(self, target: _Target, done: str) -> None:
+        self.rows.append({"agent": target.name, "fleet": target.fleet, "role": target.role, "done": done})
+
+    def _fail(self, sentence: str, code: int) -> None:
+        click.echo(sentence, err=True)
+        self.code = max(self.code, code)
+
+
+def _target(described: dict[str, Any], here: dict[tuple[str, str], Entry]) -> _Target:
+    import psutil
+
+    name, fleet = described["agent"], described["fleet"]
+    entry = here.get((fleet, name))
+    # An agent of this name may run here and another one elsewhere: only its own word says which was asked.
+    told = described["process"]
+    process = None
+    if entry is not None and told is not None and told["pid"] == entry.pid:
+        try:
+            process = psutil.Process(entry.pid)
+        except psutil.NoSuchProcess:  # it has ended already
+            process = None
+    return _Target(name, fleet, described["role"], process)
+
+
+def _is_gone(client: Client, target: _Target) -> bool:
+    import psutil
+
+    if target.process is None:
+        return not any(door.fleet == target.fleet and door.connected(target.name) for door in client.doors())
+    try:
+        return not target.process.is_running() or target.process.status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True

@@ -1,0 +1,266 @@
+"""What is published on a channel of agents, as it happens: for verbs that go on until somebody ends them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from pancakes.cli.client import LOOK_S, Client
+from pancakes.cli.door import Door
+from pancakes.cli.errors import Unreachable
+from pancakes.control import Follow, Reply
+from pancakes.errors import ControlRefused
+from pancakes.packet import Packet
+
+SEARCH_S: Final = 0.5
+"""How often agents are looked for that are away or new."""
+REPEAT_S: Final = 0.5
+"""When an agent is asked again that refused: its Network Service may only be starting."""
+ANSWER_S: Final = 3.0
+"""When an agent is asked again that did not answer: it may have been starting when it was asked."""
+QUIET_S: Final = 5.0
+"""After so long without a packet an agent is asked again, as its Network Service may have failed and forgotten us."""
+MOST_WAITING: Final = 100_000
+"""So many packets wait for a terminal that is slow; after that the oldest fall out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A packet that came.
+
+    Attributes:
+        agent: on whose channel it was published.
+        packet: the packet; its destination is this terminal.
+        at_s: when it came, in host time.
+    """
+
+    agent: str
+    packet: Packet
+    at_s: float
+
+
+@dataclass(slots=True)
+class _Followed:
+    """What is known of one agent that is followed.
+
+    Attributes:
+        door: leads to it.
+        agent: its name.
+        link: the link that stood when it was asked last; what it agreed to over an earlier one does not count.
+        request: the number of what it was asked and has not answered.
+        asked_s: when that was, in host time.
+        follows: whether it agreed.
+        lapsed: whether what it published may have been missed, before it follows again.
+        away: whether it has to be told when it is here (again).
+        heard_s: when it sent the last packet, in host time.
+        refusal: why it refused last.
+    """
+
+    door: Door
+    agent: str
+    link: int = 0
+    request: int | None = None
+    asked_s: float = -math.inf
+    follows: bool = False
+    lapsed: bool = False
+    away: bool = False
+    heard_s: float = -math.inf
+    refusal: str = ""
+
+
+class Following:
+    """The packets of one channel of one agent, of several or of all.
+
+    An agent that goes away is followed again when it comes back, also under another address. Its methods are called in
+    one thread; a client has one of these for each channel.
+
+        with Following(client, "system", agents=("agent1",), say=print) as following:
+            heard = following.next(client.now() + 1.0)
+
+    Args:
+        client: reaches the agents.
+        channel: the channel.
+        types: only packets of these types; none: all.
+        foreign: whether packets count that came to the channel from other agents.
+        agents: the agents' names; none: all, those too that come later.
+        say: takes a sentence about agents that go and come back.
+        followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
+
+    Attributes:
+        channel: the channel.
+        missed: how many packets fell out because nobody took them.
+
+    Raises:
+        Unreachable: there is no such agent, or none at all, or none answers in time.
+        ControlRefused: the agents have no such channel; the message is their reason.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        channel: str,
+        types: Sequence[str] = (),
+        foreign: bool = False,
+        agents: Sequence[str] = (),
+        say: Callable[[str], None] = lambda text: None,
+        followed_anew: Callable[[str], None] = lambda agent: None,
+    ) -> None:
+        self._client = client
+        self.channel = channel
+        self._request = Follow(channel, tuple(types), foreign)
+        self._names = tuple(agents)
+        self._say = say
+        self._followed: dict[tuple[str, str], _Followed] = {}
+        self._waiting: deque[Heard] = deque()
+        self._listened: list[Door] = []
+        self._searched_s = client.now()
+        self._tended_s = -math.inf
+        self._followed_anew = followed_anew
+        self.missed = 0
+        self._begin()
+
+    def __enter__(self) -> Following:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        # The agents forget us when the client leaves; until then nothing is kept any more.
+        self._followed = {}
+        self._waiting.clear()
+
+    def next(self, until_s: float) -> Heard | None:
+        """Returns the next packet, or None where none has come until then, in host time."""
+        while True:
+            self._tend()
+            if self._waiting:
+                return self._waiting.popleft()
+            now_s = self._client.now()
+            if now_s >= until_s:
+                return None
+            self._client.wait(min(until_s, now_s + LOOK_S), lambda: bool(self._waiting))
+
+    def agents(self) -> list[str]:
+        """Returns the names of all agents that are followed, those too that are away."""
+        return sorted({*self._names, *(it.agent for it in self._followed.values())})
+
+    def away(self) -> list[str]:
+        """Returns the names of the agents that are away."""
+        here = {it.agent for it in self._followed.values() if it.follows}
+        return [name for name in self.agents() if name not in here]
+
+    # Beginning -------------------------------------------------------------------------------------------------
+
+    def _begin(self) -> None:
+        found = self._client.survey(*self._names)
+        for sentence in found.silent:
+            self._say(sentence)
+        self._meet()
+        for it in self._followed.values():
+            self._ask(it, self._client.now())
+        keys = [(row["fleet"], row["agent"]) for row in found.agents]
+        answered = [self._followed[key] for key in keys if key in self._followed]
+
+        def settled() -> bool:
+            for it in answered:
+                self._take_answer(it)
+            return all(it.request is None for it in answered)
+
+        self._client.wait(self._client.now() + self._client.timeout_s, settled)
+        refusals = list(dict.fromkeys(it.refusal for it in answered if it.refusal))
+        if not any(it.follows for it in answered):
+            if refusals:
+                raise ControlRefused("\n".join(refusals))
+            names = ", ".join(row["agent"] for row in found.agents)
+            raise Unreachable(f"{names} did not answer: nothing came within {self._client.timeout_s:g} s")
+        for refusal in refusals:
+            self._say(refusal)
+
+    def _meet(self) -> list[_Followed]:
+        """Takes up agents that are connected and not yet known; returns them."""
+        new = []
+        for door in self._client.doors():
+            for hello in door.agents():
+                key = (door.fleet, hello.name)
+                if key in self._followed or (self._names and hello.name not in self._names):
+                    continue
+                if door not in self._listened:
+                    self._listened.append(door)
+                    door.listen(partial(self._hear, door.fleet))
+                self._followed[key] = _Followed(door, hello.name)
+                new.append(self._followed[key])
+        return new
+
+    # Going on --------------------------------------------------------------------------------------------------
+
+    def _tend(self) -> None:
+        """Sees to it that all agents are followed that are there."""
+        now_s = self._client.now()
+        if now_s - self._tended_s < LOOK_S:
+            return
+        self._tended_s = now_s
+        for it in self._meet():
+            it.lapsed = it.away = True
+        for it in self._followed.values():
+            self._look_after(it, now_s)
+        if now_s - self._searched_s >= SEARCH_S and (not self._names or self.away()):
+            self._searched_s = now_s
+            self._client.look_again()
+
+    def _look_after(self, it: _Followed, now_s: float) -> None:
+        self._take_answer(it)
+        link = it.door.link(it.agent)
+        if link != it.link:
+            it.follows, it.lapsed, it.request, it.link = False, True, None, 0
+            if not link and not it.away:
+                it.away = True
+                self._say(f"{it.agent} is away: waiting for it to come back")
+        if not link:
+            return
+        asked_before_s = now_s - it.asked_s
+        if it.request is not None:
+            due = asked_before_s >= ANSWER_S
+        elif it.follows:
+            due = asked_before_s >= QUIET_S and now_s - it.heard_s >= QUIET_S
+        else:
+            due = link != it.link or asked_before_s >= REPEAT_S
+        if due:
+            self._ask(it, now_s)
+
+    def _ask(self, it: _Followed, now_s: float) -> None:
+        if it.request is not None:
+            it.door.forget(it.request)
+        it.asked_s = now_s
+        it.link = it.door.link(it.agent)
+        it.request = it.door.ask(it.agent, self._request)
+
+    def _take_answer(self, it: _Followed) -> None:
+        answer = it.door.answer(it.request) if it.request is not None else None
+        if it.request is None or answer is None:
+            return
+        it.door.forget(it.request)
+        it.request = None
+        if not isinstance(answer, Reply) or not answer.ok:
+            it.follows = False
+            it.refusal = answer.reason if isinstance(answer, Reply) else ""
+            return
+        it.follows, it.refusal = True, ""
+        if it.away:
+            it.away = False
+            self._say(f"{it.agent} is here")
+        if it.lapsed:
+            it.lapsed = False
+            self._followed_anew(it.agent)
+
+    def _hear(self, fleet: str, agent: str, packet: Packet) -> None:
+        """Takes a packet. In the transport's thread."""
+        it = self._followed.get((fleet, agent))
+        if it is None or packet.channel != self.channel:
+            return
+        it.heard_s = self._client.now()
+        self._waiting.append(Heard(agent, packet, it.heard_s))
+        if len(self._waiting) > MOST_WAITING:
+            self._waiting.popleft()
+            self.missed += 1

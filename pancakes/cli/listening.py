@@ -1,0 +1,93 @@
+"""Listens to channels for as long as a verb is to go on, and says what was missed meanwhile."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from pancakes.cli.client import Client
+from pancakes.cli.errors import Unreachable
+from pancakes.cli.following import Following, Heard
+from pancakes.cli.streaming import say
+from pancakes.errors import PancakesError
+from pancakes.packet import covers
+from pancakes.suggestion import suggestion
+
+LOOK_S = 0.2
+"""At least that often `listen` gives its caller a turn."""
+
+
+def listen(
+    client: Client, following: Following, for_s: float | None = None, bounded: bool = False
+) -> Iterator[Heard | None]:
+    """Yields the packets as they come, and None now and then where none comes.
+
+    Args:
+        client: reaches the agents.
+        following: what is listened to.
+        for_s: ends after this time; None: never.
+        bounded: whether the caller will end by itself, so that it should not wait for ever for those who went away.
+
+    Raises:
+        Unreachable: at the end, or for as long as the client's time limit, none of the agents is there.
+    """
+    now_s = client.now()
+    end_s = math.inf if for_s is None else now_s + for_s
+    heard_s = now_s
+    while now_s < end_s:
+        heard = following.next(min(end_s, now_s + LOOK_S))
+        yield heard
+        now_s = client.now()
+        if heard is not None or following.away() != following.agents():
+            heard_s = now_s
+        elif bounded and now_s - heard_s >= client.timeout_s:
+            raise Unreachable(f"{', '.join(following.away())} did not come back within {client.timeout_s:g} s")
+    if following.away() == following.agents():
+        raise Unreachable(f"{', '.join(following.away())} went away and did not come back")
+
+
+@contextmanager
+def telling_losses(client: Client, following: Following) -> Iterator[None]:
+    """Says at the end how many packets were published and did not come to be seen."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _tell_losses(client, following)
+        raise
+    _tell_losses(client, following)
+
+
+def _tell_losses(client: Client, following: Following) -> None:
+    if following.missed:
+        say(f"{following.missed} packets were missed: this command could not keep up")
+    try:
+        agents = client.survey(*following.agents(), timeout_s=1.0).agents
+    except PancakesError:
+        return  # who is away cannot be asked
+    for agent in agents:
+        lost = sum(
+            peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if peer["name"] == client.name
+        )
+        if lost:
+            say(f"{lost} packets were given up by {agent['agent']}: the way to this terminal was too slow")
+
+
+def from_any(source: str, addresses: Sequence[str]) -> bool:
+    """Returns whether a packet comes from one of these addresses, or one below; no addresses: from anywhere."""
+    return not addresses or any(covers(address.rstrip("/"), source) for address in addresses)
+
+
+def doubt_types(types: Sequence[str]) -> None:
+    """Says which types nobody here knows: the agents may, but perhaps the user meant another one."""
+    from pancakes.packet import known_types
+    from pancakes.plugins import Plugins
+
+    if not types:
+        return
+    Plugins().load_packets()
+    known = known_types()
+    for name in types:
+        near = suggestion(name, known)
+        if name not in known:
+            say(f"no packet type {name!r} is installed here" + (f", did you mean {near!r}?" if near else ""))

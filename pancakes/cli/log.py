@@ -1,0 +1,246 @@
+"""`pancakes log`: what agents say and do."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import click
+
+from pancakes.cli.asking import order
+from pancakes.cli.client import Client
+from pancakes.cli.errors import sentences
+from pancakes.cli.following import Following
+from pancakes.cli.listening import from_any, listen, telling_losses
+from pancakes.cli.names import agents as some_agents
+from pancakes.cli.options import Duration, asks_agents
+from pancakes.cli.streaming import Printer, say, until_ended
+from pancakes.control import History
+from pancakes.errors import ControlRefused, PancakesError
+from pancakes.events import LEVELS
+from pancakes.packet import LOG
+from pancakes.services.log import REMEMBERED, line_of, record_of
+
+COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
+
+Record = Mapping[str, Any]
+
+
+class Pattern(click.ParamType):
+    """A regular expression."""
+
+    name = "regex"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> re.Pattern[str]:
+        try:
+            return re.compile(value)
+        except re.error as error:
+            self.fail(f"{value!r} is no regular expression: {error}", param, ctx)
+
+
+@click.command()
+@some_agents
+@click.option("-f", "--follow", is_flag=True, help="Go on with what is said from now on, until Ctrl-C.")
+@click.option(
+    "--level",
+    type=click.Choice(LEVELS),
+    default="info",
+    show_default=True,
+    help="Only lines of this level and above; events count as info.",
+)
+@click.option(
+    "--from", "sources", metavar="ADDRESS", multiple=True, help="Only from this agent, service or task. Repeatable."
+)
+@click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")
+@click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
+@asks_agents
+@sentences
+def log(
+    agents: tuple[str, ...],
+    follow: bool,
+    level: str,
+    sources: tuple[str, ...],
+    since_s: float | None,
+    grep: re.Pattern[str] | None,
+    format_: str,
+    at: tuple[str, ...],
+    timeout: float,
+) -> None:
+    """Show what all agents, or only those named, have said and done.
+
+    The Log Service of each agent remembers its last 2,000 lines and events. They are shown in the order in which they
+    happened; the time before each is its agent's mission time, in seconds, and so are those of --since.
+    With --follow, agents that are started meanwhile or come back are taken in, with all they have said by then.
+    JSON is a list, with --follow one object a line.
+
+    \b
+    Example:
+        pancakes log --since 30s --level warning
+        pancakes log -f agent1 --from agent1/client/ScanTarget
+        pancakes log --grep 'task_(failed|given_up)' --format json
+    """
+    asks = Asks(level, sources, grep)
+    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, text_of) as printer:
+        records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
+        for record in records:
+            if asks.wants(record):
+                printer.show(record)
+
+
+class Asks:
+    """What a user wants to see.
+
+    Args:
+        level: lines of this level and above.
+        sources: only from these addresses; none: from all.
+        grep: only what it is found in.
+    """
+
+    def __init__(self, level: str, sources: Sequence[str], grep: re.Pattern[str] | None) -> None:
+        self._lowest = LEVELS.index(level)
+        self._sources = sources
+        self._grep = grep
+
+    def wants(self, record: Record) -> bool:
+        """Returns whether a record is to be shown."""
+        level = level_of(record)
+        return (
+            (level not in LEVELS or LEVELS.index(level) >= self._lowest)
+            and from_any(record["source"], self._sources)
+            and (self._grep is None or self._grep.search(f"{record['source']}: {words_of(record)}") is not None)
+        )
+
+
+def level_of(record: Record) -> str:
+    """Returns the level of a record; events count as `info`."""
+    return str(record["level"]) if record["kind"] == "line" else "info"
+
+
+def words_of(record: Record) -> str:
+    """Returns what a record says, in one line."""
+    if record["kind"] == "line":
+        return str(record["text"])
+    fields = [(key, value) for key, value in record.items() if key not in ("t_s", "agent", "source", "kind")]
+    return " ".join([record["kind"], *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
+
+
+def text_of(record: Record) -> str:
+    """Returns a record as a line for people; its colours stay only where they can be seen."""
+    level = level_of(record)
+    colour = COLOURS.get(level, "") if "NO_COLOR" not in os.environ else ""
+    line = f"{record['t_s']:9.3f} {level:<7} {record['source']}: {words_of(record)}"
+    return click.style(line, fg=colour) if colour else line
+
+
+# Where it comes from ---------------------------------------------------------------------------------------------
+
+
+def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
+    """Yields what was said until now, in its order."""
+    found = client.survey(*agents)
+    for sentence in found.silent:
+        say(sentence)
+    yield from _merged(client, found.agents, since_s)
+
+
+def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[Record]:
+    """Returns what agents remember, by the time at which it was said.
+
+    No two agents share a clock, so it counts how long ago something was said, on the clock of its own agent.
+    """
+    dated: list[tuple[float, Record]] = []
+    refusals = []
+    for agent in described:
+        try:
+            records = _remembered(client, agent["agent"], since_s)
+        except ControlRefused as error:
+            refusals.append(f"{agent['agent']} does not tell what was said: {error}")
+        else:
+            # Its mission time is of about now: all agents have just been asked.
+            dated.extend(((record["t_s"] - agent["mission_s"]) / agent["speed"], record) for record in records)
+    if refusals and len(refusals) == len(described):
+        raise ControlRefused("\n".join(refusals))
+    for refusal in refusals:
+        say(refusal)
+    return [record for _, record in sorted(dated, key=lambda it: it[0])]
+
+
+def _remembered(client: Client, agent: str, since_s: float | None) -> list[Record]:
+    """Returns all that the Log Service of an agent remembers, page by page."""
+    records: list[Record] = []
+    after = 0
+    while page := order(client, agent, History(since_s, after)):
+        after = page[-1]["entry"]
+        records.extend({key: value for key, value in record.items() if key != "entry"} for record in page)
+    return records
+
+
+def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
+    """Yields what was said until now, then what is said.
+
+    What an agent says is followed first and asked for then, so that nothing falls between the two; and asked for again
+    when it comes back. What is in both is left out once.
+    """
+    anew: list[str] = []
+    known: dict[str, _Known] = {}
+    began_s = client.now()
+    with (
+        Following(client, LOG, agents=agents, say=say, followed_anew=anew.append) as following,
+        telling_losses(client, following),
+    ):
+
+        def remembered(described: Sequence[Mapping[str, Any]]) -> Iterator[Record]:
+            speed = max((agent["speed"] for agent in described), default=1.0)
+            back_s = None if since_s is None else since_s + (client.now() - began_s) * speed
+            records = _merged(client, described, back_s)
+            for agent in described:
+                of_agent = [record for record in records if record["agent"] == agent["agent"]]
+                known.setdefault(agent["agent"], _Known()).ask(of_agent)
+            return (record for record in records if known[record["agent"]].is_new(record))
+
+        yield from remembered(client.survey(*agents).agents)
+        for heard in listen(client, following):
+            while anew:
+                try:
+                    yield from remembered(client.survey(anew.pop()).agents)
+                except PancakesError as error:
+                    say(str(error))
+            if heard is not None:
+                record = record_of(heard.packet)
+                if known.setdefault(heard.agent, _Known()).comes(record):
+                    yield record
+
+
+class _Known:
+    """Which records of one agent have been shown, so that none is shown twice where it comes in two ways."""
+
+    def __init__(self) -> None:
+        self._shown: deque[str] = deque(maxlen=2 * REMEMBERED)
+        self._not_new: Counter[str] = Counter()
+        self._to_come: Counter[str] = Counter()
+
+    def ask(self, remembered: Sequence[Record]) -> None:
+        """Takes all that the agent remembers."""
+        self._not_new = Counter(self._shown)
+        self._to_come = Counter(line_of(dict(record)) for record in remembered)
+
+    def is_new(self, record: Record) -> bool:
+        """Returns whether one of these is to be shown: it was not before."""
+        line = line_of(dict(record))
+        if self._not_new[line]:
+            self._not_new[line] -= 1
+            return False
+        self._shown.append(line)
+        return True
+
+    def comes(self, record: Record) -> bool:
+        """Returns whether a record that comes as it is said is to be shown: it was not among what was remembered."""
+        line = line_of(dict(record))
+        if self._to_come[line]:
+            self._to_come[line] -= 1
+            return False
+        self._shown.append(line)
+        return True

@@ -1,0 +1,241 @@
+"""`pancakes record ...`: recordings of what agents say, in MCAP files."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from pancakes.cli.asking import accepted
+from pancakes.cli.client import Client
+from pancakes.cli.errors import sentences
+from pancakes.cli.names import agents
+from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.control import Describe, History, Start, Stop
+from pancakes.errors import ControlRefused
+
+RECORDER: Final = "log/Recorder"
+COLUMNS = ("agent", "done", "path")
+
+
+@click.group()
+def record() -> None:
+    """Recordings of what agents say.
+
+    Each agent records what is seen on its own channels. The files of several agents in one folder are one recording,
+    in which a task that moves can be followed. Foxglove opens them.
+    """
+
+
+@record.command()
+@agents
+@click.option("--path", metavar="FILE", default="", help="Where to, on the agent's machine; {agent} is its name.")
+@click.option("--channel", "channels", metavar="NAME", multiple=True, help="Only this channel. Repeatable.")
+@click.option("--type", "types", metavar="TYPE", multiple=True, help="Only this packet type. Repeatable.")
+@click.option("--task", metavar="ID", default="", help="Only what this task (BIRTHPLACE/NAME) reads and publishes.")
+@click.option("--limit-mib", type=click.FloatRange(min=0.0), default=None, help="How large it may become.")
+@click.option("--split-mib", type=click.FloatRange(min=0.0, min_open=True), help="A new file begins at this size.")
+@dry_run_option
+@orders_agents
+@sentences
+def start(
+    agents: tuple[str, ...],
+    path: str,
+    channels: tuple[str, ...],
+    types: tuple[str, ...],
+    task: str,
+    limit_mib: float | None,
+    split_mib: float | None,
+    dry_run: bool,
+    format_: str,
+    at: tuple[str, ...],
+    timeout: float,
+) -> None:
+    """Begin to record on all agents, or on those that are named.
+
+    What is not said here is as the table [record] of the agent's configuration says. A file that is there already is
+    left alone: the new one gets a number.
+
+    \b
+    Example:
+        pancakes record start
+        pancakes record start agent1 --path 'runs/{agent}.mcap' --channel system --channel ctrl
+        pancakes record start --task agent1/ScanTarget
+    """
+    given = {
+        "path": path,
+        "channels": list(channels),
+        "types": list(types),
+        "task": task,
+        "limit_mib": limit_mib,
+        "split_mib": split_mib,
+    }
+    settings = {key: value for key, value in given.items() if value not in ("", [], None)}
+    with Client(at, timeout) as client:
+        rows = []
+        for agent in _names(client, agents):
+            accepted(client, agent, Start(RECORDER, settings, dry_run))
+            done = DRY_RUN if dry_run else "recording"
+            rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
+    show(rows, COLUMNS, format_)
+
+
+@record.command()
+@agents
+@dry_run_option
+@orders_agents
+@sentences
+def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """End the recordings of all agents, or of those that are named, and wait until the files are complete.
+
+    \b
+    Example:
+        pancakes record stop
+    """
+    with Client(at, timeout) as client:
+        rows = []
+        for agent in _names(client, agents):
+            running = accepted(client, agent, Describe(RECORDER)).result["state"] == "running"
+            if not running and not agents:
+                continue
+            path = _path(client, agent)
+            accepted(client, agent, Stop(RECORDER, dry_run=dry_run))
+            rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
+    if not rows:
+        raise ControlRefused("no agent records")
+    show(rows, COLUMNS, format_)
+
+
+@record.command("list")
+@agents
+@asks_agents
+@sentences
+def list_(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """List which agents record, and where to.
+
+    \b
+    Example:
+        pancakes record list
+    """
+    with Client(at, timeout) as client:
+        rows = []
+        for agent in _names(client, agents):
+            told = accepted(client, agent, Describe(RECORDER)).result
+            running = told["state"] == "running"
+            rows.append(
+                {
+                    "agent": agent,
+                    "done": "recording" if running else told["reason"] or told["state"],
+                    "path": _path(client, agent) if running else None,
+                }
+            )
+    show(rows, COLUMNS, format_)
+
+
+@record.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.option("--format", "format_", type=click.Choice(["table", "json"]), default="table", show_default=True)
+@sentences
+def info(path: Path, format_: str) -> None:
+    """Show what is in a recording: a file with its parts, or all files of a folder.
+
+    \b
+    Example:
+        pancakes record info runs/encirclement-1-virtual/recording
+    """
+    _know_packets()
+    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.summary import Summary
+
+    reader = RecordingReader(path)
+    summary = Summary.of(reader.entries())
+    for note in reader.notes():
+        click.echo(note, err=True)
+    virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
+    stays = [
+        {
+            "task_id": stay.task_id,
+            "agent": stay.agent,
+            "epoch": stay.epoch,
+            "from_s": round((stay.first_ns - summary.first_ns) / 1e9, 3),
+            "to_s": round((stay.last_ns - summary.first_ns) / 1e9, 3),
+            "published": stay.published,
+        }
+        for stay in summary.stays
+    ]
+    about = {
+        "path": str(path),
+        "files": [str(file) for file in reader.files],
+        "size_mib": round(sum(file.stat().st_size for file in reader.files) / 2**20, 3),
+        "begins": _moment(summary.first_ns, virtual),
+        "duration_s": round((summary.last_ns - summary.first_ns) / 1e9, 3),
+        "packets": summary.packets,
+        "whole": not any(reading.cut for reading in reader.readings),
+    }
+    topics = [topic.row() for _, topic in sorted(summary.topics.items())]
+    if format_ == "json":
+        show_json([{**about, "tasks": stays, "topics": topics}])
+    else:
+        show_sections({str(path): about, "tasks": stays, "topics": topics})
+
+
+@record.command()
+@click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
+@dry_run_option
+@click.option("--format", "format_", type=click.Choice(["table", "json"]), default="table", show_default=True)
+@sentences
+def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
+    """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
+
+    \b
+    Example:
+        pancakes record repair recordings/agent1.mcap
+    """
+    from pancakes.recording.reader import Reading, files_of, messages
+    from pancakes.recording.repair import repair as mend
+
+    if out is not None and len(paths) > 1:
+        raise click.UsageError("--out goes with one file")
+    rows: list[dict[str, Any]] = []
+    for path in [file for given in paths for file in files_of(given)]:
+        if dry_run:
+            reading = Reading(path)
+            with path.open("rb") as file:
+                count = sum(1 for _ in messages(reading, file))
+            done = DRY_RUN if reading.cut else "whole already"
+            rows.append({"file": str(path), "done": done, "messages": count, "bytes_lost": None})
+            continue
+        made = mend(path, out)
+        done = "whole already" if made.whole else "repaired"
+        rows.append({"file": str(made.path), "done": done, "messages": made.messages, "bytes_lost": made.bytes_lost})
+    show(rows, ("file", "done", "messages", "bytes_lost"), format_)
+
+
+def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
+    found = client.survey(*agents)
+    for sentence in found.silent:
+        click.echo(sentence, err=True)
+    return [described["agent"] for described in found.agents]
+
+
+def _path(client: Client, agent: str) -> str | None:
+    """Returns the file that an agent records into, as its log says."""
+    records = accepted(client, agent, History()).result
+    return next((one["path"] for one in reversed(records) if one["kind"] == "recording_started"), None)
+
+
+def _know_packets() -> None:
+    from pancakes.plugins import Plugins
+
+    for fault in Plugins().load_packets():
+        click.echo(str(fault), err=True)
+
+
+def _moment(time_ns: int, virtual: bool) -> str:
+    if virtual:
+        return f"{time_ns / 1e9:.3f} s of the mission"
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,101 @@
+"""What verbs have in common that print one thing after the other, perhaps until somebody ends them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, TypeVar
+
+import click
+import msgspec
+
+from pancakes.cli.options import Duration
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else one object a line."
+"""How all these verbs print JSON; for their help."""
+
+
+def plain(value: Any) -> Any:
+    """Returns a value, such as a packet's body, as JSON knows it: mappings, lists, strings, numbers."""
+    return msgspec.to_builtins(value, enc_hook=_plain_array, str_keys=True)
+
+
+def one_line(value: Any) -> str:
+    """Returns a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
+    return msgspec.json.encode(value, enc_hook=_plain_array).decode()
+
+
+def _plain_array(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers
+        return value.tolist()
+    raise NotImplementedError(f"{type(value).__name__} cannot be shown as JSON")
+
+
+class Printer:
+    """Prints values to standard output as they come: as text for people, or as JSON for programs.
+
+    As JSON they become a list where they are `bounded`, that is, where the command ends by itself, and one object a
+    line where it does not. It is a context manager, which ends that list.
+
+    Args:
+        format_: `table` or `json`.
+        bounded: whether the command ends by itself.
+        text: makes the text of a value.
+    """
+
+    def __init__(self, format_: str, bounded: bool, text: Callable[[Any], str]) -> None:
+        self._json = format_ == "json"
+        self._list = self._json and bounded
+        self._text = text
+        self.printed = 0
+
+    def __enter__(self) -> Printer:
+        return self
+
+    def show(self, value: Any) -> None:
+        """Prints a value."""
+        if self._list:
+            click.echo(("[\n  " if self.printed == 0 else ",\n  ") + one_line(value), nl=False)
+        else:
+            click.echo(one_line(value) if self._json else self._text(value))
+        self.printed += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        # Whoever ends the command early still gets a list; where it failed, there may be nothing to end.
+        if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
+            if not isinstance(error, BrokenPipeError):
+                click.echo("\n]" if self.printed else "[]")
+
+
+@contextmanager
+def until_ended() -> Iterator[None]:
+    """Lets Ctrl-C, or whoever reads the output and has had enough, end what goes on: in good order, without a word."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if sys.stdout.isatty():
+            click.echo()  # so that the shell's prompt does not stand behind the ^C
+    except BrokenPipeError:
+        # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def say(text: str) -> None:
+    """Says something about the stream on standard error, where it does not mix with it."""
+    click.echo(text, err=True)
+
+
+def count_option(what: str) -> Callable[[_F], _F]:
+    """Returns the option `--count`; its parameter is `count`, None where it is not given."""
+    return click.option("--count", metavar="N", type=click.IntRange(min=1), help=f"End after N {what}.")
+
+
+for_option = click.option("--for", "for_s", metavar="TIME", type=Duration(), help="End after this time: 30s.")
+"""The option `--for`; its parameter is `for_s`, None where it is not given."""

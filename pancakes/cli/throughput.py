@@ -1,0 +1,120 @@
+"""How often packets come, how evenly, and how large they are. Pure: packets and times go in, rows come out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Final
+
+from msgspec.structs import replace
+
+from pancakes.packet import Packet
+from pancakes.wire.codec import Encoder
+
+WINDOW: Final = 1000
+"""So many of the newest packets of one source and type are looked at, where nothing else is said."""
+
+_ENCODER: Final = Encoder()
+
+
+def size_of(packet: Packet) -> int:
+    """Returns how many bytes a packet takes on the wire, apart from the name of whoever follows it.
+
+    In the main thread only. A frame around one or several packets adds a few more.
+    """
+    return len(_ENCODER.packet(replace(packet, destination="")))
+
+
+@dataclass(slots=True)
+class _Series:
+    """The newest packets of one source and type."""
+
+    times_s: deque[float]
+    arrivals_s: deque[float]
+    sizes: deque[int]
+    packets: int = 0
+    new: int = field(default=0)
+
+
+class Throughput:
+    """Looks at packets, those of each source and type by themselves.
+
+    Args:
+        began_s: when it was begun to listen, in host time.
+        window: how many packets of each source and type are looked at.
+        arrivals: whether intervals are those at which packets came, in host time, instead of those at which they were
+            published, in the publisher's mission time.
+    """
+
+    def __init__(self, began_s: float, window: int = WINDOW, arrivals: bool = False) -> None:
+        self._began_s = began_s
+        self._window = window
+        self._arrivals = arrivals
+        self._series: dict[tuple[str, str], _Series] = {}
+        self.packets = 0
+
+    def add(self, packet: Packet, at_s: float, size: int = 0) -> None:
+        """Takes a packet that came at a host time."""
+        key = (packet.source, packet.type)
+        it = self._series.get(key)
+        time_s = at_s if self._arrivals else packet.stamp
+        if it is None or (it.times_s and time_s < it.times_s[-1]):
+            # A mission time that goes back is that of an agent that was started anew.
+            kept = (
+                deque[float](maxlen=self._window),
+                deque[float](maxlen=self._window),
+                deque[int](maxlen=self._window),
+            )
+            it = self._series[key] = _Series(*kept)
+        it.times_s.append(time_s)
+        it.arrivals_s.append(at_s)
+        it.sizes.append(size)
+        it.packets += 1
+        it.new += 1
+        self.packets += 1
+
+    def rows(self, now_s: float, new_only: bool = False) -> list[dict[str, Any]]:
+        """Returns a row for each source and type, by their names.
+
+        Args:
+            now_s: host time.
+            new_only: leaves those out that nothing came of since the call before.
+
+        Returns:
+            For each `source`, `type`, `packets` (all of them), `window` (those that the rest is about), `rate_hz`,
+            `min_s`, `max_s` and `std_dev_s` of the intervals (None where there is none), `bytes_per_s` of host time,
+            `min_bytes`, `mean_bytes` and `max_bytes`.
+        """
+        rows = []
+        for (source, kind), it in sorted(self._series.items()):
+            if it.new or not new_only:
+                head = {"source": source, "type": kind, "packets": it.packets, "window": len(it.times_s)}
+                rows.append({**head, **_intervals(it.times_s), **_sizes(it, self._began_s, now_s)})
+            it.new = 0
+        return rows
+
+
+def _intervals(times_s: deque[float]) -> dict[str, float | None]:
+    intervals = [after - before for before, after in pairwise(times_s)]
+    whole_s = sum(intervals)
+    if not intervals or whole_s <= 0.0:  # a mission that is held stands at 0
+        return {"rate_hz": None, "min_s": None, "max_s": None, "std_dev_s": None}
+    mean_s = whole_s / len(intervals)
+    spread = math.sqrt(sum((interval - mean_s) ** 2 for interval in intervals) / len(intervals))
+    return {"rate_hz": 1.0 / mean_s, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread}
+
+
+def _sizes(it: _Series, began_s: float, now_s: float) -> dict[str, float | None]:
+    sizes = list(it.sizes)
+    if it.packets == len(sizes):
+        whole, since_s = sum(sizes), began_s
+    else:  # the window begins with its first packet, which therefore does not count
+        whole, since_s = sum(sizes[1:]), it.arrivals_s[0]
+    return {
+        "bytes_per_s": whole / (now_s - since_s) if now_s > since_s else None,
+        "min_bytes": min(sizes),
+        "mean_bytes": sum(sizes) / len(sizes),
+        "max_bytes": max(sizes),
+    }

@@ -1,0 +1,45 @@
+"""What a launcher changes of its agents' files, as `pancakes-agent --set` takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from pancakes.config.toml_text import key_text, value_text
+from pancakes.errors import ConfigError, Fault
+from pancakes.suggestion import suggestion
+
+
+def overrides(table: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Iterator[str]:
+    """Yields `table.key=value` for each value in nested tables, so that the keys beside it stay as the file has them.
+
+    Args:
+        table: plain values, as TOML gives them.
+        keys: where the table is.
+    """
+    for key, value in table.items():
+        path = (*keys, key)
+        if isinstance(value, Mapping) and value:
+            yield from overrides(value, path)
+        else:
+            yield f"{key_text(path)}={value_text(value)}"
+
+
+def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:
+    """Returns the agents that a change from the command line concerns, and what is left of it for them.
+
+    Args:
+        change: `AGENT:table.key=value`, or `table.key=value` for all agents.
+        agents: the names of all agents.
+
+    Raises:
+        ConfigError: it names an agent that is none of these.
+    """
+    keys, equals, value = change.partition("=")
+    agent, colon, rest = keys.partition(":")
+    if not colon:
+        return agents, change
+    if agent not in agents:
+        near = suggestion(agent, agents)
+        raise ConfigError([Fault(f"--set {change}", agent, f"is none of the agents {', '.join(agents)}", near)])
+    return (agent,), f"{rest}{equals}{value}"

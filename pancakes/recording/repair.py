@@ -1,0 +1,89 @@
+"""Makes a recording whole again that was cut off by a crash: all that reached the disk, with an index."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from pancakes.recording.entry import RecordingError
+from pancakes.recording.reader import READ_ERRORS, Reading, messages
+from pancakes.recording.writer import CHUNK_BYTES, LIBRARY, METADATA
+
+
+@dataclass(frozen=True, slots=True)
+class Repaired:
+    """What came of a repair.
+
+    Attributes:
+        path: the file.
+        whole: whether there was nothing to mend, and it was left alone.
+        messages: how many messages are in it.
+        bytes_lost: how much at its end could not be used.
+    """
+
+    path: Path
+    whole: bool
+    messages: int
+    bytes_lost: int
+
+
+def repair(path: Path, into: Path | None = None) -> Repaired:
+    """Writes all that can be read of a file into a new one.
+
+    Args:
+        path: the file.
+        into: the new file; None: it takes the place of the old one, once it is complete.
+
+    Raises:
+        RecordingError: it is no recording, or the new file cannot be written.
+    """
+    reading = Reading(path)
+    with path.open("rb") as file:
+        count = sum(1 for _ in messages(reading, file))
+    if not reading.cut:
+        return Repaired(path, True, count, 0)
+    made = into or path.with_name(path.name + ".repaired")
+    try:
+        with path.open("rb") as file, made.open("xb") as out:
+            used = _copy(file, out, reading.about)
+            size = file.seek(0, 2)
+        if into is None:
+            made.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be repaired into {made}: {error.strerror or error}") from None
+    return Repaired(into or path, False, count, size - used)
+
+
+def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
+    """Copies what is whole; returns how many bytes of the old file that took."""
+    writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, index_types=IndexType.ALL)
+    writer.start(profile="", library=LIBRARY)
+    writer.add_metadata(METADATA, dict(about))
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    used = 0
+    try:
+        for record in StreamReader(file, validate_crcs=True).records:
+            if isinstance(record, Schema):
+                if record.id not in schemas:
+                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+            elif isinstance(record, Channel):
+                if record.id not in channels:
+                    channels[record.id] = writer.register_channel(
+                        record.topic, record.message_encoding, schemas[record.schema_id], dict(record.metadata)
+                    )
+            elif isinstance(record, Message):
+                channel = channels[record.channel_id]
+                writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+            used = file.tell()
+    except READ_ERRORS:
+        pass
+    writer.finish()
+    out.flush()
+    return used

@@ -1,0 +1,103 @@
+"""What is in a recording, at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from pancakes.packet import agent_of
+from pancakes.recording.entry import NANOSECONDS, Entry
+
+
+@dataclass
+class Topic:
+    """What was seen of one packet type on one channel of one agent."""
+
+    agent: str
+    channel: str
+    type: str
+    packets: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def row(self) -> dict[str, Any]:
+        """Returns it as plain values."""
+        span_s = (self.last_ns - self.first_ns) / NANOSECONDS
+        rate_hz = (self.packets - 1) / span_s if self.packets > 1 and span_s > 0 else None
+        return {
+            "agent": self.agent,
+            "channel": self.channel,
+            "type": self.type,
+            "packets": self.packets,
+            "rate_hz": round(rate_hz, 3) if rate_hz is not None else None,
+        }
+
+
+@dataclass
+class Stay:
+    """A time that a task spent on one agent.
+
+    Attributes:
+        task_id: the task's identity for life.
+        agent: where it was.
+        epoch: how often it had been handed over.
+        published: how many packets it published there.
+    """
+
+    task_id: str
+    agent: str
+    epoch: int
+    first_ns: int
+    last_ns: int
+    published: int = 0
+
+
+@dataclass
+class Summary:
+    """What is in a recording.
+
+    Attributes:
+        packets: how many packets.
+        first_ns: when the first was recorded.
+        last_ns: when the last was.
+        topics: by agent, channel and type.
+        stays: where each task that has an identity was, in the order of time.
+    """
+
+    packets: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
+    stays: list[Stay] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, entries: Iterable[Entry]) -> Summary:
+        """Makes it from packets in the order of time."""
+        summary = cls()
+        for entry in entries:
+            summary._add(entry)
+        return summary
+
+    def _add(self, entry: Entry) -> None:
+        packet = entry.packet
+        if not self.packets:
+            self.first_ns = entry.time_ns
+        self.packets += 1
+        self.last_ns = entry.time_ns
+        key = (entry.agent, packet.channel, packet.type)
+        topic = self.topics.get(key)
+        if topic is None:
+            topic = self.topics[key] = Topic(*key, first_ns=entry.time_ns)
+        topic.packets += 1
+        topic.last_ns = entry.time_ns
+        if packet.fence is not None and agent_of(packet.source) == entry.agent:
+            self._add_to_stay(entry, packet.fence.task_id, packet.fence.epoch[0])
+
+    def _add_to_stay(self, entry: Entry, task_id: str, epoch: int) -> None:
+        for stay in reversed(self.stays):
+            if (stay.task_id, stay.agent, stay.epoch) == (task_id, entry.agent, epoch):
+                stay.last_ns = entry.time_ns
+                stay.published += 1
+                return
+        self.stays.append(Stay(task_id, entry.agent, epoch, entry.time_ns, entry.time_ns, 1))

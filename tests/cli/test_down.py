@@ -1,0 +1,128 @@
+"""`pancakes down`: agents end in order, and it is waited for; who does not end is named."""
+
+import json
+import signal
+from collections.abc import Callable
+
+import pytest
+from processes import Rig, Running
+
+QUICK = ("--timeout", "1")
+
+
+@pytest.fixture
+def pair(rig: Rig) -> tuple[Running, Running]:
+    return rig.ready("a"), rig.ready("b", agent='role = "environment"')
+
+
+def rows(text: str) -> list[tuple[str, str]]:
+    return [(row["agent"], row["done"]) for row in json.loads(text)]
+
+
+def test_all_agents_of_this_machine_end_in_order_worlds_last(rig: Rig, pair: tuple[Running, Running]):
+    result = rig.pancakes("down", "--format", "json")
+
+    assert (result.returncode, rows(result.stdout)) == (0, [("a", "ended"), ("b", "ended")])
+    assert [agent.process.poll() for agent in pair] == [0, 0]  # it has waited for both
+    assert "service_stopped service=device" in pair[0].everything()
+    assert list(rig.runtime.glob("*.json")) == []
+
+
+def test_only_those_that_are_named_end(rig: Rig, pair: tuple[Running, Running]):
+    result = rig.pancakes("down", "b", "--format", "json")
+
+    assert (result.returncode, rows(result.stdout)) == (0, [("b", "ended")])
+    assert pair[1].ended() == 0
+    assert pair[0].process.poll() is None
+
+
+def test_a_dry_run_ends_nobody(rig: Rig, pair: tuple[Running, Running]):
+    result = rig.pancakes("down", "--dry-run", "--format", "json")
+
+    assert rows(result.stdout) == [("a", "dry run"), ("b", "dry run")]
+    assert [agent.process.poll() for agent in pair] == [None, None]
+    assert len(json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)) == 2
+
+
+def test_who_does_not_answer_is_named_and_the_others_end(
+    rig: Rig, pair: tuple[Running, Running], freeze: Callable[[Running], None]
+):
+    freeze(pair[1])
+
+    result = rig.pancakes("down", *QUICK, "--format", "json")
+
+    assert (result.returncode, rows(result.stdout)) == (3, [("a", "ended")])
+    assert result.stderr == f"b ({rig.address(pair[1])}) did not answer: nothing came within 1 s\n"
+    assert pair[1].process.poll() is None
+
+
+STUCK = """
+import threading
+from pancakes.task import Task
+
+class Stuck(Task):
+    blocking = True
+
+    def on_start(self):
+        self.log("info", "stuck from now on")
+        threading.Event().wait()
+"""
+
+
+def test_who_has_not_ended_in_time_is_named_with_its_process(rig: Rig):
+    rig.install("stuck", "[pancakes.tasks]\nstuck.Stuck = plugin_stuck:Stuck\n", STUCK)
+    agent = rig.agent(rig.config("a", '[task.Stuck]\ntype = "stuck.Stuck"\n'))
+    agent.hear("stuck from now on")
+    rig.entry(agent.pid)
+
+    result = rig.pancakes("down", "a", "--timeout", "0.5")
+
+    assert result.returncode == 3
+    assert result.stderr == f"a (process {agent.pid}) has not ended within 0.5 s\n"
+
+
+def test_agents_at_an_address_have_to_be_named_or_all_of_them_meant(rig: Rig, pair: tuple[Running, Running]):
+    address = rig.address(pair[0]).removeprefix("tcp://")
+
+    assert rig.pancakes("down", "--at", address).returncode == 2
+    assert rig.pancakes("down", "--all").returncode == 2
+    result = rig.pancakes("down", "--at", address, "--all", "--format", "json")
+    assert rows(result.stdout) == [("a", "ended")]  # b was not found from there
+    assert pair[1].process.poll() is None
+
+
+def test_an_agent_that_nobody_can_ask_is_named(rig: Rig):
+    path = rig.directory / "deaf.toml"
+    path.write_text('schema = 1\n[agent]\nname = "deaf"\n')
+    agent = rig.agent(path)
+    rig.entry(agent.pid)
+
+    result = rig.pancakes("down")
+
+    assert result.returncode == 3
+    assert f"deaf listens at no address, so it cannot be asked: end its process with kill {agent.pid}" in result.stderr
+    assert agent.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_agents_of_two_fleets_may_have_the_same_name(rig: Rig):
+    rig.ready("a", fleet="north")
+    rig.ready("a", fleet="south")
+
+    result = rig.pancakes("down", "--format", "json")
+
+    assert result.returncode == 0
+    assert [(row["fleet"], row["done"]) for row in json.loads(result.stdout)] == [
+        ("north", "ended"),
+        ("south", "ended"),
+    ]
+
+
+def test_where_nobody_runs_nothing_is_to_be_done(rig: Rig):
+    result = rig.pancakes("down")
+
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "no agent runs on this machine\n")
+    assert rig.pancakes("down", "a").returncode == 3
+
+
+def test_its_help_has_an_example(rig: Rig):
+    assert "pancakes down" in rig.pancakes("down", "--help").stdout.partition("Example:")[2]

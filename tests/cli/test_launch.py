@@ -1,0 +1,296 @@
+"""`pancakes launch`: a fleet as a person starts it, real processes and all; none is ever left behind."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from processes import PATIENCE_S, Rig, Running
+
+FLEET = """
+schema = 1
+[fleet]
+name = "field"
+[agent.gate]
+[agent.node]
+after = ["gate"]
+"""
+
+
+@pytest.fixture
+def field(rig: Rig) -> Path:
+    """A fleet of two agents, of which one comes after the other."""
+    rig.config("gate")
+    rig.config("node")
+    path = rig.directory / "field.toml"
+    path.write_text(FLEET)
+    return path
+
+
+def pid_of(line: str) -> int:
+    """The process in a line such as `gate runs as process 12`."""
+    return int(line.rpartition(" ")[2])
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+
+
+def wait_until_gone(*pids: int) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not all(map(is_gone, pids)):
+        assert time.monotonic() < until_s
+
+
+def up(rig: Rig, *arguments: str | Path) -> tuple[Running, int, int]:
+    """Launches a fleet of gate and node, and waits until both are ready."""
+    fleet = rig.launch(*arguments)
+    gate = pid_of(fleet.hear("gate runs as process"))
+    node = pid_of(fleet.hear("node runs as process"))
+    fleet.hear("node is ready")
+    return fleet, gate, node
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_a_fleet_starts_in_order_and_stops_in_reverse(rig: Rig, field: Path, number: signal.Signals):
+    fleet, gate, node = up(rig, field)
+    agents = json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)
+    assert [(it["agent"], it["fleet"], it["ready"]) for it in agents] == [
+        ("gate", "field", True),
+        ("node", "field", True),
+    ]
+
+    code, took_s = fleet.signalled(number)
+
+    assert code == 0
+    assert took_s < 4.0
+    assert is_gone(gate) and is_gone(node)
+    fleet.everything()
+    order = ["gate runs", "gate is ready", "node runs", "node is ready", "node has ended", "gate has ended"]
+    places = [next(index for index, line in enumerate(fleet.said) if line.startswith(start)) for start in order]
+    assert places == sorted(places)
+    assert "gate has ended (exit code 0)" in fleet.said
+    assert any(line.startswith("node | ") and "node/kernel: ready" in line for line in fleet.said)
+
+
+def test_a_folder_is_launched_as_a_whole(rig: Rig):
+    for name in ("a", "b"):
+        rig.config(name)
+    fleet = rig.launch(rig.directory)
+
+    fleet.hear("a is ready")
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_an_agent_that_dies_is_started_again(rig: Rig, field: Path):
+    fleet, gate, node = up(rig, field)
+
+    psutil.Process(node).kill()
+
+    fleet.hear("node has ended (ended by SIGKILL) and is started again")
+    again = pid_of(fleet.hear("node runs as process"))
+    fleet.hear("node is ready")
+    assert rig.entry(again)["name"] == "node"
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+    assert is_gone(gate) and is_gone(again)
+
+
+def test_what_fails_each_time_is_given_up_and_the_others_go_on(rig: Rig, field: Path):
+    (rig.directory / "blocked").write_text("a file where a directory should be")
+    field.write_text(FLEET + 'set = { agent.state_dir = "blocked" }\nrestart = { at_most = 1 }\n')
+    fleet = rig.launch(field)
+
+    fleet.hear("node | the state directory blocked")
+    fleet.hear("node has ended (exit code 1) and is given up after 1 restarts within 60 s")
+    assert [row["agent"] for row in json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)] == ["gate"]
+    assert fleet.signalled(signal.SIGTERM)[0] == 1
+
+
+def test_the_end_of_all_agents_is_the_end_of_the_launcher(rig: Rig, field: Path):
+    fleet, gate, node = up(rig, field)
+
+    assert rig.pancakes("down").returncode == 0
+
+    assert fleet.ended() == 0
+    assert is_gone(gate) and is_gone(node)
+
+
+def test_agents_end_with_a_launcher_that_is_killed(rig: Rig, field: Path):
+    fleet, gate, node = up(rig, field)
+
+    fleet.process.kill()
+
+    wait_until_gone(gate, node)
+
+
+def test_an_agent_that_hangs_is_killed_in_the_end(rig: Rig, field: Path, suspended: Callable[[int], None]):
+    fleet, gate, node = up(rig, field)
+    suspended(node)
+
+    code, took_s = fleet.signalled(signal.SIGINT)
+
+    assert code == 0
+    assert took_s < 6.0
+    assert "node has ended (ended by SIGKILL, killed because it took too long)" in fleet.everything()
+    assert is_gone(gate) and is_gone(node)
+
+
+def test_the_same_signal_again_ends_all_at_once(rig: Rig, field: Path, suspended: Callable[[int], None]):
+    fleet, gate, node = up(rig, field)
+    suspended(gate)
+    fleet.process.send_signal(signal.SIGINT)
+    fleet.hear("node has ended (exit code 0)")  # so it has heard the first one
+
+    _, took_s = fleet.signalled(signal.SIGINT)
+
+    assert took_s < 1.5
+    assert is_gone(gate) and is_gone(node)
+
+
+@pytest.fixture
+def suspended() -> Any:
+    """Suspends a process that is not our child, and returns once it is."""
+    pids = []
+
+    def suspend(pid: int) -> None:
+        process = psutil.Process(pid)
+        process.suspend()
+        until_s = time.monotonic() + PATIENCE_S
+        while process.status() != psutil.STATUS_STOPPED:
+            assert time.monotonic() < until_s
+        pids.append(process)
+
+    yield suspend
+    for process in pids:
+        if process.is_running():
+            process.resume()
+
+
+def test_a_stop_while_they_start(rig: Rig, field: Path):
+    fleet = rig.launch(field)
+    gate = pid_of(fleet.hear("gate runs as process"))
+
+    code, took_s = fleet.signalled(signal.SIGTERM)
+
+    assert took_s < 4.0
+    assert code == 0
+    assert is_gone(gate)
+
+
+def test_where_nobody_listens_any_more_the_fleet_ends(rig: Rig, field: Path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pancakes.cli.main", "launch", str(field)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=rig.environment,
+        cwd=rig.directory,
+    )
+    with process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.stdout.close()
+
+        assert process.wait(PATIENCE_S) == 0
+    assert list(rig.runtime.glob("*.json")) == []
+
+
+def mission_s(rig: Rig, agent: str) -> float:
+    rows = json.loads(rig.pancakes("agent", "list", "--format", "json").stdout)
+    time_s: float = next(row["mission_s"] for row in rows if row["agent"] == agent)
+    return time_s
+
+
+def test_missions_that_wait_begin_once_all_are_ready(rig: Rig, field: Path):
+    field.write_text(FLEET.replace("[agent.gate]", "set = { clock.hold = true }\n[agent.gate]"))
+    fleet, _, node = up(rig, field)
+
+    fleet.hear("the mission of gate, node begins")
+    assert mission_s(rig, "gate") > 0.0
+
+    psutil.Process(node).kill()
+    fleet.hear("the mission of node begins")
+    assert mission_s(rig, "node") > 0.0
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_missions_can_be_left_at_0(rig: Rig, field: Path):
+    fleet, _, _ = up(rig, field, "--set", "clock.hold=true", "--hold")
+
+    assert mission_s(rig, "gate") == 0.0
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_each_line_is_an_object_for_programs(rig: Rig):
+    fleet = rig.launch(rig.config("a"), "--format", "json")
+    fleet.hear('"event": "ready"')
+    fleet.signalled(signal.SIGTERM)
+
+    objects = [json.loads(line) for line in fleet.everything().splitlines()]
+    assert {"agent": "a", "event": "ended", "text": "has ended (exit code 0)"} in objects
+    assert any("a/kernel: ready" in it["line"] for it in objects if "line" in it)
+
+
+def test_nothing_starts_where_one_file_is_bad(rig: Rig):
+    result = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b", "[clock]\nsped = 1\n")))
+
+    assert result.returncode == 4
+    assert "b.toml:9: [clock] sped: unknown key, did you mean 'speed'?" in result.stderr
+    assert result.stdout == ""
+    assert not rig.runtime.exists()
+
+
+def test_a_port_that_is_in_use_is_found_before_anything_starts(rig: Rig):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        result = rig.pancakes("launch", str(rig.config("a")), str(rig.config("b")), "--set", f"b:agent.listen={listen}")
+
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr == f"b cannot listen at {listen}: address already in use\n"
+
+
+def test_a_fleet_is_not_launched_twice(rig: Rig, field: Path):
+    fleet, gate, node = up(rig, field)
+
+    again = rig.pancakes("launch", str(field))
+
+    assert again.returncode == 1
+    assert again.stderr == (
+        f"the agent gate of the fleet field runs already (process {gate})\n"
+        f"the agent node of the fleet field runs already (process {node})\n"
+    )
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+
+
+def test_a_dry_run_shows_what_would_be_started(rig: Rig, field: Path):
+    result = rig.pancakes("launch", str(field), "--dry-run", "--set", "node:agent.seed=5", "--format", "json")
+
+    rows = json.loads(result.stdout)
+    assert [(row["agent"], row["fleet"], row["after"]) for row in rows] == [
+        ("gate", "field", []),
+        ("node", "field", ["gate"]),
+    ]
+    assert rows[1]["set"] == ['agent.fleet="field"', "agent.seed=5"]
+    assert not any(rig.runtime.glob("*.json"))
+
+
+def test_the_configurations_of_the_demos_can_be_launched(rig: Rig, request: pytest.FixtureRequest):
+    folder = request.config.rootpath / "configs" / "encirclement"
+    rows = json.loads(rig.pancakes("launch", str(folder), "--dry-run", "--format", "json").stdout)
+
+    assert [row["agent"] for row in rows] == ["world", "agent1", "agent2", "sensor"]
+    assert rows[1]["after"] == ["world"]
+
+
+def test_its_help_has_an_example(rig: Rig):
+    assert "pancakes launch configs/" in rig.pancakes("launch", "--help").stdout.partition("Example:")[2]

@@ -1,0 +1,241 @@
+"""200 control commands a second over four clients at once: each is answered, in one order that everyone sees."""
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from abuse import Abuse, Answered, Told, in_file
+from processes import Rig, Running
+
+from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
+
+SOURCE = """
+from dataclasses import dataclass
+from pancakes.task import Task, every
+
+class Count(Task):
+    @dataclass
+    class Settings:
+        step: int = 1
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=20)
+    def tick(self, tick):
+        self.state.n += self.settings.step
+"""
+TASKS = ("one", "two", "three")
+CONFIG = "".join(f'[task.{name}]\ntype = "count.Count"\n\n' for name in TASKS)
+COMMANDS = 600
+
+
+@pytest.fixture
+def agents(rig: Rig) -> dict[str, Running]:
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+
+    def log(name: str) -> str:
+        return f'[service.log]\nsettings = {{ file = "{rig.directory / name}.jsonl" }}\n'
+
+    first = rig.ready("a", CONFIG + log("a"))
+    second = rig.ready("b", log("b"), agent=f'peers = ["{rig.address(first)}"]')
+    first.hear("peer_up peer=b")
+    return {"a": first, "b": second}
+
+
+@pytest.fixture
+def abuse(rig: Rig, agents: dict[str, Running]) -> Iterator[Abuse]:
+    abuse = Abuse(rig, agents)
+    yield abuse
+    abuse.close()
+
+
+def of_agent(answered: list[Answered], agent: str) -> list[Answered]:
+    """What one agent was asked, in the order that it says it took it in."""
+    return sorted((it for it in answered if it.asked.agent == agent), key=lambda it: it.reply.number)
+
+
+def one_order_for_all(rig: Rig, abuse: Abuse, answered: list[Answered], agent: str) -> None:
+    """No number is there twice, and all clients and the file of the agent tell the same story."""
+    numbers = [it.reply.number for it in of_agent(answered, agent)]
+    assert len(set(numbers)) == len(numbers)
+    assert 0 < min(numbers) <= max(numbers) < abuse.ask(0, agent, Describe()).number
+    stories = [client.told[agent] for client in abuse.clients]
+    file = rig.directory / f"{agent}.jsonl"
+    abuse.wait(lambda: len({len(story) for story in (*stories, in_file(file))}) == 1)
+    assert len(stories[0]) > 20
+    by_number = sorted(stories[0])
+    for story in (*stories, in_file(file)):
+        assert sorted(story) == by_number
+        # Two components may speak at once, which is what the numbers are for; each is heard in its own order.
+        for source in sorted({told.source for told in by_number}):
+            assert said_by(source, story) == said_by(source, stories[0])
+
+
+def said_by(source: str, story: list[Told]) -> list[Told]:
+    """What one component said."""
+    return [told for told in story if told.source == source]
+
+
+def rows(abuse: Abuse, agent: str) -> dict[str, dict[str, Any]]:
+    """What an agent says of its tasks, by name."""
+    return {row["task"]: row for row in abuse.ask(0, agent, Describe()).result["tasks"]}
+
+
+class Model:
+    """What a task does if its commands are carried out one after the other, and nothing else happens."""
+
+    def __init__(self) -> None:
+        self.runs = True
+        self.rate_hz = 20.0
+        self.step = 1
+
+    def take(self, body: Any) -> bool:
+        """Carries out a command; returns whether an agent would."""
+        match body:
+            case Start(settings=settings):
+                if self.runs or (settings is not None and "stepp" in settings):
+                    return False
+                self.runs = True
+                self.step = settings["step"] if settings else self.step
+            case Stop():
+                if not self.runs:
+                    return False
+                self.runs = False
+            case Restart(keep_state=keep):
+                self.runs = True
+                if not keep:
+                    self.rate_hz, self.step = 20.0, 1
+            case Reschedule(rate_hz=rate_hz, timer=timer):
+                if not self.runs or timer:
+                    return False
+                self.rate_hz = rate_hz
+            case Configure(settings=settings):
+                if not self.runs or not isinstance(settings["step"], int):
+                    return False
+                self.step = settings["step"]
+        return True
+
+
+def contradictions(source: random.Random) -> list[tuple[str, Any]]:
+    """Commands for three tasks, drawn at random: most of them take back what the one before has done."""
+
+    def draw(task: str) -> Any:
+        return source.choice(
+            [
+                Start(task),
+                Start(task, {"step": source.randrange(1, 9)}),
+                Start(task, {"stepp": 1}),
+                Stop(task),
+                Stop(task),
+                Restart(task),
+                Restart(task, keep_state=False),
+                Reschedule(task, float(source.randrange(1, 50))),
+                Reschedule(task, 5.0, "no_such_timer"),
+                Configure(task, {"step": source.randrange(1, 9)}),
+                Configure(task, {"step": "fast"}),
+            ]
+        )
+
+    return [("a", draw(source.choice(TASKS))) for _ in range(COMMANDS)]
+
+
+def test_contradictory_commands_are_applied_in_the_order_of_their_numbers(rig: Rig, abuse: Abuse):
+    answered = abuse.replies(abuse.offer(contradictions(random.Random(5))))
+
+    assert len(answered) == COMMANDS
+    models = {name: Model() for name in TASKS}
+    for it in of_agent(answered, "a"):
+        expected = models[it.asked.body.target].take(it.asked.body)
+        assert it.reply.ok is expected, f"{it} was not what the commands before it lead to"
+        assert it.reply.ok or it.reply.reason
+    found = rows(abuse, "a")
+    for name, model in models.items():
+        assert found[name]["state"] == ("running" if model.runs else "stopped")
+        assert found[name]["rate_hz"] == (model.rate_hz if model.runs else None)
+        assert abuse.ask(0, "a", Describe(name)).result["settings"] == {"step": model.step}
+    one_order_for_all(rig, abuse, answered, "a")
+
+
+NONSENSE = [
+    (Stop("nothing"), "has no task or service 'nothing'"),
+    (Start("client/nothing"), "client has no task 'nothing', only "),
+    (Restart("nowhere/one"), "has no service 'nowhere', only log, device, network, client"),
+    (Reschedule("nothing/at/all", 3.0), "'nothing/at/all' is no target: it must read task, service/task or service"),
+    (Configure("", {}), "'' is no target: it must read task, service/task or service"),
+    (Reschedule("client", 3.0), "client is a service: name one of its tasks"),
+    (Stop("client/", for_s=-1.0), "client cannot be stopped for -1.0 s"),
+]
+
+
+def test_what_is_not_there_is_refused_with_the_reason(rig: Rig, abuse: Abuse):
+    source = random.Random(7)
+    drawn = [source.choice(NONSENSE) for _ in range(COMMANDS)]
+
+    answered = abuse.replies(abuse.offer([("a", body) for body, _ in drawn]))
+
+    for (_, reason), it in zip(drawn, answered, strict=True):
+        assert not it.reply.ok
+        assert reason in it.reply.reason
+    found = rows(abuse, "a")
+    assert [found[name]["state"] for name in TASKS] == ["running"] * len(TASKS)
+
+
+MOVING = ("moved to", "is being handed over between", "is on its way", "is moving")
+ELSEWHERE = ("has no task or service 'one'", "has no task 'one'", "does not run here", *MOVING)
+"""What an agent says of a task that it does not have now."""
+HERE = (" already", ", not running", "is stopped, so it cannot move", "no neighbour can take one: ")
+"""What an agent says of a task that it has, and that cannot do what is asked for."""
+
+
+def test_a_task_that_moves_under_fire_stays_one_task(rig: Rig, abuse: Abuse):
+    source = random.Random(11)
+    commands: list[tuple[str, Any]] = []
+    for index in range(COMMANDS):
+        agent, other = source.choice([("a", "b"), ("b", "a")])
+        body = source.choice([Stop("one"), Start("one"), Restart("one"), Reschedule("one", 9.0), Describe("one")])
+        commands.append((agent, Migrate("one", to=other) if index % 8 == 0 else body))
+
+    answered = abuse.replies(abuse.offer(commands))
+
+    refused = [it for it in answered if not it.reply.ok]
+    for it in refused:
+        assert any(reason in it.reply.reason for reason in (*ELSEWHERE, *HERE)), it
+    assert any(it.reply.ok for it in answered if isinstance(it.asked.body, Migrate)), "it never moved"
+    assert any(reason in it.reply.reason for it in refused for reason in MOVING)
+    # One of the two agents has it, and it runs there and nowhere else.
+    assert sorted(abuse.ask(0, agent, Restart("one")).ok for agent in ("a", "b")) == [False, True]
+    states = [rows(abuse, agent).get("one", {"state": "absent"})["state"] for agent in ("a", "b")]
+    assert states.count("running") == 1
+    for agent in ("a", "b"):
+        one_order_for_all(rig, abuse, answered, agent)
+
+
+def test_services_that_go_and_come_lose_no_command(rig: Rig, abuse: Abuse):
+    source = random.Random(23)
+    commands: list[tuple[str, Any]] = []
+    for index in range(COMMANDS):
+        if index % 20 == 10:
+            commands.append(
+                (
+                    "a",
+                    source.choice([Restart("client/"), Stop("client/"), Start("client/"), Stop("client/", for_s=0.05)]),
+                )
+            )
+        else:
+            task = source.choice(TASKS)
+            commands.append(
+                ("a", source.choice([Start(task), Stop(task), Restart(task), Reschedule(task, 9.0), Describe(task)]))
+            )
+
+    answered = abuse.replies(abuse.offer(commands))
+
+    assert len(answered) == COMMANDS
+    assert all(it.reply.ok or it.reply.reason for it in answered)
+    assert abuse.ask(0, "a", Restart("client/")).ok
+    for name in TASKS:
+        assert abuse.ask(1, "a", Restart(name)).ok
+        assert rows(abuse, "a")[name]["state"] == "running"
+    one_order_for_all(rig, abuse, answered, "a")

@@ -1,0 +1,247 @@
+"""`pancakes new`: what it writes works at once, and a bad name leaves nothing behind."""
+
+from __future__ import annotations
+
+import configparser
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from pancakes.cli import distribution
+from pancakes.cli.distribution import KINDS, LONGEST, File, Names, files_of, write
+from pancakes.cli.main import pancakes
+from pancakes.errors import PancakesError
+
+LONG = "abcdefghijklmnopqrstuvwxyzabcd"
+
+
+def new(*arguments: str) -> Result:
+    return CliRunner().invoke(pancakes, ["new", *arguments])
+
+
+def installed(folder: Path, site: Path) -> dict[str, str]:
+    """Installs a distribution as pip would leave it on the disk, without pip; returns an environment that has it."""
+    parser = configparser.ConfigParser(delimiters=("=",))
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(folder / "setup.cfg")
+    name, version = parser["metadata"]["name"], parser["metadata"]["version"]
+    points = "".join(f"[{group}]\n{lines}\n" for group, lines in parser["options.entry_points"].items())
+    information = site / f"{name.replace('-', '_')}-{version}.dist-info"
+    information.mkdir(parents=True)
+    (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (information / "entry_points.txt").write_text(points)
+    return {
+        **{key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "PYTEST_"))},
+        "PYTHONPATH": os.pathsep.join((str(folder), str(site))),
+        "PANCAKES_RUNTIME_DIR": str(site / "runtime"),
+        "XDG_STATE_HOME": str(site / "state"),
+    }
+
+
+def run(folder: Path, environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", *arguments], cwd=folder, env=environment, capture_output=True, text=True, timeout=60
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+class TestWhatIsWritten:
+    def test_its_own_tests_pass_and_its_configurations_are_sound(self, kind, tmp_path):
+        made = new(kind, "GreenHouse", "--into", str(tmp_path))
+        assert made.exit_code == 0, made.output
+        folder = tmp_path / "green-house"
+        environment = installed(folder, tmp_path / "site")
+
+        tested = run(folder, environment, "pytest", "-q", "-W", "error", "-p", "no:cacheprovider")
+        assert tested.returncode == 0, tested.stdout
+        assert re.search(r"\b[4-9] passed", tested.stdout)
+
+        configs = sorted((folder / "configs").glob("*.toml"))
+        assert len(configs) == (2 if kind == "plugin" else 1)
+        for config in configs:
+            checked = run(folder, environment, "pancakes.cli.agent", "--config", str(config), "--check")
+            assert checked.returncode == 0, checked.stderr
+            assert checked.stderr == ""
+            assert "is sound: the agent " in checked.stdout
+
+    def test_the_agent_runs(self, kind, tmp_path, rig):
+        folder = tmp_path / "green-house"
+        assert new(kind, "green_house", "--into", str(tmp_path)).exit_code == 0
+        rig.environment.update(installed(folder, tmp_path / "site"), PANCAKES_RUNTIME_DIR=str(rig.runtime))
+        rig.directory = folder
+        config = folder / "configs" / ("sensor.toml" if kind == "plugin" else "green_house.toml")
+        running = rig.agent(config, "--set", "agent.peers=[]")
+        ready = running.hear("/kernel: ready")
+        assert " info " in ready
+        rig.entry(running.pid)  # it goes on to run
+        running.process.terminate()
+        assert running.ended() == 0
+        assert not [line for line in running.said if " error " in line or " warning " in line]
+
+    @pytest.mark.parametrize("name", ["ab", "wind-speed", LONG])
+    def test_ruff_finds_nothing_whatever_it_is_called(self, kind, name, tmp_path):
+        ruff = pytest.importorskip("ruff")
+        assert new(kind, name, "--into", str(tmp_path)).exit_code == 0
+        for command in (["check"], ["format", "--check", "--diff"]):
+            found = subprocess.run(
+                [ruff.find_ruff_bin(), *command, "--no-cache", "."],
+                cwd=tmp_path / Names.of(name).dist,
+                capture_output=True,
+                text=True,
+            )
+            assert found.returncode == 0, found.stdout
+
+    def test_the_readme_tells_what_there_is(self, kind, tmp_path):
+        assert new(kind, "green-house", "--into", str(tmp_path)).exit_code == 0
+        folder = tmp_path / "green-house"
+        readme = (folder / "README.md").read_text()
+        named = re.findall(r"`((?:green_house|tests|configs)/[\w.]+|reading\.txt)`", readme)
+        assert named
+        assert all((folder / name).is_file() for name in named)
+        python = {path.relative_to(folder).as_posix() for path in folder.rglob("*.py")}
+        assert python - {"green_house/__init__.py"} <= set(named)
+
+    def test_a_dry_run_lists_the_same_files_and_writes_nothing(self, kind, tmp_path):
+        dry = new(kind, "green-house", "--into", str(tmp_path), "--dry-run", "--format", "json")
+        assert list(tmp_path.iterdir()) == []
+        wet = new(kind, "green-house", "--into", str(tmp_path), "--format", "json")
+        expected, written = json.loads(dry.stdout), json.loads(wet.stdout)
+        assert [row["file"] for row in expected] == [row["file"] for row in written]
+        assert {row["written"] for row in expected} == {False}
+        assert {row["written"] for row in written} == {True}
+        there = {str(path) for path in (tmp_path / "green-house").rglob("*") if path.is_file()}
+        assert {row["file"] for row in written} == there
+
+
+def test_every_template_has_a_purpose_and_every_purpose_a_template():
+    paths = {file.path for kind in KINDS for file in files_of(kind, Names.of("package"))}
+    assert paths == set(distribution._PURPOSES)
+
+
+def test_templates_are_installed_with_the_package():
+    parser = configparser.ConfigParser()
+    parser.read(Path(__file__).parents[2] / "setup.cfg")
+    assert "templates/**/*.in" in parser["options.package_data"]["pancakes.cli"]
+
+
+def test_the_next_commands_are_told(tmp_path):
+    told = new("task", "scan_target", "--into", str(tmp_path)).stdout
+    assert f"cd {os.path.relpath(tmp_path / 'scan-target')}\n" in told
+    assert "pip install -e " in told
+    assert "pancakes-agent --config configs/scan_target.toml\n" in told
+    told = new("plugin", "other", "--into", str(tmp_path), "--dry-run").stdout
+    assert "Nothing was written." in told
+    assert "pip install" not in told
+
+
+@pytest.mark.parametrize(
+    ("text", "dist", "package", "cls"),
+    [
+        ("scan_target", "scan-target", "scan_target", "ScanTarget"),
+        ("scan-target", "scan-target", "scan_target", "ScanTarget"),
+        ("ScanTarget", "scan-target", "scan_target", "ScanTarget"),
+        ("scanTarget", "scan-target", "scan_target", "ScanTarget"),
+        ("HTTPServer", "http-server", "http_server", "HTTPServer"),
+        ("LED", "led", "led", "Led"),
+        ("x2y", "x2y", "x2y", "X2y"),
+        ("pancakes-garden", "pancakes-garden", "pancakes_garden", "PancakesGarden"),
+    ],
+)
+def test_names(text, dist, package, cls):
+    assert Names.of(text) == Names(dist, package, cls)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("2fast", "'2fast' is no name: it must begin with a letter, and have only the letters a to z, digits, and"),
+        ("a--b", "is no name"),
+        ("_a", "is no name"),
+        ("a.b", "is no name"),
+        ("../up", "is no name"),
+        ("größe", "is no name"),
+        ("ab\n", "is no name"),
+        ("", "is no name"),
+        ("a", "a name must have from 2 to 30 characters, and 'a' has 1"),
+        ("a" * (LONGEST + 1), "has 31"),
+        ("class", "'class' is a word of the Python language"),
+        ("Match", "'match' is a word of the Python language"),
+        ("none", "'none' is a word of the Python language"),
+        ("random", "Python has a module 'random' of its own"),
+        ("pancakes", "'pancakes' means something else to Pancakes or to its tools"),
+        ("ctrl", "'ctrl' means something else"),
+        ("device", "'device' means something else"),
+        ("Sensor", "Pancakes has a class Sensor of its own: choose another name than 'sensor'"),
+    ],
+)
+def test_a_bad_name_is_a_sentence_and_leaves_nothing(text, why, tmp_path):
+    with pytest.raises(ValueError, match=re.escape(why)):
+        Names.of(text)
+    refused = new("task", "--into", str(tmp_path), "--", text)
+    assert refused.exit_code == 2
+    assert "Traceback" not in refused.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "why"),
+    [
+        ("task", "numpy", "a module numpy is installed here already, in "),
+        ("task", "pytest-timeout", "pytest_timeout"),
+        ("driver", "pose", "there is a packet type 'pose' already, pancakes.devices.types.Pose: choose another"),
+    ],
+)
+def test_what_is_installed_already_is_not_hidden(kind, name, why, tmp_path):
+    refused = new(kind, name, "--into", str(tmp_path))
+    assert refused.exit_code == 1
+    assert why in refused.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_the_templates_name_themselves_is_no_name():
+    """A class of the user's must not hide one that its own files import or define."""
+    names = set()
+    for kind in KINDS:
+        for file in files_of(kind, Names.of("zz")):
+            if file.path.endswith(".py"):
+                for line in re.findall(r"^from (?!zz)[\w.]+ import (.+)$", file.text, re.MULTILINE):
+                    names.update(line.split(", "))
+                names.update(re.findall(r"^class (\w+)", file.text, re.MULTILINE))
+                names.update(re.findall(r"^([A-Z]\w+) = ", file.text, re.MULTILINE))
+    classes = {name for name in names if name[0].isupper() and not name.isupper() and not name.startswith("Zz")}
+    assert classes == distribution._IMPORTED
+
+
+def test_a_folder_that_exists_is_left_alone(tmp_path):
+    (tmp_path / "scan-target").mkdir()
+    (tmp_path / "scan-target" / "precious").write_text("mine")
+    for options in ((), ("--dry-run",)):
+        refused = new("task", "ScanTarget", "--into", str(tmp_path), *options)
+        assert refused.exit_code == 1
+        assert refused.stderr == f"{tmp_path / 'scan-target'} exists already: nothing was written\n"
+    assert [path.name for path in tmp_path.rglob("*")] == ["scan-target", "precious"]
+
+
+def test_nothing_stays_where_writing_fails_half_way(tmp_path):
+    files = [File("one.txt", "", "1"), File("one.txt/two.txt", "", "2")]
+    with pytest.raises(PancakesError, match=r"/made cannot be written: (Not a directory|File exists)"):
+        write(tmp_path / "made", files)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_to_write_into_must_be_there(tmp_path):
+    refused = new("task", "scan_target", "--into", str(tmp_path / "nowhere"))
+    assert refused.exit_code == 2
+    assert "does not exist" in refused.stderr
+
+
+def test_the_distribution_that_brings_the_command_is_found_by_its_name():
+    assert importlib.metadata.version("pancakes-agents")
+    assert "is installed here already" in Names("pancakes-agents", "zz", "Zz").taken("task")

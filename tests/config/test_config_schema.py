@@ -1,0 +1,115 @@
+"""The JSON Schema of a configuration and what a configuration comes to: both follow from the types that read it."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pancakes.config import AgentConfig, DeviceConfig, TaskConfig, load, parse
+from pancakes.config.effective import effective, origin
+from pancakes.config.schema import config_schema
+from pancakes.config.toml_text import document_text
+from pancakes.plugins import Plugins
+from pancakes.task import Task
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = sorted((ROOT / "configs").glob("*/*.toml")) + [ROOT / "configs" / "single.toml"]
+
+
+class Walk(Task):
+    @dataclass
+    class Settings:
+        speed_mps: float = 0.1
+        name: str = "walker"
+
+    settings: Settings
+
+
+PLUGINS = Plugins({("pancakes.tasks", "test.Walk"): Walk})
+
+
+def test_the_schema_has_every_key() -> None:
+    properties = config_schema()["properties"]
+
+    assert list(properties) == ["schema", "agent", "clock", "channel", "device", "service", "task"]
+    assert set(properties["agent"]["properties"]) == {field.name for field in fields(AgentConfig)}
+    for table, cls in (("device", DeviceConfig), ("task", TaskConfig)):
+        entry = properties[table]["additionalProperties"]
+        assert set(entry["properties"]) == {field.name for field in fields(cls)} - {"name"}
+        assert entry["additionalProperties"] is False
+    assert properties["device"]["additionalProperties"]["required"] == ["driver"]
+    assert properties["service"]["additionalProperties"]["required"] == []
+
+
+def test_each_key_is_explained() -> None:
+    for table in ("agent", "clock"):
+        for key, part in config_schema()["properties"][table]["properties"].items():
+            assert part.get("description"), f"[{table}] {key}"
+
+
+def test_all_references_lead_somewhere() -> None:
+    schema = config_schema()
+
+    def references(part: Any) -> list[str]:
+        if isinstance(part, list):
+            return [found for item in part for found in references(item)]
+        if not isinstance(part, dict):
+            return []
+        own = [part["$ref"]] if "$ref" in part else []
+        return own + [found for item in part.values() for found in references(item)]
+
+    found = references(schema)
+    assert found
+    assert {name.removeprefix("#/$defs/") for name in found} <= set(schema["$defs"])
+
+
+def test_with_plugins_the_settings_of_each_are_described() -> None:
+    entry = config_schema(PLUGINS)["properties"]["task"]["additionalProperties"]
+
+    assert "test.Walk" in entry["properties"]["type"]["enum"]
+    rule = next(rule for rule in entry["allOf"] if rule["if"]["properties"]["type"] == {"const": "test.Walk"})
+    settings = rule["then"]["properties"]["settings"]
+    assert settings["properties"]["speed_mps"]["default"] == 0.1
+    assert settings["additionalProperties"] is False
+
+
+TEXT = """
+schema = 1
+[agent]
+name = "a"
+[task.Walk]
+type = "test.Walk"
+settings = { speed_mps = 0.5 }
+[device.load]
+driver = "host.load"
+"""
+
+
+def test_a_configuration_is_shown_with_its_defaults_and_where_each_was_said() -> None:
+    config = parse(TEXT, "a.toml", ("clock={ speed = 5 }", "task.Walk.rate_hz=2"), PLUGINS)
+    tables = effective(config, PLUGINS)
+
+    assert tables["task"]["Walk"]["settings"] == {"speed_mps": 0.5, "name": "walker"}
+    assert "hold_after_s" not in tables["device"]["load"]  # which is for actuators
+    expected = {
+        ("schema",): "a.toml:2",
+        ("agent", "name"): "a.toml:4",
+        ("agent", "fleet"): "default",
+        ("clock", "speed"): "--set clock={ speed = 5 }",
+        ("clock", "hold"): "default",
+        ("task", "Walk", "settings", "speed_mps"): "a.toml:7",
+        ("task", "Walk", "settings", "name"): "default",
+        ("task", "Walk", "rate_hz"): "--set task.Walk.rate_hz=2",
+    }
+    assert {keys: origin(config, keys) for keys in expected} == expected
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_what_is_shown_is_a_configuration_that_comes_to_the_same(path: Path) -> None:
+    plugins = Plugins()
+    shown = effective(load(path, plugins=plugins), plugins)
+
+    again = parse(document_text(shown), "shown", plugins=plugins)
+
+    assert effective(again, plugins) == shown

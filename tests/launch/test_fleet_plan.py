@@ -1,0 +1,244 @@
+"""From files and folders to the agents of a fleet, or to everything that is wrong with them at once."""
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pancakes.errors import ConfigError, PancakesError
+from pancakes.launch.fleet_file import fleet_schema
+from pancakes.launch.member import Member, ProcessRestart
+from pancakes.launch.plan import check_free, make_fleet
+from pancakes.runtime_dir import VARIABLE, Entry, Registration, register
+
+
+def write(path: Path, name: str = "", rest: str = "") -> Path:
+    path.write_text(f'schema = 1\n[agent]\nname = "{name or path.stem}"\n{rest}\n')
+    return path
+
+
+def fleet(folder: Path, text: str) -> list[Member]:
+    """What comes of a folder with this fleet file."""
+    (folder / "fleet.toml").write_text(f"schema = 1\n{text}")
+    return make_fleet([folder], (), None, None)
+
+
+def faults(folder: Path, text: str) -> list[str]:
+    with pytest.raises(ConfigError) as caught:
+        fleet(folder, text)
+    return [str(fault).removeprefix(f"{folder}/") for fault in caught.value.faults]
+
+
+def test_files_are_agents_in_the_order_in_which_they_are_named(tmp_path: Path) -> None:
+    paths = [write(tmp_path / "b.toml"), write(tmp_path / "a.toml", "other")]
+
+    members = make_fleet(paths, (), None, None)
+
+    assert [(it.name, it.path) for it in members] == [("b", paths[0]), ("other", paths[1])]
+    assert all(it.restart == ProcessRestart("on-failure", 3, 60.0) and it.after == () for it in members)
+
+
+def test_of_a_folder_all_files_are_taken_by_name_and_worlds_come_first(tmp_path: Path) -> None:
+    write(tmp_path / "b.toml")
+    write(tmp_path / "a.toml")
+    write(tmp_path / "world.toml", rest='role = "environment"')
+
+    members = make_fleet([tmp_path], (), None, None)
+
+    assert [(it.name, it.after) for it in members] == [("world", ()), ("a", ("world",)), ("b", ("world",))]
+
+
+def test_an_empty_folder_is_a_mistake(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"folder: has no configuration in it"):
+        make_fleet([tmp_path], (), None, None)
+
+
+def test_a_fleet_file_says_who_and_how(tmp_path: Path) -> None:
+    write(tmp_path / "gate.toml", rest='fleet = "other"')
+    write(tmp_path / "node.toml", rest="[clock]\nspeed = 2.0")
+
+    members = fleet(
+        tmp_path,
+        """
+        [fleet]
+        name = "field"
+        set = { clock.hold = true }
+        restart = { policy = "always", at_most = 9 }
+        [agent.gate]
+        [agent.node1]
+        config = "node.toml"
+        after = ["gate"]
+        set = { agent.seed = 1 }
+        [agent.node2]
+        config = "node.toml"
+        restart = { policy = "never" }
+        """,
+    )
+
+    gate, first, second = members
+    assert [it.name for it in members] == ["gate", "node1", "node2"]
+    assert [it.config.agent.name for it in members] == ["gate", "node1", "node2"]
+    assert {it.config.agent.fleet for it in members} == {"field"}
+    assert all(it.config.clock.hold for it in members)
+    assert (first.config.clock.speed, first.config.agent.seed, second.config.agent.seed) == (2.0, 1, None)
+    assert gate.restart == ProcessRestart("always", 9, 60.0)
+    assert second.restart == ProcessRestart("never", 3, 60.0)
+    assert (first.after, second.after) == (("gate",), ())
+    assert first.path == tmp_path / "node.toml"
+
+
+def test_the_command_line_has_the_last_word(tmp_path: Path) -> None:
+    paths = [write(tmp_path / "a.toml", rest="[clock]\nspeed = 2.0"), write(tmp_path / "b.toml")]
+
+    first, second = make_fleet(paths, ("a:clock.speed=3", "agent.seed=7"), "always", None)
+
+    assert (first.config.clock.speed, second.config.clock.speed) == (3.0, 1.0)
+    assert (first.config.agent.seed, second.config.agent.seed) == (7, 7)
+    assert first.restart.policy == "always"
+    assert first.sets == ("clock.speed=3", "agent.seed=7")
+    with pytest.raises(ConfigError, match=r"--set c:clock.speed=3: c: is none of the agents a, b"):
+        make_fleet(paths, ("c:clock.speed=3",), None, None)
+
+
+def test_all_mistakes_of_all_files_are_named_at_once(tmp_path: Path) -> None:
+    paths = [write(tmp_path / "a.toml", rest="lisen = 1"), write(tmp_path / "b.toml", rest="[clock]\nspeed = 0")]
+
+    with pytest.raises(ConfigError) as caught:
+        make_fleet([*paths, tmp_path / "c.toml"], (), None, None)
+
+    assert [fault.key for fault in caught.value.faults] == ["file", "[agent] lisen", "[clock] speed"]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "problem"),
+    [
+        ('listen = "tcp://127.0.0.1:7401"', 'listen = "tcp://127.0.0.1:7401"', "listens at this port already"),
+        ('state_dir = "s"', 'state_dir = "s"', "is the state directory of a"),
+    ],
+)
+def test_what_two_agents_cannot_both_have(tmp_path: Path, first: str, second: str, problem: str) -> None:
+    paths = [write(tmp_path / "a.toml", rest=first), write(tmp_path / "b.toml", rest=second)]
+
+    with pytest.raises(ConfigError) as caught:
+        make_fleet(paths, (), None, None)
+
+    (fault,) = caught.value.faults
+    assert problem in fault.problem
+    assert fault.where == f"{paths[1]}:4"
+
+
+def test_ports_that_are_given_out_freely_do_not_clash(tmp_path: Path) -> None:
+    rest = 'listen = "tcp://127.0.0.1:0"'
+    make_fleet([write(tmp_path / "a.toml", rest=rest), write(tmp_path / "b.toml", rest=rest)], (), None, None)
+
+
+def test_two_agents_of_one_name(tmp_path: Path) -> None:
+    paths = [write(tmp_path / "a.toml"), write(tmp_path / "b.toml", "a")]
+
+    with pytest.raises(ConfigError, match=r"b.toml: \[agent\] name: .*a.toml is an agent of the name 'a' already"):
+        make_fleet(paths, (), None, None)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[agent.a]\n", ["fleet.toml: [fleet]: is missing: a fleet file has a table [fleet], which may be empty"]),
+        ("[fleet]\n", ["fleet.toml: [agent]: expected a table for each agent, such as [agent.NAME]"]),
+        (
+            "[fleet]\nnam = 1\n[agent.a]\nafter = 5\n[agents.b]\n",
+            [
+                "fleet.toml:3: [fleet] nam: unknown key, did you mean 'name'?",
+                "fleet.toml:5: [agent.a] after: expected a list, got an integer",
+                "fleet.toml:6: [agents]: unknown key in a fleet file, did you mean 'agent'?",
+            ],
+        ),
+        (
+            "[fleet]\n[agent.a]\nafter = ['bb']\n[agent.b]\nafter = ['b']\n",
+            [
+                "fleet.toml:4: [agent.a] after[0]: there is no agent 'bb' in this fleet, did you mean 'b'?",
+                "fleet.toml:6: [agent.b] after[0]: an agent cannot wait for itself",
+            ],
+        ),
+        (
+            "[fleet]\n[agent.a]\nafter = ['b']\n[agent.b]\nafter = ['a']\n[agent.c]\n",
+            ["fleet.toml:4: [agent.a] after: a and b would wait for each other for ever"],
+        ),
+        (
+            "[fleet]\nrestart = { policy = 'often', at_most = -1 }\n[agent.a]\n",
+            [
+                "fleet.toml:3: [fleet] restart.policy: expected one of 'never', 'on-failure', 'always', not 'often'",
+                "fleet.toml:3: [fleet] restart.at_most: expected an integer >= 0, not -1",
+            ],
+        ),
+        (
+            "[fleet]\n[agent.a]\nset = { clock.sped = 1 }\n",
+            ["fleet.toml:4: [clock] sped: unknown key, did you mean 'speed'?"],
+        ),
+        ("[fleet]\n[agent.x]\n", ["fleet.toml:3: [agent.x] config: there is no file {}/x.toml"]),
+    ],
+)
+def test_mistakes_of_a_fleet_file(tmp_path: Path, text: str, expected: list[str]) -> None:
+    write(tmp_path / "a.toml")
+    write(tmp_path / "b.toml")
+
+    assert faults(tmp_path, text) == [line.format(tmp_path) for line in expected]
+
+
+def test_the_fleet_file_of_the_documentation(tmp_path: Path) -> None:
+    text = (Path(__file__).resolve().parents[2] / "docs" / "configuration.md").read_text()
+    block = next(part for part in text.split("```") if part.startswith("toml") and "[fleet]" in part)
+    write(tmp_path / "gateway.toml")
+    write(tmp_path / "node.toml", rest='[task.Report]\ntype = "any.Report"')
+
+    members = fleet(tmp_path, block.removeprefix("toml").replace("schema = 1", ""))
+
+    assert [(it.name, it.after, it.restart.policy) for it in members] == [
+        ("gateway", (), "on-failure"),
+        ("north", ("gateway",), "on-failure"),
+        ("south", ("gateway",), "always"),
+    ]
+    assert members[1].config.tasks["Report"].rate_hz == 2.0
+
+
+def test_what_the_schema_of_a_fleet_file_knows() -> None:
+    schema = fleet_schema()
+
+    assert set(schema["properties"]) == {"schema", "fleet", "agent"}
+    assert set(schema["properties"]["agent"]["additionalProperties"]["properties"]) == {
+        "config",
+        "set",
+        "restart",
+        "after",
+    }
+    assert schema["properties"]["fleet"]["additionalProperties"] is False
+
+
+@pytest.fixture
+def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registration]:
+    """An agent `a` of the fleet `default` that runs on this machine."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
+    registration = register(Entry("a", "default", "agent", "tcp://127.0.0.1:1", 4711))
+    yield registration
+    registration.remove()
+
+
+def test_a_name_that_is_borne_already(tmp_path: Path, entry: Registration) -> None:
+    members = make_fleet([write(tmp_path / "a.toml")], (), None, None)
+
+    with pytest.raises(PancakesError, match="the agent a of the fleet default runs already \\(process 4711\\)"):
+        check_free(members)
+    check_free(make_fleet([write(tmp_path / "a.toml")], ('agent.fleet="other"',), None, None)).release()
+
+
+def test_a_port_that_is_in_use_or_claimed(tmp_path: Path, entry: Registration) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        members = make_fleet([write(tmp_path / "b.toml", rest=f'listen = "{listen}"')], (), None, None)
+        with pytest.raises(PancakesError, match=f"b cannot listen at {listen}: address already in use"):
+            check_free(members)
+    claim = check_free(members)
+    with pytest.raises(PancakesError, match="another launcher is about to use the ports of this fleet"):
+        check_free(members)
+    claim.release()
+    check_free(members).release()
