@@ -29,6 +29,13 @@ STOP_S: Final = 1.9
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says. Repeatable."
 )
+@click.option(
+    "--record",
+    metavar="[FILE]",
+    is_flag=False,
+    flag_value="",
+    help="Record what is said on its channels; without FILE, where its configuration says.",
+)
 @click.option("--check", is_flag=True, help="Only check the configuration and the plug-ins; run nothing.")
 @click.option(
     "--die-with-parent",
@@ -47,7 +54,9 @@ STOP_S: Final = 1.9
 )
 @click.version_option(__version__, prog_name="pancakes-agent")
 @sentences
-def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
+def agent(
+    path: str, sets: tuple[str, ...], record: str | None, check: bool, parent_pid: int | None, ready_fd: int | None
+) -> None:
     """Run an agent.
 
     SIGINT or SIGTERM stops it in good order; the same signal a second time ends it at once.
@@ -66,6 +75,10 @@ def agent(path: str, sets: tuple[str, ...], check: bool, parent_pid: int | None,
     from pancakes.plugins import Plugins
 
     plugins = Plugins()
+    if record is not None:
+        from pancakes.config.toml_text import value_text
+
+        sets = (*sets, "record.start=true", *([f"record.path={value_text(record)}"] if record else []))
     config = load(path, sets, plugins)
     if orders is None:
         _check(config, plugins)

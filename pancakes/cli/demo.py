@@ -66,6 +66,7 @@ class DemoNames(click.ParamType):
     help="Change a key of one agent's configuration, or of all.",
 )
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
+@click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
 @sentences
 def demo(
@@ -79,6 +80,7 @@ def demo(
     configs: Path | None,
     sets: tuple[str, ...],
     headless: bool,
+    record: bool,
     faults: bool,
 ) -> None:
     """Run a demo and judge it: exit code 0 only where the verdict is PASS.
@@ -94,7 +96,7 @@ def demo(
         return
     if faults and not virtual:
         raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
-    options = _Options(virtual, seed, speed, duration, configs, sets, headless, faults)
+    options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
     sys.exit(_run(plugins, name, out, options))
 
 
@@ -114,6 +116,7 @@ class _Options:
     configs: Path | None
     sets: tuple[str, ...]
     headless: bool
+    record: bool
     faults: bool
 
 
@@ -144,7 +147,7 @@ def _fly(
 ) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
-    from pancakes.demo.launcher import Faults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.demo.launcher import RECORDING, Faults, fresh, judge, run_live, run_of, run_virtual
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
@@ -152,7 +155,9 @@ def _fly(
     duration_s = options.duration_s if options.duration_s is not None else found.duration_s
     configs = find_configs(folder, options.configs)
     speed = 1.0 if virtual else options.speed
-    plan = make_plan(found, configs, out, seed, speed, duration_s, options.sets, not virtual, plugins)
+    recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
+    sets = (*recording, *options.sets)
+    plan = make_plan(found, configs, out, seed, speed, duration_s, sets, not virtual, plugins)
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()

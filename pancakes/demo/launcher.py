@@ -31,6 +31,8 @@ READY_S = 30.0
 STOP_S = 1.2
 """How long a process has to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
+RECORDING = "recording"
+"""The folder below that of the results in which the agents' recordings lie."""
 
 
 class Launcher(Agent):
@@ -272,7 +274,7 @@ def fresh(out: Path, results: Sequence[str] = ("trajectory.csv", "paths.png")) -
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name in ("state", "logs"):
+        for name in ("state", "logs", RECORDING):
             shutil.rmtree(out / name, ignore_errors=True)
         for name in ("events.jsonl", "summary.json", "timing.json", *results):
             (out / name).unlink(missing_ok=True)

@@ -15,6 +15,8 @@ from pancakes.schema import schema_of
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 NANOSECONDS: Final = 1_000_000_000
+SCHEMAS: Final = "pancakes."
+"""What the names of the schemas of packets begin with."""
 
 
 class RecordingError(PancakesError):
@@ -135,7 +137,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
         body = {"type": "object"}
     definitions = body.pop("$defs", {})
     schema = {
-        "title": f"pancakes.{type_name}",
+        "title": SCHEMAS + type_name,
         "type": "object",
         "properties": {
             "source": {"type": "string", "description": "address of the publisher."},

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.recording.entry import Entry, RecordingError, packet_from_data
+from pancakes.recording.entry import SCHEMAS, Entry, RecordingError, packet_from_data
 from pancakes.recording.parts import SUFFIX, parts_of
 from pancakes.recording.writer import METADATA
 
@@ -30,13 +30,14 @@ class Reading:
         path: the file.
         about: what the recorder wrote about the recording.
         cut: why it could not be read to its end; empty where it could.
-        strange: sentences on messages that are no packets any more, such as of a type that has changed.
+        strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
+            each holds.
     """
 
     path: Path
     about: dict[str, str] = field(default_factory=dict)
     cut: str = ""
-    strange: list[str] = field(default_factory=list)
+    strange: dict[str, int] = field(default_factory=dict)
 
 
 class RecordingReader:
@@ -69,7 +70,11 @@ class RecordingReader:
     def notes(self) -> Sequence[str]:
         """Returns sentences on all that could not be read so far."""
         notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
-        return notes + [f"{reading.path}: {text}" for reading in self.readings for text in reading.strange]
+        return notes + [
+            f"{reading.path}: {text}" + (f" ({count} times)" if count > 1 else "")
+            for reading in self.readings
+            for text, count in reading.strange.items()
+        ]
 
 
 def files_of(path: Path) -> list[Path]:
@@ -90,35 +95,39 @@ def files_of(path: Path) -> list[Path]:
 
 def _entries(reading: Reading) -> Iterator[Entry]:
     with reading.path.open("rb") as file:
-        for channel, message in messages(reading, file):
-            parts = channel.topic.split("/")
-            if len(parts) != 4 or parts[0]:
-                continue  # in the schema of a viewer
+        for schema, channel, message in messages(reading, file):
+            if not schema.startswith(SCHEMAS):
+                continue  # what a viewer shows
+            _, agent, name, kind = channel.topic.split("/")
             try:
-                packet = packet_from_data(parts[2], parts[3], message.data)
+                packet = packet_from_data(name, kind, message.data)
             except RemoteProtocolError as error:
-                reading.strange.append(str(error))
+                reading.strange[str(error)] = reading.strange.get(str(error), 0) + 1
                 continue
-            yield Entry(message.log_time, parts[1], packet)
+            yield Entry(message.log_time, agent, packet)
 
 
-def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[Channel, Message]]:
-    """Gives all messages of a file as far as it is whole, each with its channel.
+def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
+    """Gives all messages of a file as far as it is whole, each with the name of its schema and its channel.
 
     Raises:
         RecordingError: it is no recording at all.
     """
     channels: dict[int, Channel] = {}
+    schemas: dict[int, str] = {}
     begun = False
     try:
         for record in StreamReader(file, validate_crcs=True).records:
             begun = True
             if isinstance(record, Channel):
                 channels[record.id] = record
+            elif isinstance(record, Schema):
+                schemas[record.id] = record.name
             elif isinstance(record, Metadata) and record.name == METADATA:
                 reading.about.update(record.metadata)
             elif isinstance(record, Message):
-                yield channels[record.channel_id], record
+                channel = channels[record.channel_id]
+                yield schemas[channel.schema_id], channel, record
     except READ_ERRORS as error:
         if not begun:
             raise RecordingError(f"{reading.path} is no recording: {error or type(error).__name__}") from None

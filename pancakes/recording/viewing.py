@@ -12,9 +12,9 @@ import msgspec
 from pancakes.recording.entry import NANOSECONDS, Entry
 
 FRAME: Final = "world"
-TRAIL: Final = 600
+TRAIL: Final = 300
 """So many poses make up a path."""
-TRAIL_NS: Final = NANOSECONDS
+TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
 GREY: Final = (0.5, 0.5, 0.5)

@@ -11,7 +11,7 @@ from typing import Final
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pancakes import __version__
-from pancakes.recording.entry import Entry, EntryEncoder, schema_for
+from pancakes.recording.entry import SCHEMAS, Entry, EntryEncoder, schema_for
 
 CHUNK_BYTES: Final = 16 * 1024
 """With mcap's own chunks of 1 MiB a recorder that was killed after 3 s left nothing."""
@@ -99,7 +99,7 @@ class RecordingWriter:
             self._file.close()
 
     def _channel(self, topic: str, type_name: str) -> int:
-        name = f"pancakes.{type_name}"
+        name = SCHEMAS + type_name
         number = self._channels.get((topic, name))
         if number is None:
             if type_name not in self._schemas:
