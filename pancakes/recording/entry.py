@@ -93,7 +93,7 @@ class EntryEncoder:
         self._inexact = True
         if hasattr(value, "tolist"):
             return value.tolist()
-        raise NotImplementedError(f"a {type(value).__name__} is no plain value")
+        raise TypeError(f"a {type(value).__name__} is no plain value")
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:

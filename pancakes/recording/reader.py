@@ -130,5 +130,5 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
                 yield schemas[channel.schema_id], channel, record
     except READ_ERRORS as error:
         if not begun:
-            raise RecordingError(f"{reading.path} is no recording: {error or type(error).__name__}") from None
+            raise RecordingError(f"{reading.path} is no recording: it does not begin as an MCAP file does") from None
         reading.cut = str(error) or type(error).__name__

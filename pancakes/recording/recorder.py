@@ -26,6 +26,8 @@ WAITING: Final = 20_000
 """So many packets wait for the disk; of more, the oldest are left out and counted."""
 FLUSH_S: Final = 0.5
 """How often, in host time, what was written is brought to the disk: a crash costs no more than that."""
+PATIENCE_S: Final = 1.0
+"""How long, in host time, the answer to what a task is may take."""
 
 Size = Annotated[float, Meta(ge=0, le=1e9)]
 
@@ -82,7 +84,7 @@ class Recorder(Task):
         self._written = 0
         self._lost_before = 0
         self._tasks: dict[str, TaskDescription] = {}
-        self._asked: set[int] = set()
+        self._asked: dict[int, float] = {}
         # One look at the time of day: between two packets only the monotonic clock counts.
         virtual = self.kernel.virtual is not None
         self._epoch_ns = 0 if virtual else wall_ns() - int(self.kernel.host.now() * NANOSECONDS)
@@ -124,7 +126,11 @@ class Recorder(Task):
     @every(hz=20)
     def write(self, tick: Tick) -> None:
         """Writes what has come since the last time."""
-        self._write_waiting()
+        patient_s = self.kernel.host.now() - PATIENCE_S
+        self._asked = {seq: asked_s for seq, asked_s in self._asked.items() if asked_s > patient_s}
+        if not (self.settings.task and self._asked):
+            # What one task reads is known only once its service has said so.
+            self._write_waiting()
 
     def _write_waiting(self) -> None:
         waiting = self._waiting
@@ -206,6 +212,8 @@ class Recorder(Task):
         if agent_of(packet.source) == self.agent and event.kind == "task_started":
             self._ask_about(f"{event.fields['service']}/{event.fields['task']}")
         elif event.kind == "task_stopped" and agent_of(packet.source) == self.agent:
+            # What has come until now came while it ran.
+            self._write_waiting()
             self._tasks = {
                 task_id: told
                 for task_id, told in self._tasks.items()
@@ -213,7 +221,7 @@ class Recorder(Task):
             }
 
     def _ask(self, body: Describe) -> None:
-        self._asked.add(self.publish(SYSCTRL, body).seq)
+        self._asked[self.publish(SYSCTRL, body).seq] = self.kernel.host.now()
 
     def _ask_about(self, target: str) -> None:
         if not target.startswith(("log/", "network/", "device/")):
@@ -224,7 +232,7 @@ class Recorder(Task):
         """The agent has told what it runs, or what a task is."""
         if packet.cause is None or packet.cause[1] not in self._asked:
             return
-        self._asked.discard(packet.cause[1])
+        del self._asked[packet.cause[1]]
         reply: Reply = packet.body
         if not reply.ok:
             return  # it has ended meanwhile

@@ -1,0 +1,98 @@
+"""`pancakes record ...` and `pancakes-agent --record`, with agents that run, and one that is killed."""
+
+import json
+import os
+import signal
+import time
+
+import pytest
+from processes import PATIENCE_S, Rig
+
+LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 50\n'
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rig = Rig(tmp_path)
+    yield rig
+    rig.close()
+
+
+def rows(rig, *arguments, code=0):
+    result = rig.pancakes("record", *arguments, "--format", "json")
+    assert result.returncode == code, result.stderr
+    return json.loads(result.stdout)
+
+
+def grown(path, size):
+    """Waits until a file has grown to a size."""
+    until_s = time.monotonic() + PATIENCE_S
+    while not path.exists() or path.stat().st_size < size:
+        assert time.monotonic() < until_s, f"{path} does not grow"
+
+
+def test_recordings_are_started_listed_stopped_and_looked_at(rig):
+    for name in ("a", "b"):
+        rig.ready(name, LOAD)
+    assert rows(rig, "start", "--dry-run") == [
+        {"agent": "a", "done": "dry run", "path": None},
+        {"agent": "b", "done": "dry run", "path": None},
+    ]
+    assert {row["path"] for row in rows(rig, "list")} == {None}
+    started = rows(rig, "start", "--path", "run/{agent}.mcap", "--channel", "system")
+    assert started == [
+        {"agent": "a", "done": "recording", "path": "run/a.mcap"},
+        {"agent": "b", "done": "recording", "path": "run/b.mcap"},
+    ]
+    assert [row["done"] for row in rows(rig, "list")] == ["recording", "recording"]
+    again = rig.pancakes("record", "start", "a")
+    assert (again.returncode, again.stderr) == (1, "a/log/Recorder is running already\n")
+    for name in ("a", "b"):
+        grown(rig.directory / "run" / f"{name}.mcap", 2000)
+    assert [row["done"] for row in rows(rig, "stop", "--dry-run")] == ["dry run", "dry run"]
+    assert [(row["agent"], row["done"]) for row in rows(rig, "stop")] == [("a", "complete"), ("b", "complete")]
+    assert rig.pancakes("record", "stop").stderr == "no agent records\n"
+    (info,) = rows(rig, "info", "run")
+    assert info["whole"]
+    assert {(topic["agent"], topic["channel"], topic["type"]) for topic in info["topics"]} == {
+        ("a", "system", "load"), ("b", "system", "load")
+    }  # fmt: skip
+    assert info["packets"] == sum(topic["packets"] for topic in info["topics"]) > 2
+    assert "whole" in rig.pancakes("record", "info", "run").stdout
+
+
+def test_a_bad_setting_is_refused_before_anything_is_recorded(rig):
+    rig.ready("a")
+    result = rig.pancakes("record", "start", "--path", "/proc/nowhere/a.mcap")
+    assert result.returncode == 1
+    assert result.stderr.startswith("a/log/Recorder failed to start: the recording /proc/nowhere/a.mcap cannot be")
+    assert rows(rig, "list") == [{"agent": "a", "done": result.stderr.strip().partition(": ")[2], "path": None}]
+
+
+def test_after_a_kill_all_but_the_last_moment_is_recovered(rig):
+    agent = rig.ready("a", LOAD, "--record", "r.mcap")
+    path = rig.directory / "r.mcap"
+    grown(path, 20_000)
+    os.kill(agent.pid, signal.SIGKILL)
+    agent.ended()
+    assert rows(rig, "repair", "r.mcap", "--dry-run")[0]["done"] == "dry run"
+    info = rig.pancakes("record", "info", "r.mcap", "--format", "json")
+    assert "is cut off" in info.stderr
+    (told,) = json.loads(info.stdout)
+    assert not told["whole"]
+    (mended,) = rows(rig, "repair", "r.mcap", "--out", "mended.mcap")
+    assert (mended["file"], mended["done"]) == ("mended.mcap", "repaired")
+    (whole,) = rows(rig, "info", "mended.mcap")
+    assert whole["whole"]
+    assert whole["packets"] == told["packets"]
+    # What was flushed is all that was written; a flush comes each half second.
+    assert whole["duration_s"] > 0.5
+    assert rows(rig, "repair", "mended.mcap")[0]["done"] == "whole already"
+
+
+@pytest.mark.parametrize("verb", ["info", "repair"])
+def test_what_is_no_recording_is_told_in_a_sentence(rig, verb):
+    (rig.directory / "x.mcap").write_text("hello")
+    result = rig.pancakes("record", verb, "x.mcap")
+    assert (result.returncode, result.stderr) == (1, "x.mcap is no recording: it does not begin as an MCAP file does\n")
+    assert rig.pancakes("record", verb, "none").stderr == "there is no recording none\n"

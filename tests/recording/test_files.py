@@ -1,0 +1,227 @@
+"""The files of a recording: packets go in and come out as they were, also where a crash has cut the file off."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from pancakes.devices.types import Motion, Pose
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.packet import Fence, Packet, packet_type
+from pancakes.recording.entry import Entry, RecordingError, packet_from_data, schema_for
+from pancakes.recording.parts import Parts, part_path, parts_of
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.repair import repair
+from pancakes.recording.viewing import TRAIL_NS, Viewer
+from pancakes.recording.writer import RecordingWriter
+
+S = 1_000_000_000
+
+
+@packet_type("test.scan")
+@dataclass(frozen=True)
+class Scan:
+    """What JSON cannot hold."""
+
+    ranges_m: np.ndarray
+    raw: bytes = b""
+    best_m: float = math.inf
+
+
+def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
+    body = body or Pose(float(number), 0.5, -0.25)
+    return Entry(number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence))
+
+
+def written(path, entries):
+    writer = RecordingWriter(path, {"agent": "a", "clock": "mission time"})
+    for entry in entries:
+        writer.write(entry)
+    writer.close()
+
+
+def read(path):
+    reader = RecordingReader(path)
+    return list(reader.entries()), reader
+
+
+def test_packets_come_out_as_they_went_in(tmp_path):
+    entries = [
+        pose(0),
+        pose(1, fence=Fence("a/Scan", (2, "b"))),
+        pose(2, cause=("b/x", 7)),
+        pose(3, kind="motion", body=Motion(True, None, None)),
+    ]
+    written(tmp_path / "r.mcap", entries)
+    found, reader = read(tmp_path / "r.mcap")
+    assert found == entries
+    assert reader.notes() == []
+    assert reader.readings[0].about["clock"] == "mission time"
+    assert found[1].task_id == "a/Scan"
+
+
+def test_what_json_cannot_hold_comes_out_exactly_all_the_same(tmp_path):
+    scan = Scan(np.arange(6.0).reshape(2, 3), b"\x00\xff", math.inf)
+    nan = pose(1, body=Pose(math.nan, math.inf, 0.0))
+    written(tmp_path / "r.mcap", [pose(0, kind="test.scan", body=scan), nan])
+    (first, second), _ = read(tmp_path / "r.mcap")
+    assert np.array_equal(first.packet.body.ranges_m, scan.ranges_m)
+    assert (first.packet.body.raw, first.packet.body.best_m) == (b"\x00\xff", math.inf)
+    assert math.isnan(second.packet.body.x_m)
+    assert second.packet.body.y_m == math.inf
+
+
+def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
+    written(tmp_path / "r.mcap", [pose(0), pose(1)])
+    with (tmp_path / "r.mcap").open("rb") as file:
+        found = [(schema, channel, message) for schema, channel, message in make_reader(file).iter_messages()]
+    schema, channel, message = found[1]
+    assert (schema.name, schema.encoding, channel.topic) == ("pancakes.pose", "jsonschema", "/a/system/pose")
+    assert message.log_time == S
+    assert schema_for("pose")["properties"]["body"]["properties"]["x_m"]["type"] == "number"
+
+
+def test_a_body_that_no_packet_may_hold_is_refused_and_the_file_is_as_it_was(tmp_path):
+    writer = RecordingWriter(tmp_path / "r.mcap", {})
+    writer.write(pose(0))
+    with pytest.raises(LocalProtocolError, match="the packet 2 of the type 'pose' from a/device/pose cannot be rec"):
+        writer.write(pose(1, body=object()))
+    writer.close()
+    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == [1]
+
+
+def test_a_file_that_is_cut_off_anywhere_gives_what_is_whole_and_is_repaired(tmp_path):
+    whole = tmp_path / "whole.mcap"
+    written(whole, [pose(number) for number in range(500)])
+    data = whole.read_bytes()
+    counts = set()
+    for share in (0.2, 0.5, 0.8, 0.999):
+        cut = tmp_path / f"cut-{share}.mcap"
+        cut.write_bytes(data[: int(len(data) * share)])
+        before, reader = read(cut)
+        assert len(reader.notes()) == 1
+        assert "is cut off" in reader.notes()[0]
+        mended = repair(cut)
+        after, reader = read(cut)
+        assert after == before == [pose(number) for number in range(len(before))]
+        assert reader.notes() == []
+        assert not mended.whole
+        assert mended.messages == len(before)
+        with cut.open("rb") as file:
+            assert sum(1 for _ in make_reader(file).iter_messages()) == len(before)
+        counts.add(len(before))
+    assert len(counts) == 4
+    assert max(counts) == 500
+
+
+def test_a_whole_file_is_left_alone_by_a_repair(tmp_path):
+    written(tmp_path / "r.mcap", [pose(0)])
+    before = (tmp_path / "r.mcap").read_bytes()
+    assert repair(tmp_path / "r.mcap").whole
+    assert (tmp_path / "r.mcap").read_bytes() == before
+
+
+def test_a_recorder_that_was_killed_after_a_flush_has_lost_nothing_of_before(tmp_path):
+    writer = RecordingWriter(tmp_path / "r.mcap", {})
+    for number in range(7):
+        writer.write(pose(number))
+    writer.flush()
+    assert len(read(tmp_path / "r.mcap")[0]) == 7
+    writer.close()
+
+
+@pytest.mark.parametrize("data", [b"", b"no recording", b"\x89MCAP0\r\n"])
+def test_what_is_no_recording_is_named(tmp_path, data):
+    (tmp_path / "r.mcap").write_bytes(data)
+    with pytest.raises(RecordingError, match=r"r\.mcap is no recording"):
+        read(tmp_path / "r.mcap")
+    with pytest.raises(RecordingError, match="there is no recording"):
+        read(tmp_path / "none.mcap")
+    with pytest.raises(RecordingError, match="holds no recording"):
+        (tmp_path / "empty").mkdir()
+        read(tmp_path / "empty")
+
+
+def test_a_type_that_has_changed_since_is_told_and_the_rest_is_read(tmp_path):
+    written(tmp_path / "r.mcap", [pose(0), pose(1, body={"x_m": "far"}), pose(2, body={"x_m": "far"}), pose(3)])
+    found, reader = read(tmp_path / "r.mcap")
+    assert [entry.packet.seq for entry in found] == [1, 4]
+    (note,) = reader.notes()
+    assert "a packet of the type 'pose' has a bad body" in note
+    assert note.endswith("(2 times)")
+    with pytest.raises(RemoteProtocolError, match="malformed"):
+        packet_from_data("system", "pose", b"[]")
+
+
+def test_the_files_of_several_agents_are_one_recording_in_the_order_of_time(tmp_path):
+    written(tmp_path / "a.mcap", [pose(number) for number in (0, 2, 4)])
+    written(tmp_path / "b.mcap", [pose(number, agent="b") for number in (1, 3)])
+    assert [(entry.agent, entry.time_ns // S) for entry in read(tmp_path)[0]] == [
+        ("a", 0), ("b", 1), ("a", 2), ("b", 3), ("a", 4)
+    ]  # fmt: skip
+
+
+def filled(parts, count):
+    """Writes until the parts end or `count` packets are in; returns why they ended."""
+    reason = ""
+    for number in range(count):
+        parts.write(pose(number))
+        if number % 50 == 49 and (reason := parts.flush()):
+            break
+    parts.close()
+    return reason
+
+
+def make_parts(path, split_mib=0.02, limit_mib=0.0, drop_oldest=False, free_mib=0.0):
+    return Parts(path, {"agent": "a"}, split_mib, limit_mib, drop_oldest, free_mib)
+
+
+def test_a_recording_is_split_and_read_as_one(tmp_path):
+    parts = make_parts(tmp_path / "r.mcap")
+    assert filled(parts, 500) == ""
+    assert len(parts_of(tmp_path / "r.mcap")) > 2
+    assert parts_of(tmp_path / "r.mcap")[1] == tmp_path / "r.002.mcap" == part_path(tmp_path / "r.mcap", 2)
+    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == list(range(1, 501))
+
+
+def test_at_its_limit_a_recording_ends_or_forgets_its_oldest(tmp_path):
+    assert filled(make_parts(tmp_path / "stops.mcap", limit_mib=0.05), 5000) == "it has reached its limit of 0.05 MiB"
+    parts = make_parts(tmp_path / "drops.mcap", limit_mib=0.05, drop_oldest=True)
+    assert filled(parts, 2000) == ""
+    left = sorted(tmp_path.glob("drops*.mcap"))
+    assert sum(path.stat().st_size for path in left) < 0.09 * 2**20
+    last = RecordingReader(left[-1])
+    assert list(last.entries())[-1].packet.seq == 2000
+
+
+def test_a_recording_ends_before_the_disk_is_full(tmp_path):
+    reason = filled(make_parts(tmp_path / "r.mcap", free_mib=1e9), 100)
+    assert reason == f"less than 1e+09 MiB are free on the disk of {tmp_path}"
+
+
+def test_nothing_is_overwritten_and_what_cannot_be_written_is_named(tmp_path):
+    for name in ("r.mcap", "r-2.mcap", "r-3.mcap"):
+        parts = make_parts(tmp_path / "r.mcap")
+        assert parts.first == tmp_path / name
+        parts.close()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match=r"the recording .*/file/r\.mcap cannot be written: File exists"):
+        make_parts(tmp_path / "file" / "r.mcap")
+
+
+def test_poses_and_paths_are_shown_in_the_schemas_of_foxglove():
+    viewer = Viewer()
+    shown = [message for number in range(25) for message in viewer.messages(pose(number))]
+    assert [message.schema_name for message in shown[:3]] == [
+        "foxglove.PoseInFrame",
+        "foxglove.PosesInFrame",
+        "foxglove.PoseInFrame",
+    ]
+    paths = [message for message in shown if message.schema_name == "foxglove.PosesInFrame"]
+    assert [message.time_ns for message in paths] == [0, TRAIL_NS, 2 * TRAIL_NS]
+    assert paths[1].data.count(b"position") == 11
+    assert shown[0].topic == "/viewer/a/pose"
+    # A pose that only passes through is not this agent's.
+    assert list(viewer.messages(pose(1, source="world/client/MotionCapture"))) == []

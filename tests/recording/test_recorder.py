@@ -1,0 +1,184 @@
+"""The recorder in an agent: it is started and stopped by packets, sees everything, and harms nobody."""
+
+from dataclasses import dataclass
+
+import pytest
+
+from pancakes.control import Describe, Migrate, Reschedule, Start, Stop
+from pancakes.devices.types import Load, Pose
+from pancakes.recording.description import TaskDescription
+from pancakes.recording.parts import Parts
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.summary import Summary
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest
+
+RECORDER = "log/Recorder"
+
+
+class Count(Task):
+    """Counts its ticks, and answers poses."""
+
+    @dataclass
+    class Settings:
+        step: int = 1
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += self.settings.step
+        self.publish("system", Load(float(self.state.n)))
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.publish("ctrl", Load(-1.0))
+
+
+class Talk(Task):
+    """Tells the neighbours."""
+
+    @every(hz=2)
+    def tell(self, tick):
+        self.publish("system", Pose(tick.time_s, 0.0, 0.0), to="*")
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest() as fleet:
+        yield fleet
+
+
+def record(agent, path, **settings):
+    reply = agent.ask(Start(RECORDER, {"path": str(path), **settings}))
+    assert reply.ok, reply.reason
+
+
+def finish(agent, path):
+    assert agent.ask(Stop(RECORDER)).ok
+    return list(RecordingReader(path).entries())
+
+
+def test_everything_that_is_seen_on_an_agent_is_recorded_with_its_causes(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap")
+    begun_s = agent.kernel.mission.now()
+    sent = agent.publish("system", Pose(1.0, 2.0, 3.0))
+    fleet.run_for(2.0)
+    entries = finish(agent, tmp_path / "r.mcap")
+    loads = [entry for entry in entries if entry.topic == "/a/system/load"]
+    assert len(loads) == 20
+    assert all(abs(entry.time_ns / 1e9 - entry.packet.stamp) < 0.05 for entry in loads)
+    (answer,) = [entry.packet for entry in entries if entry.topic == "/a/ctrl/load"]
+    assert answer.cause == (sent.source, sent.seq)
+    assert {entry.packet.channel for entry in entries} >= {"system", "ctrl", "sysctrl", "log"}
+    assert all(entry.time_ns / 1e9 >= begun_s for entry in entries)
+
+
+def test_what_goes_to_others_is_seen_where_it_leaves_and_where_it_arrives(fleet, tmp_path):
+    a, b = fleet.start("a", tasks={"Talk": Talk}), fleet.start("b")
+    fleet.connect()
+    record(a, tmp_path / "{agent}.mcap")
+    record(b, tmp_path / "{agent}.mcap")
+    fleet.run_for(2.0)
+    finish(a, tmp_path / "a.mcap")
+    finish(b, tmp_path / "b.mcap")
+    seen = [entry for entry in RecordingReader(tmp_path).entries() if entry.packet.type == "pose"]
+    assert {entry.agent for entry in seen} == {"a", "b"}
+    left = {entry.packet.seq for entry in seen if entry.agent == "a"}
+    assert left >= {entry.packet.seq for entry in seen if entry.agent == "b"} != set()
+
+
+def test_only_some_channels_and_types_are_recorded_where_that_is_asked_for(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap", channels=["system"], types=["load"])
+    agent.publish("system", Pose(1.0, 2.0, 3.0))
+    fleet.run_for(1.0)
+    assert {entry.topic for entry in finish(agent, tmp_path / "r.mcap")} == {"/a/system/load"}
+
+
+def test_a_channel_that_is_added_later_is_recorded_too(fleet, tmp_path):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap")
+    agent.kernel.stream.open("map")
+    fleet.run_for(1.0)
+    agent.publish("map", Load(0.5))
+    fleet.run_for(1.0)
+    assert "/a/map/load" in {entry.topic for entry in finish(agent, tmp_path / "r.mcap")}
+
+
+def test_what_tasks_are_is_recorded_at_the_beginning_and_when_they_start(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count, "Later": {"type": Count, "start": False, "settings": {"step": 5}}})
+    fleet.run_for(1.0)
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(1.0)
+    agent.ask(Start("Later"))
+    fleet.run_for(1.0)
+    entries = finish(agent, tmp_path / "r.mcap")
+    count, later = [entry.packet.body for entry in entries if isinstance(entry.packet.body, TaskDescription)]
+    assert (count.task_id, count.address, count.settings) == ("a/Count", "a/client/Count", {"step": 1})
+    assert count.state["n"] >= 10
+    assert count.timers[0]["rate_hz"] == 10.0
+    assert count.reads_packet("system", "pose")
+    assert not count.reads_packet("system", "load")
+    assert (later.task_id, later.settings) == ("a/Later", {"step": 5})
+
+
+def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):
+    a, b = fleet.start("a", tasks={"Count": Count}), fleet.start("b")
+    fleet.connect()
+    for agent in (a, b):
+        record(agent, tmp_path / "{agent}.mcap", task="a/Count")
+    fleet.run_for(1.0)
+    a.publish("system", Pose(0.0, 0.0, 0.0))
+    assert a.ask(Migrate("Count", to="b")).ok
+    fleet.run_for(1.0)
+    b.publish("system", Pose(1.0, 0.0, 0.0))
+    b.publish("system", Load(0.0))
+    fleet.run_for(1.0)
+    finish(a, tmp_path / "a.mcap")
+    finish(b, tmp_path / "b.mcap")
+    entries = list(RecordingReader(tmp_path).entries())
+    outputs = [entry.packet.body.cpu for entry in entries if entry.topic.endswith("/system/load")]
+    assert outputs == [float(n) for n in range(int(outputs[0]), int(outputs[0]) + len(outputs))]
+    inputs = [(entry.agent, entry.packet.body.x_m) for entry in entries if entry.packet.type == "pose"]
+    assert inputs == [("a", 0.0), ("b", 1.0)]
+    stays = Summary.of(entries).stays
+    assert [(stay.task_id, stay.agent, stay.epoch) for stay in stays] == [("a/Count", "a", 0), ("a/Count", "b", 1)]
+
+
+def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet, tmp_path, monkeypatch):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap")
+
+    def full(self):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Parts, "flush", full)
+    agent.wait_for_event("recording_stopped")
+    fleet.run_for(1.0)
+    (warning,) = [line for line in agent.lines("warning") if "recording" in line]
+    assert warning.endswith("r.mcap ends: its disk failed: No space left on device")
+    assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
+    assert agent.running() == ["Count"]
+    assert agent.kernel.stream._taps["system"] == ()
+
+
+def test_a_place_that_cannot_be_written_is_refused_with_the_reason(fleet, tmp_path):
+    agent = fleet.start("a")
+    (tmp_path / "file").write_text("")
+    reply = agent.ask(Start(RECORDER, {"path": str(tmp_path / "file" / "r.mcap")}))
+    assert "r.mcap cannot be written: File exists" in reply.reason
+    assert "limit_mib: expected a number >= 0" in agent.ask(Start(RECORDER, {"limit_mib": -1})).reason
+
+
+def test_the_table_record_starts_it_with_the_agent(fleet, tmp_path):
+    agent = fleet.start("a", f'[record]\npath = "{tmp_path}/x.mcap"\nchannels = ["system"]\n', tasks={"Count": Count})
+    assert agent.ask(Reschedule("Count", 20.0)).ok
+    fleet.run_for(1.0)
+    assert len(finish(agent, tmp_path / "x.mcap")) >= 20
+    waiting = fleet.start("b", '[record]\nstart = false\npath = "never.mcap"\n')
+    assert waiting.ask(Describe(RECORDER)).result["state"] == "stopped"
+    assert waiting.ask(Describe(RECORDER)).result["settings"]["path"] == "never.mcap"
