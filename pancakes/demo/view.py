@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, TextIO
 
+from pancakes.client.sentences import is_quiet, sentence_of
 from pancakes.demo.conductor import Mission
 from pancakes.demo.demo import Demo
 
@@ -16,54 +17,6 @@ REFRESH_HZ = 8
 SHOWN_EVENTS = 14
 BEHIND_S = 0.25
 """A world that lies further behind the clock than this, in mission seconds, is said to."""
-QUIET = (
-    "peer_up",
-    "peer_down",
-    "service_started",
-    "service_stopped",
-    "ready",
-    "roster",
-    "task_frozen",
-    "safe_hold",
-)
-"""Kinds of events that a person need not see; they are in the file."""
-
-
-def sentence_of(record: Mapping[str, Any]) -> str:
-    """Returns an event as a short line; empty where a person need not see it."""
-    kind = record["kind"]
-    if kind in QUIET or record.get("service") in ("device", "network", "log"):
-        return ""
-    who = str(record["agent"])
-    if kind == "line":
-        return f"{who}: {record['text']}" if record["level"] in ("warning", "error") else ""
-    if kind == "task_started":
-        return f"{who} runs {record['task']}"
-    if kind == "task_stopped":
-        return f"{who} stopped {record['task']}: {record['reason']}"
-    if kind == "migration_asked":
-        return f"{who} asks all neighbours to take {record['task']}"
-    if kind == "migration_bid":
-        return f"{who} bids {record['cost']:g} for {record['task']}"
-    if kind == "migration_refused":
-        return f"{who} refuses {record['task']}: {record['reason']}"
-    if kind == "migration":
-        return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "")
-    if kind == "task_arrived":
-        return f"{who} took {record['task']} from {record['source_agent']} with its state"
-    if kind == "rate_changed":
-        return f"{who} runs {record['task']} at {record['rate_hz']:g} Hz, asked by {record['by']}"
-    if kind == "collision":
-        return f"collision: {' and '.join(record['names'])}"
-    rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
-    return f"{who}: {kind.replace('_', ' ')}" + (f" ({rest})" if rest else "")
-
-
-_ENVELOPE = ("t_s", "agent", "source", "kind")
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 class PlainView:
@@ -86,9 +39,8 @@ class PlainView:
 
     def tell(self, record: Mapping[str, Any]) -> None:
         """Writes one event."""
-        sentence = sentence_of(record)
-        if sentence:
-            self._say(f"{record['t_s']:8.2f} s  {sentence}")
+        if not is_quiet(record):
+            self._say(f"{record['t_s']:8.2f} s  {sentence_of(record)}")
 
     def _look(self) -> None:
         behind_s = self._mission.behind_s
@@ -125,9 +77,8 @@ class LiveView:
         self._live.__exit__(None, None, None)
 
     def _tell(self, record: Mapping[str, Any]) -> None:
-        sentence = sentence_of(record)
-        if sentence:
-            self._lines.append(f"{record['t_s']:8.2f} s  {sentence}")
+        if not is_quiet(record):
+            self._lines.append(f"{record['t_s']:8.2f} s  {sentence_of(record)}")
 
     def _render(self) -> Any:
         from rich import box

@@ -62,6 +62,10 @@ class DeviceContext(Protocol):
         """Returns how many mission packets this agent has sent to others so far (heartbeats do not count)."""
         ...
 
+    def network_awake(self) -> bool:
+        """Returns whether the Network Service is awake, so that this agent hears others."""
+        ...
+
     def shared(self, key: str, make: Callable[[], _T]) -> _T:
         """Returns what this agent's drivers share under `key`, making it at the first call.
 

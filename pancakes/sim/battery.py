@@ -1,8 +1,9 @@
 """A battery that is drained by what a robot does.
 
 Energy, not time, empties it: rolling wheels, each reading of each kind of sensor, each mission packet that the
-agent sends to another, and whatever the electronics take all the time. So a robot that senses or talks less
-often lasts longer, which is what its tasks can decide (paper §4).
+agent sends to another, a radio that listens, and whatever the electronics take all the time. So a robot that senses
+or talks less often, drives less far, or lets its Network Service sleep lasts longer, which is what its tasks can decide
+(paper §3.4, §4). What each of these has taken so far is told apart.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from pancakes.sim.quantities import NotNegative, Positive, Share
+from pancakes.sim.state import Spent
 
 DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.0, "motion": 0.01}
 
@@ -26,6 +28,8 @@ class BatterySettings:
         motion_j_per_m: energy for each metre that a wheel rolls; both wheels count.
         sample_j: energy for one reading, by the type of the device; a type that is not listed takes nothing.
         packet_j: energy for one mission packet sent to another agent.
+        listen_w: what the radio takes while the agent's Network Service is awake. Whether it is, is told with each
+            reading of the battery.
         noise_v: standard deviation of the measured voltage.
     """
 
@@ -35,6 +39,7 @@ class BatterySettings:
     motion_j_per_m: NotNegative = 4.0
     sample_j: dict[str, NotNegative] = field(default_factory=lambda: dict(DEFAULT_SAMPLE_J))
     packet_j: NotNegative = 0.01
+    listen_w: NotNegative = 0.0
     noise_v: NotNegative = 0.001
 
 
@@ -45,6 +50,9 @@ class BatteryModel:
         settings: what it holds and what takes from it.
         full_v: voltage when full.
         empty_v: voltage when empty; in between, the voltage follows the charge in a straight line.
+
+    Attributes:
+        listening: whether the radio listens.
     """
 
     def __init__(self, settings: BatterySettings, full_v: float, empty_v: float) -> None:
@@ -53,6 +61,8 @@ class BatteryModel:
         self._empty_v = empty_v
         self._charge_j = settings.capacity_j * settings.level
         self._packets = 0
+        self._spent_j = {"idle": 0.0, "motion": 0.0, "sensing": 0.0, "listening": 0.0, "sending": 0.0}
+        self.listening = True
 
     @property
     def level(self) -> float:
@@ -75,17 +85,27 @@ class BatteryModel:
 
     def passed(self, elapsed_s: float, rolled_m: float) -> None:
         """Time has passed, in which the wheels rolled `rolled_m` in all (both wheels, either way)."""
-        self._take(self._settings.idle_w * elapsed_s + self._settings.motion_j_per_m * rolled_m)
+        self._take("idle", self._settings.idle_w * elapsed_s)
+        self._take("motion", self._settings.motion_j_per_m * rolled_m)
+        if self.listening:
+            self._take("listening", self._settings.listen_w * elapsed_s)
 
     def sampled(self, device_type: str) -> None:
         """A sensor of this type brought a reading."""
-        self._take(self._settings.sample_j.get(device_type, 0.0))
+        self._take("sensing", self._settings.sample_j.get(device_type, 0.0))
 
     def packets_sent(self, total: int) -> None:
         """The agent has sent `total` mission packets so far. A lower number than before is a new agent's count."""
         new = total - self._packets if total >= self._packets else total
         self._packets = total
-        self._take(self._settings.packet_j * new)
+        self._take("sending", self._settings.packet_j * new)
 
-    def _take(self, energy_j: float) -> None:
-        self._charge_j = max(self._charge_j - energy_j, 0.0)
+    @property
+    def spent(self) -> Spent:
+        """What it has given so far, and for what."""
+        return Spent(**{f"{what}_j": energy_j for what, energy_j in self._spent_j.items()})
+
+    def _take(self, what: str, energy_j: float) -> None:
+        taken_j = min(energy_j, self._charge_j)
+        self._charge_j -= taken_j
+        self._spent_j[what] += taken_j

@@ -66,12 +66,14 @@ class Sample(msgspec.Struct, tag_field="is", tag="sample", array_like=True, froz
         type: the device's type.
         packets_sent: how many mission packets the body's agent has sent so far, told by the device that
             measures the battery.
+        listening: whether the agent's Network Service is awake, told by the same device.
     """
 
     body: str
     device: str
     type: str
     packets_sent: int | None = None
+    listening: bool | None = None
 
 
 class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, frozen=True):

@@ -76,7 +76,7 @@ class SimulatedSensor(Sensor):
         body: str = ""
 
     settings: Settings
-    tells_packets: ClassVar[bool] = False
+    tells_radio: ClassVar[bool] = False
     _bus: _BusDevice | None = None
 
     def open(self) -> None:
@@ -92,9 +92,10 @@ class SimulatedSensor(Sensor):
         """Asks for a reading, which comes later. One question is under way at a time."""
         bus = self._bus
         if bus is not None and not bus.waiting:
-            packets_sent = self.context.mission_packets_sent() if self.tells_packets else None
+            packets_sent = self.context.mission_packets_sent() if self.tells_radio else None
+            listening = self.context.network_awake() if self.tells_radio else None
             bus.waiting = True  # before sending: the reply comes in another thread
-            if not bus.send(Sample(self._body, self.context.device, self.type, packets_sent)):
+            if not bus.send(Sample(self._body, self.context.device, self.type, packets_sent, listening)):
                 bus.waiting = False
         return None
 
@@ -106,10 +107,11 @@ class SimulatedPose(SimulatedSensor):
 
 
 class SimulatedBattery(SimulatedSensor):
-    """A robot's battery, which also pays for the packets that its agent sends (`sim.battery`)."""
+    """A robot's battery, which also pays for its agent's radio: for what it sends, and while it listens
+    (`sim.battery`)."""
 
     type = "battery"
-    tells_packets = True
+    tells_radio = True
 
 
 class SimulatedInfrared(SimulatedSensor):

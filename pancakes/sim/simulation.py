@@ -21,7 +21,7 @@ from pancakes.sim.models import robot_model
 from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
-from pancakes.sim.state import BodyState, WorldState
+from pancakes.sim.state import BodyState, Spent, WorldState
 
 STEP_S: Final = 0.01
 """The step of the simulation."""
@@ -239,10 +239,16 @@ class Simulation:
         if robot is not None:
             robot.battery.packets_sent(total)
 
+    def listens(self, name: str, listening: bool) -> None:
+        """A robot's agent says whether its radio listens, which takes from its battery."""
+        robot = self._robots.get(name)
+        if robot is not None:
+            robot.battery.listening = listening
+
     def state(self) -> WorldState:
         """Returns what all bodies do now."""
         bodies = [
-            _body_state(robot.disc, "robot", robot.battery.voltage_v, robot.driven_by)
+            _body_state(robot.disc, "robot", robot.battery.voltage_v, robot.driven_by, robot.battery.spent)
             for robot in self._robots.values()
         ]
         bodies += [_body_state(sensor.disc, "sensor") for sensor in self._sensors.values()]
@@ -292,6 +298,10 @@ def _branch(source: random.Random) -> random.Random:
     return random.Random(source.getrandbits(64))
 
 
-def _body_state(disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "") -> BodyState:
+def _body_state(
+    disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
+) -> BodyState:
     x_m, y_m = disc.position
-    return BodyState(disc.name, kind, x_m, y_m, disc.theta_rad, disc.v_mps, disc.omega_radps, battery_v, driven_by)
+    return BodyState(
+        disc.name, kind, x_m, y_m, disc.theta_rad, disc.v_mps, disc.omega_radps, battery_v, driven_by, spent
+    )

@@ -8,6 +8,25 @@ from pancakes.packet import packet_type
 
 
 @dataclass(frozen=True, slots=True)
+class Spent:
+    """What a battery has given since the world began, in joules.
+
+    Attributes:
+        idle_j: to the electronics.
+        motion_j: to the wheels.
+        sensing_j: for readings.
+        listening_j: to a radio that listens.
+        sending_j: for mission packets.
+    """
+
+    idle_j: float
+    motion_j: float
+    sensing_j: float
+    listening_j: float
+    sending_j: float
+
+
+@dataclass(frozen=True, slots=True)
 class BodyState:
     """What one body does.
 
@@ -21,6 +40,7 @@ class BodyState:
         omega_radps: its turning rate.
         battery_v: true voltage of its battery; None where it has none.
         driven_by: the task whose command its wheels follow; empty in safe hold.
+        spent: what its battery has given; None where it has none.
     """
 
     name: str
@@ -32,6 +52,7 @@ class BodyState:
     omega_radps: float
     battery_v: float | None = None
     driven_by: str = ""
+    spent: Spent | None = None
 
 
 @packet_type("world_state")

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final, TextIO
+from typing import Final
 
-from pancakes.devices.pace import Pace
-from pancakes.packet import SYSTEM, Packet
 from pancakes.sim.quantities import Positive
 from pancakes.sim.state import BodyState, WorldState
-from pancakes.task import Task, Tick, every, on
+from pancakes.sim.state_file import StateFile
 
 HEADER: Final = "t_s,name,x_m,y_m,theta_rad,v_mps,omega_radps,battery_v,driven_by"
 """The first row."""
@@ -25,14 +23,13 @@ def row(time_s: float, body: BodyState) -> str:
     return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
 
 
-class Trajectory(Task):
-    """Writes the world's states to a file.
+class Trajectory(StateFile):
+    """Writes where all bodies are. Needs the task `sim.world` on the same agent."""
 
-    Needs the task `sim.world` on the same agent.
-    """
+    header = HEADER
 
     @dataclass
-    class Settings:
+    class Settings(StateFile.Settings):
         """Where to, and how often.
 
         Attributes:
@@ -43,44 +40,5 @@ class Trajectory(Task):
         path: str = "trajectory.csv"
         rows_hz: Positive = 10.0
 
-    settings: Settings
-    _file: TextIO | None = None
-
-    def on_start(self) -> None:
-        self._pace = Pace(self.settings.rows_hz)
-        self._open()
-
-    def on_stop(self) -> None:
-        self._close()
-
-    def on_settings(self) -> None:
-        self._pace = Pace(self.settings.rows_hz)
-        if self._file is not None and self._file.name != self.settings.path:
-            self._close()
-            self._open()
-
-    @on(SYSTEM, WorldState)
-    def passed(self, packet: Packet) -> None:
-        """Writes the rows of one moment, when it is time."""
-        state: WorldState = packet.body
-        if self._file is None or not self._pace.due(state.time_s):
-            return
-        self._file.write("".join(f"{row(state.time_s, body)}\n" for body in state.bodies))
-
-    @every(hz=1)
-    def flush(self, tick: Tick) -> None:
-        """Brings the rows to the disk, so that a mission that breaks off leaves its record."""
-        if self._file is not None:
-            self._file.flush()
-
-    def _open(self) -> None:
-        path = Path(self.settings.path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("w", encoding="utf-8", newline="")
-        self._file.write(HEADER + "\n")
-        self._file.flush()
-
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+    def rows(self, state: WorldState) -> Sequence[str]:
+        return [row(state.time_s, body) for body in state.bodies]

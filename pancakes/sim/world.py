@@ -110,6 +110,8 @@ class World(Task):
             case Sample():
                 if request.packets_sent is not None:
                     simulation.packets_sent(request.body, request.packets_sent)
+                if request.listening is not None:
+                    simulation.listens(request.body, request.listening)
                 value = msgspec.to_builtins(simulation.sample(request.body, request.type))
                 return Reading(request.device, request.type, value)
         return None

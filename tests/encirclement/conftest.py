@@ -4,89 +4,53 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pancakes.config import parse
 from pancakes.demo import Run
-from pancakes.events import Event
-from pancakes.fleet import VirtualFleet
-from pancakes.packet import Packet
-from pancakes.plugins import Plugins
 from pancakes.sim.trajectory import HEADER
-from pancakes.task import Task, on
-
-
-class Ear(Task):
-    """Hears all that an agent says, and says what a test wants it to."""
-
-    def on_start(self) -> None:
-        self.heard: list[Packet] = []
-
-    @on("system")
-    @on("ctrl")
-    @on("sysctrl")
-    @on("log")
-    def hear(self, packet: Packet) -> None:
-        self.heard.append(packet)
+from pancakes.testing import AgentInTest, FleetInTest
 
 
 class Crew:
-    """A fleet of agents that each have an `Ear`."""
+    """A fleet of robots, and what a test says and hears there."""
 
-    def __init__(self) -> None:
-        self.fleet = VirtualFleet(plugins=Plugins({("pancakes.tasks", "test.Ear"): Ear}))
+    def __init__(self, fleet: FleetInTest) -> None:
+        self.fleet = fleet
 
     def join(self, name: str, port: int, *peers: int, tables: str = "") -> None:
         """Starts an agent."""
-        addresses = ", ".join(f'"tcp://127.0.0.1:{peer}"' for peer in peers)
-        text = f"""
-            schema = 1
-            [agent]
-            name = "{name}"
-            listen = "tcp://127.0.0.1:{port}"
-            peers = [{addresses}]
-            [service.log.settings]
-            console = false
-            [task.Ear]
-            type = "test.Ear"
-            {tables}
-        """
-        self.fleet.start(parse(text, where=f"{name} in a test"))
+        addresses = [f"tcp://127.0.0.1:{other}" for other in (port, *peers)]
+        self.fleet.start(name, tables, listen=addresses[0], peers=tuple(addresses[1:]))
         self.run(1.0)
 
-    def ear(self, agent: str) -> Ear:
-        ear = self.fleet.agents[agent].kernel.registry.get(f"{agent}/client/Ear")
-        assert isinstance(ear, Ear)
-        return ear
+    def ear(self, agent: str) -> AgentInTest:
+        return self.fleet.agents[agent]
 
     def say(self, agent: str, channel: str, body: Any, run_s: float = 0.05) -> None:
-        """Publishes a packet on an agent, as its `Ear`, and lets everybody act on it."""
-        ear = self.ear(agent)
-        ear.call(lambda: ear.publish(channel, body))
+        """Publishes a packet on an agent, and lets everybody act on it."""
+        self.ear(agent).publish(channel, body)
         self.run(run_s)
 
     def heard(self, agent: str, kind: type) -> list[Any]:
         """Returns the bodies of one class that were published on an agent so far."""
-        return [packet.body for packet in self.ear(agent).heard if isinstance(packet.body, kind)]
+        return [packet.body for packet in self.ear(agent).probe.packets(kind)]
 
     def events(self, agent: str, kind: str) -> list[Mapping[str, Any]]:
         """Returns the fields of the events of one kind that were told on an agent so far."""
-        return [event.fields for event in self.heard(agent, Event) if event.kind == kind]
+        return self.ear(agent).events(kind)
 
     def run(self, duration_s: float) -> None:
         self.fleet.run_for(duration_s)
 
 
 @pytest.fixture
-def crew() -> Iterator[Crew]:
-    made = Crew()
-    yield made
-    made.fleet.close()
+def crew(fleet: FleetInTest) -> Crew:
+    return Crew(fleet)
 
 
 @dataclass

@@ -59,6 +59,7 @@ class Context:
         self.readings = []
         self.lines = []
         self.packets = 0
+        self.awake = True
         self._shared = {} if shared is None else shared
 
     def deliver(self, body):
@@ -69,6 +70,9 @@ class Context:
 
     def mission_packets_sent(self):
         return self.packets
+
+    def network_awake(self):
+        return self.awake
 
     def shared(self, key, make):
         if key not in self._shared:
@@ -142,7 +146,7 @@ def test_one_question_is_under_way_at_a_time(rig):
     assert len(rig.asked(bus.Sample)) == 1
 
 
-def test_the_battery_tells_how_many_packets_were_sent(rig):
+def test_the_battery_tells_how_many_packets_were_sent_and_whether_the_radio_listens(rig):
     rig.open_world()
     rig.answers[bus.Sample] = bus.Reading("battery", "battery", {"voltage_v": 8.0, "level": 0.8})
     context = Context(rig, device="battery")
@@ -152,7 +156,12 @@ def test_the_battery_tells_how_many_packets_were_sent(rig):
     sensor.sample()
     rig.run(0.1)
     assert rig.asked(bus.Sample)[0].packets_sent == 42
+    assert rig.asked(bus.Sample)[0].listening is True
     assert context.readings == [Battery(8.0, 0.8)]
+    context.awake = False
+    sensor.sample()
+    rig.run(0.1)
+    assert rig.asked(bus.Sample)[1].listening is False
 
 
 def test_the_drivers_of_an_agent_share_one_connection(rig):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
-from pancakes.demo import Demo, Run
+from pancakes.demo import Comparison, Demo, Run, Variant
+from pancakes_encirclement.energy_verdict import judge_energy, judge_mission
 from pancakes_encirclement.intruder_verdict import judge_intruder
 from pancakes_encirclement.verdict import Limits, judge_encirclement
 
@@ -23,6 +25,12 @@ def _draw_intruder(run: Run, summary: Mapping[str, Any]) -> None:
     from pancakes_encirclement.figure import draw_intruder
 
     draw_intruder(run, summary)
+
+
+def _draw_energy(out: Path, runs: Mapping[str, Run], summary: Mapping[str, Any]) -> None:
+    from pancakes_encirclement.energy_figure import draw_energy
+
+    draw_energy(out, runs, summary)
 
 
 ENCIRCLEMENT: Final = Demo(
@@ -60,3 +68,27 @@ INTRUDER: Final = Demo(
     radius_m=0.55,
 )
 """Figure 1 of the paper."""
+
+ENERGY: Final = Comparison(
+    name="energy",
+    title="how much longer a battery lasts under an energy governor, and what that costs",
+    mission=Demo(
+        name="energy",
+        title="a Khepera III goes round somebody who walks about, until its battery is empty",
+        agents=("world", "agent1", "sensor"),
+        duration_s=540.0,
+        judge=judge_mission,
+        circled="intruder",
+        radius_m=0.55,
+        records={"Trajectory": "trajectory.csv", "Consumption": "consumption.csv"},
+    ),
+    variants=(
+        Variant("plain", "without a governor", ("agent1:task.EnergyGovernor.start=false",)),
+        Variant("thresholds", "governed by thresholds", ('agent1:task.EnergyGovernor.settings.policy="thresholds"',)),
+        Variant("feedback", "governed by feedback", ('agent1:task.EnergyGovernor.settings.policy="feedback"',)),
+    ),
+    judge=judge_energy,
+    draw=_draw_energy,
+    picture="energy.png",
+)
+"""The paper's point, a longer mission (§3.4), measured."""

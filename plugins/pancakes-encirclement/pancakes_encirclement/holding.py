@@ -7,53 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from pancakes_encirclement.record import Record, Row
+from pancakes.demo.record import Holder
+from pancakes_encirclement.record import Row
 
-_ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
 _CLOCKS_AGREE_S = 0.05
 """How well the agents' mission clocks agree: they begin by a packet, each on its own."""
-
-
-@dataclass(frozen=True, slots=True)
-class Holder:
-    """An agent that ran a task for some time.
-
-    Attributes:
-        agent: who.
-        start_s: mission time.
-        end_s: mission time; the mission's end where the task still ran then.
-    """
-
-    agent: str
-    start_s: float
-    end_s: float
-
-
-def holders(record: Record, task: str, end_s: float) -> list[Holder]:
-    """Returns who ran a task, in the order of time. A task that is frozen for a move runs no more."""
-    found = []
-    since: dict[str, float] = dict.fromkeys(record.running_at_first(task), 0.0)
-    for event in record.events:
-        if event.fields.get("task") != task:
-            continue
-        if event.kind in ("task_started", "task_resumed"):
-            since.setdefault(event.agent, event.t_s)
-        elif event.kind in _ENDS and event.agent in since:
-            found.append(Holder(event.agent, since.pop(event.agent), event.t_s))
-    found += [Holder(agent, start_s, max(start_s, end_s)) for agent, start_s in since.items()]
-    return sorted(_joined(found), key=lambda holder: holder.start_s)
-
-
-def _joined(found: list[Holder]) -> list[Holder]:
-    """Makes one of what a restart, or a move that was called off, broke in two."""
-    joined: list[Holder] = []
-    for holder in sorted(found, key=lambda holder: (holder.start_s, holder.end_s)):
-        last = joined[-1] if joined else None
-        if last is not None and last.agent == holder.agent:
-            joined[-1] = Holder(last.agent, last.start_s, max(last.end_s, holder.end_s))
-        else:
-            joined.append(holder)
-    return joined
 
 
 def driven(path: Sequence[Row], task: str) -> list[Row]:

@@ -8,7 +8,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from pancakes.demo import Run
-from pancakes_encirclement.holding import driven, holders
+from pancakes.demo.record import holders
+from pancakes_encirclement.holding import driven
 from pancakes_encirclement.record import Record, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario
 from pancakes_encirclement.verdict import SETTLING_S, common_reasons, finish, first_time, mishaps, place, revolutions

@@ -1,0 +1,60 @@
+"""What the tasks of this package have in common: they give orders on `sysctrl`, and hear what became of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from pancakes.control import Reply
+from pancakes.energy.orders import Order
+from pancakes.errors import PancakesError
+from pancakes.events import Event
+from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
+from pancakes.task import Task, on
+
+
+class Decider(Protocol):
+    """What decides for such a task."""
+
+    def asked(self, seq: int, order: Order, now_s: float) -> None:
+        """An order has been given."""
+
+    def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
+        """It has been answered; returns sentences for people."""
+
+    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Something has happened on this agent."""
+
+
+class AdjustingTask(Task):
+    """A task that adjusts others; a subclass sets `decider` in `on_start`."""
+
+    decider: Decider
+
+    def give(self, orders: Sequence[Order]) -> None:
+        """Publishes orders."""
+        for order in orders:
+            packet = self.publish(SYSCTRL, order.body)
+            self.decider.asked(packet.seq, order, self.now())
+
+    def give_last(self, orders: Sequence[Order]) -> None:
+        """Publishes the orders of a task that ends: whoever cannot take them any more ends as well."""
+        try:
+            self.give(orders)
+        except PancakesError as error:
+            self.log("warning", f"not everything was set back: {error}")
+
+    @on(SYSCTRL, Reply, addressed=True)
+    def answered(self, packet: Packet) -> None:
+        """Hears what became of an order."""
+        if packet.cause is None:
+            return
+        reply: Reply = packet.body
+        for sentence in self.decider.answered(packet.cause[1], reply.ok, reply.reason, reply.result):
+            self.log("warning", sentence)
+
+    @on(LOG, Event)
+    def happened(self, packet: Packet) -> None:
+        """Hears of tasks and services that start and stop."""
+        if agent_of(packet.source) == self.agent:
+            self.decider.happened(packet.body.kind, packet.body.fields)
