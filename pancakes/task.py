@@ -21,9 +21,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from pancakes.control import Migrate
+from pancakes.errors import PancakesError
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet
@@ -134,7 +136,7 @@ class Task(Component):
     def on_settings(self) -> None:
         """Called in the actor after the settings were changed while it runs."""
 
-    def migrate(self, to: str = "", then: str = "") -> None:
+    def migrate(self, to: str = "", then: str = "", cost: CostChoice = "tasks") -> None:
         """Asks for this task to be moved to the neighbour that takes it for the lowest cost.
 
         It goes on until one has been found, and for good where none is. The answer comes as a `Reply` on
@@ -143,9 +145,10 @@ class Task(Component):
         Args:
             to: the only neighbour to ask; empty: all.
             then: a task to start here once this one has gone.
+            cost: the cost function that neighbours answer with, or the weight of each of several.
         """
         service = self.address.split("/")[1]
-        self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then))
+        self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then, cost=cost))
 
     def initial_period_s(self, method: str, period_s: float) -> float:
         carried_s = self.__periods_s.get(method)
@@ -167,9 +170,15 @@ class Task(Component):
 
         Raises:
             SettingsError: names every mistake.
+            PancakesError, ValueError: `on_settings` refuses them.
         """
-        self.settings = change_settings(self.settings, changes)
-        self.on_settings()
+        before = self.settings
+        self.settings = change_settings(before, changes)
+        try:
+            self.on_settings()
+        except (PancakesError, ValueError):
+            self.settings = before
+            raise
 
     def carry(self) -> Carried:
         """Returns what the task would carry to another actor now, as plain values. In the actor."""

@@ -113,6 +113,9 @@ class TaskTimer:
         self.lateness_sum_s += lateness_s
         if lateness_s > self.lateness_max_s:
             self.lateness_max_s = lateness_s
+        heard = self.component.kernel.lateness_heard
+        if heard is not None:
+            heard(self, lateness_s)
         self._handler(Tick(deadline_s, missed, lateness_s))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from pancakes.clock import Clock, MissionClock, MonotonicClock
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.component import Component
+from pancakes.kernel.component import Component, TaskTimer
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.dispatch import Dispatcher
 from pancakes.kernel.letters import DeadLetters
@@ -46,6 +46,7 @@ class Kernel:
         transport: how this agent reaches other processes (a `pancakes.net.transport.Transport`).
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
+        lateness_heard: told of each tick of a task how late it was, in the task's turn; None: nobody wants to know.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Kernel:
         self.transport: Any = None
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.lateness_heard: Callable[[TaskTimer, float], None] | None = None
         self._seqs: dict[str, Counter] = {}
         self._seqs_lock = threading.Lock()
         self.timer: Timer

@@ -131,6 +131,11 @@ class NetworkService(Service):
             return migrator.refuse_stop()
         return ""
 
+    def links(self) -> list[dict[str, Any]]:
+        """Returns what is to be known about the links to other agents, as plain values. Any thread."""
+        peers: list[dict[str, Any]] = self._mesh.describe()["peers"]
+        return peers
+
     def followers(self, channel: str) -> list[str]:
         """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
         return [follower for followed, follower in list(self._followers) if followed == channel]

@@ -41,6 +41,8 @@ class Count(Task):
 
     def on_settings(self):
         self.log("info", f"step is {self.settings.step}")
+        if self.settings.step == 12:
+            raise ValueError("a dozen is too much")
         if self.settings.step == 13:
             raise RuntimeError("unlucky settings")
 
@@ -203,6 +205,12 @@ def test_who_asks_for_settings_that_the_task_fails_on_is_answered_too(fleet, ser
     refused = agent.ask(Configure("Count", {"step": 13}))
     assert not refused.ok and "unlucky settings" in refused.reason
     agent.wait_for_event("task_started", task="Count", incarnation=2)
+
+
+def test_settings_that_the_task_itself_refuses_change_nothing(fleet, service):
+    agent = start(fleet, service, Count=Count)
+    assert agent.ask(Configure("Count", {"step": 12})).reason == "a dozen is too much"
+    assert agent.task("Count", service).settings.step == 1
 
 
 @pytest.mark.parametrize("asked", [Reschedule("Count", 1.0), Configure("Count", {"step": 2})])

@@ -1,0 +1,1 @@
+"""What an agent does and costs, as Prometheus reads it."""

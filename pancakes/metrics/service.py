@@ -1,0 +1,101 @@
+"""The Metrics Service: Prometheus text about the agent, on a port of this machine.
+
+[service.metrics]
+type = "metrics"
+settings = { port = 9464 }
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from msgspec import Meta
+
+from pancakes.errors import PancakesError
+from pancakes.events import Event
+from pancakes.kernel.component import TaskTimer
+from pancakes.kernel.handlers import on
+from pancakes.kernel.mailbox import queue
+from pancakes.packet import LOG, SYSTEM, Packet, agent_of
+from pancakes.service import Service
+
+HOST = "127.0.0.1"
+"""Metrics tell much about an agent and ask nobody who he is: they are served to this machine only."""
+
+
+class MetricsService(Service):
+    """Serves metrics over HTTP, in a thread of its own; what an agent does is counted where it happens.
+
+    Attributes:
+        port: the port that it is served at, once it is.
+    """
+
+    durable: ClassVar[bool] = False
+
+    @dataclass
+    class Settings:
+        """Where it is served.
+
+        Attributes:
+            port: the port on 127.0.0.1; 0 takes a free one, which `log` tells.
+        """
+
+        port: Annotated[int, Meta(ge=0, le=65535)] = 9464
+
+    def __init__(self, *args: Any, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._close: Callable[[], None] = lambda: None
+        self.port = 0
+
+    def on_start(self) -> None:
+        if self.kernel.virtual is not None:
+            raise PancakesError(f"{self.address} serves nobody in virtual time, where no second is a second")
+        try:
+            from prometheus_client import start_http_server
+
+            from pancakes.metrics.collector import AgentMetrics
+        except ModuleNotFoundError as error:
+            raise PancakesError(
+                f"there are no metrics without {error.name}: pip install 'pancakes-agents[metrics]'"
+            ) from None
+        self._metrics = AgentMetrics(self.kernel)
+        try:
+            server, thread = start_http_server(self.settings.port, HOST, self._metrics.registry)
+        except OSError as error:
+            where = f"{HOST}:{self.settings.port}"
+            raise PancakesError(f"{self.address} cannot serve at {where}: {error.strerror or error}") from None
+        self.port = server.server_port
+
+        def close() -> None:
+            server.shutdown()
+            server.server_close()
+            thread.join()
+
+        self._close = close
+        self.kernel.lateness_heard = self._late
+        self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics")
+
+    def _late(self, timer: TaskTimer, lateness_s: float) -> None:
+        self._metrics.ticked(timer, lateness_s)
+
+    @on(LOG, Event, keep=queue(4096))
+    def on_event(self, packet: Packet) -> None:
+        """Counts what events tell of."""
+        if agent_of(packet.source) == self.agent:
+            self._metrics.happened(packet.body)
+
+    @on(SYSTEM, "battery", keep="latest")
+    def on_battery(self, packet: Packet) -> None:
+        """Remembers what is left of this agent's battery."""
+        if agent_of(packet.source) == self.agent:
+            self._metrics.battery_level = packet.body.level
+
+    def on_stop(self) -> None:
+        self.kernel.lateness_heard = None
+        self._close()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        super().on_failure(exception_type, exception_value, traceback)
+        self.on_stop()

@@ -1,0 +1,129 @@
+"""The Metrics Service: what Prometheus would read of an agent that runs."""
+
+import urllib.request
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from pancakes.control import Reschedule, Restart, Stop
+from pancakes.devices.types import Battery, Load, Pose
+from pancakes.task import Task, every, on, queue
+from pancakes.testing import FleetInTest, threaded_agent
+
+SERVICES = {"metrics": {"type": "metrics", "settings": {"port": 0}}}
+
+
+class Tick(Task):
+    """Ticks."""
+
+    @every(hz=200)
+    def tick(self, tick):
+        self.publish("system", Load(0.5))
+
+
+class Slow(Task):
+    """Reads less than there is."""
+
+    blocking = True
+
+    @on("system", Pose, keep=queue(2))
+    def pose(self, packet):
+        raise RuntimeError("cannot read this")
+
+
+@pytest.fixture
+def agent():
+    with threaded_agent("a", tasks={"Tick": Tick, "Slow": Slow}, services=SERVICES) as agent:
+        yield agent
+
+
+def port(agent):
+    return agent.component("metrics").port
+
+
+def scraped(agent, number=None):
+    """What is served now: the value of each sample by its name and its labels but `agent`."""
+    with urllib.request.urlopen(f"http://127.0.0.1:{number or port(agent)}/metrics", timeout=5) as answer:
+        families = list(text_string_to_metric_families(answer.read().decode()))
+    return {
+        (sample.name, *(value for key, value in sorted(sample.labels.items()) if key != "agent")): sample.value
+        for family in families
+        for sample in family.samples
+    }
+
+
+def test_ticks_their_lateness_and_the_rate_asked_for_are_told(agent):
+    agent.wait_for(Load, lambda body: agent.task("Tick").timers["tick"].ticks > 20)
+    told = scraped(agent)
+    place = ("client", "Tick", "tick")
+    assert told["pancakes_task_rate_hertz", *place] == 200.0
+    assert told["pancakes_task_ticks_total", *place] > 20
+    assert told["pancakes_task_lateness_seconds_count", *place] > 0
+    assert told["pancakes_task_lateness_seconds_bucket", "+Inf", *place] > 0
+    agent.ask(Reschedule("Tick", 50.0))
+    assert scraped(agent)["pancakes_task_rate_hertz", *place] == 50.0
+    assert scraped(agent)["pancakes_control_changes_total", "rate_changed"] == 1.0
+
+
+def test_what_waits_what_was_lost_and_what_failed_is_told(agent):
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    agent.wait_for_event("task_failed")
+    agent.wait_until(lambda: agent.slot("Slow").state.value == "running")
+    told = scraped(agent)
+    assert told["pancakes_task_failures_total", "", "Slow", "restart"] == 1.0
+    assert told["pancakes_dead_letters_total",] == 1.0
+    assert told["pancakes_task_starts_total", "client", "Slow"] == 2.0
+    assert told["pancakes_mailbox_handled_packets_total", "system", "client", "Slow"] == 1.0
+    assert ("pancakes_mailbox_waiting_packets", "system", "client", "Slow") in told
+    assert ("pancakes_mailbox_dropped_packets_total", "system", "client", "Slow") in told
+
+
+def test_the_battery_and_the_process_are_told(agent):
+    assert not [key for key in scraped(agent) if "battery" in key[0]]
+    agent.publish("system", Battery(7.4, 0.75))
+    agent.wait_until(lambda: ("pancakes_battery_level_ratio",) in scraped(agent))
+    told = scraped(agent)
+    assert told["pancakes_battery_level_ratio",] == 0.75
+    assert told["process_resident_memory_bytes",] > 1e6
+
+
+def test_a_task_that_has_ended_is_forgotten(agent):
+    agent.wait_for(Load)
+    assert ("pancakes_task_lateness_seconds_count", "client", "Tick", "tick") in scraped(agent)
+    agent.ask(Stop("Tick"))
+    told = scraped(agent)
+    assert ("pancakes_task_lateness_seconds_count", "client", "Tick", "tick") not in told
+    assert told["pancakes_task_running", "client", "Tick"] == 0.0
+
+
+def test_names_follow_the_conventions_of_prometheus(agent):
+    with urllib.request.urlopen(f"http://127.0.0.1:{port(agent)}/metrics", timeout=5) as answer:
+        families = list(text_string_to_metric_families(answer.read().decode()))
+    ours = [family for family in families if family.name.startswith("pancakes_")]
+    assert len(ours) > 15
+    for family in ours:
+        assert family.documentation
+        if family.type == "counter":
+            assert all(sample.name.endswith(("_total", "_created")) for sample in family.samples)
+
+
+def test_a_restart_of_the_service_serves_anew_and_its_port_is_free_again(agent):
+    first = port(agent)
+    assert agent.ask(Restart("metrics")).ok
+    assert scraped(agent)["pancakes_task_running", "client", "Tick"] == 1.0
+    if port(agent) != first:
+        with pytest.raises(OSError, match="refused"):
+            scraped(agent, first)
+
+
+def test_a_port_in_use_is_told_and_the_agent_runs(agent):
+    taken = {"metrics": {"type": "metrics", "settings": {"port": port(agent)}}}
+    with threaded_agent("b", services=taken) as other:
+        other.wait_until(lambda: any("cannot serve at 127.0.0.1" in line for line in other.lines("error")))
+        assert other.component("client") is not None
+
+
+def test_links_are_told_by_peer_and_virtual_time_is_refused():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", services=SERVICES)
+        assert any("serves nobody in virtual time" in line for line in agent.lines("error"))
