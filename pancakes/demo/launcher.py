@@ -8,10 +8,10 @@ import shutil
 import subprocess
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
@@ -160,10 +160,34 @@ def _settle(mission: Mission) -> None:
         mission.phase = "interrupted"
 
 
+class Onlooker(Protocol):
+    """Watches a fleet in virtual time, and keeps it from going faster than it can be watched. It changes nothing."""
+
+    def begin(self, fleet: VirtualFleet) -> None:
+        """Takes the fleet, before anything runs."""
+
+    def slice_s(self) -> float:
+        """Returns how much virtual time may pass until the next `pace`."""
+
+    def pace(self) -> None:
+        """Looks at what happened, and waits until it is time to go on."""
+
+
 def run_virtual(
-    plan: Plan, mission: Mission, interrupted: threading.Event, faults: Faults | None = None
+    plan: Plan,
+    mission: Mission,
+    interrupted: threading.Event,
+    faults: Faults | None = None,
+    onlooker: Onlooker | None = None,
 ) -> dict[str, Any]:
     """Runs the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
+
+    Args:
+        plan: the run.
+        mission: what is filled in while it runs.
+        interrupted: ends it early.
+        faults: what goes wrong with the network.
+        onlooker: who watches.
 
     Returns:
         What is the wall's, for `timing.json`.
@@ -178,14 +202,17 @@ def run_virtual(
     try:
         for config in plan.configs.values():
             fleet.start(config)
+        if onlooker is not None:
+            onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
-        if not fleet.run_while(lambda: mission.phase == "connecting" and not interrupted.is_set(), READY_S):
+        if not _run_while(fleet, lambda: mission.phase == "connecting" and not interrupted.is_set(), READY_S, onlooker):
             waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
             raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
         running_s = time.monotonic()
         if faults is not None:
             faults.arrange(fleet, launcher)
-        fleet.run_while(lambda: mission.phase != "over" and not interrupted.is_set(), plan.duration_s * 2 + READY_S)
+        at_most_s = plan.duration_s * 2 + READY_S
+        _run_while(fleet, lambda: mission.phase != "over" and not interrupted.is_set(), at_most_s, onlooker)
         if interrupted.is_set():
             _settle(mission)
         ended_s = time.monotonic()
@@ -197,6 +224,18 @@ def run_virtual(
         "wall_s": ended_s - running_s,
         "times_real_time": mission.now_s / max(ended_s - running_s, 1e-9),
     }
+
+
+def _run_while(fleet: VirtualFleet, condition: Callable[[], bool], at_most_s: float, onlooker: Onlooker | None) -> bool:
+    """Runs while a condition holds, for at most some virtual time; returns whether it ceased to hold."""
+    if onlooker is None:
+        return fleet.run_while(condition, at_most_s)
+    until_s = fleet.now() + at_most_s
+    while fleet.now() < until_s:
+        if fleet.run_while(condition, min(onlooker.slice_s(), until_s - fleet.now())):
+            return True
+        onlooker.pace()
+    return False
 
 
 class Faults:

@@ -16,6 +16,9 @@ from pancakes.devices.driver import Actuator, DeviceContext, Sensor
 from pancakes.devices.pace import Pace
 from pancakes.packet import CTRL, Packet
 
+ROUNDING_S = 1e-9
+"""A timer may come earlier than it should by a rounding; who then waits for the rest makes virtual time stand still."""
+
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
@@ -82,13 +85,14 @@ class NetworkSensor(Sensor):
         if self._closed:
             return
         stale_after_s = self.settings.stale_after_s
-        age_s = self.context.now() - self._last_s
-        if age_s >= stale_after_s:
+        now_s = self.context.now()
+        left_s = self._last_s + stale_after_s - now_s
+        if left_s <= ROUNDING_S:
             if not self._stale:
                 self._stale = True
-                self.context.log("warning", f"no reading has come for {age_s:.1f} s of mission time")
-            age_s = 0.0
-        self.context.after(stale_after_s - age_s, self._watch)
+                self.context.log("warning", f"no reading has come for {now_s - self._last_s:.1f} s of mission time")
+            left_s = stale_after_s
+        self.context.after(left_s, self._watch)
 
 
 class NetworkPose(NetworkSensor):
@@ -119,6 +123,12 @@ class NetworkSonar(NetworkSensor):
     """Sonars of another agent (`network.sonar`)."""
 
     type = "sonar"
+
+
+class NetworkTemperature(NetworkSensor):
+    """A thermometer of another agent (`network.temperature`)."""
+
+    type = "temperature"
 
 
 class NetworkActuator(Actuator):

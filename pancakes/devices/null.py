@@ -62,3 +62,9 @@ class NullMotion(NullSensor):
     """Notices nothing (`null.motion`)."""
 
     type = "motion"
+
+
+class NullTemperature(NullSensor):
+    """Feels nothing (`null.temperature`)."""
+
+    type = "temperature"

@@ -65,7 +65,7 @@ class Mesh:
     """The links of one agent.
 
     All callbacks run in the transport's thread and must not block. `send`, `send_blob`, `announce`, `learn`,
-    `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
+    `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
 
     Args:
         identity: who this agent is.
@@ -212,6 +212,10 @@ class Mesh:
         named = tuple(addresses)
         self._transport.call_later(0.0, lambda: self._learn(named))
 
+    def redial(self) -> None:
+        """Dials all known addresses now at which nobody is connected, instead of when their next attempt is due."""
+        self._transport.call_later(0.0, self._redial)
+
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
@@ -321,6 +325,11 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.learnt(addresses, self._now()))
 
+    def _redial(self) -> None:
+        if self._peers is not None and self._state == "running":
+            self._peers.redial(self._now())
+            self._run_peers()
+
     def _sleep(self, for_s: float | None) -> None:
         if self._state == "running":
             self._state = "asleep"
@@ -330,8 +339,7 @@ class Mesh:
     def _wake(self) -> None:
         if self._state == "asleep" and self._peers is not None:
             self._state = "running"
-            self._peers.redial(self._now())
-            self._run_peers()
+            self._redial()
 
     def _stop(self) -> None:
         if self._state != "stopped":
@@ -462,7 +470,9 @@ class Mesh:
         hello = next(peer for peer in self._peers.connected() if peer.name == name)
         session.stood_up(hello, self._counters.setdefault(name, Counters()))
         self._set_up({**self._up, name: session})
-        self._on_log("info", f"{name} ({hello.role}, {session.remote}) is connected")
+        # Whoever looks from a terminal comes and goes all the time, which is no news of the fleet.
+        level = "debug" if hello.role == "client" else "info"
+        self._on_log(level, f"{name} ({hello.role}, {session.remote}) is connected")
         self._call(self._on_peer_up, hello)
         self._gossip(session, self._peers.gossip())
         if hello.listen and hello.role != "client":
@@ -481,9 +491,10 @@ class Mesh:
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
-            if session.hello is not None and session.hello.role == "client":
+            client = session.hello is not None and session.hello.role == "client"
+            if client:
                 self._counters.pop(session.peer, None)  # clients come under ever new names
-            level = "warning" if over.broken or why is not None else "info"
+            level = "warning" if over.broken or why is not None else "debug" if client else "info"
             self._on_log(level, f"the link to {session.peer} has ended: {over.reason}")
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
         else:

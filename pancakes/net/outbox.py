@@ -25,6 +25,8 @@ MAX_PACKETS: Final = 1024
 """Most packets of a channel that wait for a peer."""
 MAX_BYTES: Final = 4 * 1024 * 1024
 """Most bytes of a channel that wait for a peer. One packet may always wait."""
+MIGRATION_BYTES: Final = 40 * 1024 * 1024
+"""The same of `network`: the pieces of two of the largest snapshots, or of one that is sent again, and some more."""
 FIRST: Final = (SYSCTRL, NETWORK)
 """Channels that are served before all others."""
 
@@ -69,6 +71,7 @@ class _Lane:
 
     def __init__(self, channel: str) -> None:
         self.channel = channel
+        self._max_bytes = MIGRATION_BYTES if channel == NETWORK else MAX_BYTES
         self.waiting: deque[tuple[Key, Message]] = deque()
         self.bytes = 0
         self._newest: dict[Key, Message] = {}
@@ -106,7 +109,7 @@ class _Lane:
     def _full(self, more_bytes: int) -> bool:
         """Whether `more_bytes` are too many (with 0: whether there are too many already)."""
         count = len(self.waiting) + (more_bytes > 0)
-        return count > MAX_PACKETS or (count > 1 and self.bytes + more_bytes > MAX_BYTES)
+        return count > MAX_PACKETS or (count > 1 and self.bytes + more_bytes > self._max_bytes)
 
 
 class Outbox:

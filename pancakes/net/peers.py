@@ -136,7 +136,7 @@ class Peers:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
-        dials = (it.due_s for it in self._book.values() if self._wanted(it))
+        dials = (it.due_s for address, it in self._book.items() if self._wanted(address, it))
         holds = (candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None)
         return min((*dials, *holds), default=math.inf)
 
@@ -144,7 +144,7 @@ class Peers:
         """Dials what is due, and admits what has waited long enough for a dial of our own."""
         decisions: list[Decision] = []
         for address, it in self._book.items():
-            if self._wanted(it) and now_s >= it.due_s:
+            if self._wanted(address, it) and now_s >= it.due_s:
                 it.link = self.new_link()
                 decisions.append(Dial(address, it.link))
         for candidate in list(self._candidates.values()):
@@ -286,8 +286,11 @@ class Peers:
         for it in self._book.values():
             it.failures, it.due_s = 0, now_s
 
-    def _wanted(self, it: _Address) -> bool:
-        return it.link is None and not it.ours and it.name not in self._up and it.due_s < math.inf
+    def _wanted(self, address: str, it: _Address) -> bool:
+        if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
+            return False
+        # Whom we met there is still to say whether the link stands, or when to come again.
+        return all(candidate.address != address for candidate in self._candidates.values())
 
     def _dialling(self, listen: str) -> bool:
         it = self._book.get(listen)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pancakes.errors import MailboxFull
+from pancakes.migration.pieces import PIECE_BYTES
+from pancakes.migration.snapshot import LIMIT_BYTES
 from pancakes.net.outbox import MAX_BYTES, MAX_PACKETS, Counters, Message, Outbox, PeerBusy
 
 
@@ -75,6 +77,15 @@ def test_a_window_is_bounded_in_bytes_too_but_one_packet_may_always_wait():
         put(outbox, "chat", b"x")
     assert len(take_all(outbox)) == 1
     put(outbox, "chat", b"x")
+
+
+def test_the_largest_snapshot_waits_whole_and_once_more():
+    """In pieces; where the last of them fell out each time, it would never arrive over a slow link."""
+    outbox, _ = make()
+    pieces = 2 * (LIMIT_BYTES // PIECE_BYTES)
+    for index in range(pieces):
+        put(outbox, "network", bytes(PIECE_BYTES + 200), source=str(index))
+    assert len(take_all(outbox)) == pieces
 
 
 def test_control_and_migration_go_first():

@@ -252,6 +252,16 @@ def test_a_sleeper_is_left_alone_until_it_should_be_back():
     assert it.asleep(20.0) == {}, "it came back early"
 
 
+def test_who_has_been_met_is_not_dialled_again_before_it_says_whether_it_sleeps():
+    it = peers("tcp://a:1")
+    (dial,) = it.tick(0.0)
+    assert it.met(dial.link, hello("a"), "", 0.0) == [], "the lower name has the say"
+    assert it.tick(0.1) == [] and it.due_s() == math.inf
+    it.over(dial.link, 0.2, goodbye=Goodbye("sleep", 30.0))
+    assert it.tick(30.1) == []
+    assert dials(it.tick(30.2)) == ["tcp://a:1"]
+
+
 def test_who_sleeps_without_an_end_or_stops_is_asked_seldom():
     for goodbye in (Goodbye("sleep"), Goodbye("stop")):
         it = peers("tcp://z:1")

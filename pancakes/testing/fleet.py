@@ -1,0 +1,181 @@
+"""Agents in virtual time, on a network in memory, with faults on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any
+
+from pancakes.agent import Agent, Virtual
+from pancakes.config import Config, load
+from pancakes.fleet import VirtualFleet
+from pancakes.net.memory import Quality
+from pancakes.packet import Packet
+from pancakes.plugins import Plugins
+from pancakes.testing.agent import PATIENCE_S, AgentInTest, with_probe
+from pancakes.testing.configuration import parts, registered, silent
+from pancakes.testing.faults import Faults
+
+
+class _Faulty(Agent):
+    """An agent to which packets may come never or twice."""
+
+    def __init__(self, config: Config, plugins: Plugins, virtual: Virtual, faults: Faults) -> None:
+        self._faults = faults
+        super().__init__(config, plugins, virtual)
+
+    def _on_packet(self, peer: str, packet: Packet) -> None:
+        for _ in range(self._faults.copies(self.name, packet)):
+            super()._on_packet(peer, packet)
+
+
+class FleetInTest:
+    """Agents in virtual time, on one thread and on a network in memory, twice the same for the same seed.
+
+    Args:
+        seed: draws the order of the actors, jitter, faults, and the journals' identities.
+        quality: how well agents hear each other.
+        classes: tasks, services and drivers that configurations may name, by name; those that are passed to `start`
+            are added under `test.ClassName`, for every agent of the fleet.
+
+    Attributes:
+        fleet: the fleet itself.
+        network: the network; `faults` is its friendly side.
+        faults: what a test may let go wrong.
+        agents: the agents that run, by name.
+        started: all agents that were ever started, in order.
+    """
+
+    def __init__(
+        self, seed: int = 0, quality: Quality | None = None, classes: Mapping[str, type] | None = None
+    ) -> None:
+        self._classes = dict(classes or {})
+        self.fleet = VirtualFleet(seed, quality)
+        self.network = self.fleet.network
+        self.faults = Faults(self.fleet, quality)
+        self.agents: dict[str, AgentInTest] = {}
+        self.started: list[AgentInTest] = []
+        self._configs: dict[str, Config] = {}
+
+    def __enter__(self) -> FleetInTest:
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+    def now(self) -> float:
+        """Returns the virtual time in seconds."""
+        return self.fleet.now()
+
+    def start(
+        self,
+        name: str,
+        text: str = "",
+        *,
+        tasks: Mapping[str, Any] | None = None,
+        devices: Mapping[str, Any] | None = None,
+        services: Mapping[str, Any] | None = None,
+        classes: Mapping[str, type] | None = None,
+        settle: bool = True,
+        **agent: Any,
+    ) -> AgentInTest:
+        """Starts an agent, and waits until all that should run at its start does.
+
+        It listens at `tcp://NAME:7400` and knows all agents that the fleet ever had.
+
+        Args:
+            name: its name.
+            text: its configuration as TOML; `schema` and `[agent]` may be left out.
+            tasks: tasks by name, besides those of `text`: a class, or a mapping with a class or entry point name as
+                `type` and the other keys of `[task.NAME]`.
+            devices: devices by name, likewise with drivers.
+            services: services by name, likewise; a default service may be given with its settings alone.
+            classes: classes that `text` names, by name.
+            settle: whether to wait until it is ready.
+            agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`.
+        """
+        addresses = [config.agent.listen for other, config in self._configs.items() if other != name]
+        agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), **agent}
+        made = parts(name, text, tasks, devices, services, agent)
+        self._classes.update({**(classes or {}), **made.classes})
+        self._configs[name] = made.config
+        return self._start(made.config, settle)
+
+    def load(
+        self,
+        path: str | PathLike[str],
+        sets: Sequence[str] = (),
+        *,
+        classes: Mapping[str, type] | None = None,
+        settle: bool = True,
+    ) -> AgentInTest:
+        """Starts the agent of a configuration file as `pancakes-agent` would, with its own address and its own peers.
+
+        Args:
+            path: the file.
+            sets: changes of it, each as `table.key=value`.
+            classes: classes that it names, by name, where they are not installed.
+            settle: whether to wait until it is ready.
+
+        Raises:
+            ConfigError: the file is not sound; the message names every fault.
+        """
+        self._classes.update(classes or {})
+        config = silent(load(path, sets, registered(self._classes)))
+        self._configs[config.agent.name] = config
+        return self._start(config, settle)
+
+    def restart(self, name: str, settle: bool = True) -> AgentInTest:
+        """Starts an agent again that was stopped or has crashed, with the configuration and the disk that it had."""
+        config = self._configs[name]
+        addresses = [other.agent.listen for known, other in self._configs.items() if known != name]
+        return self._start(replace(config, agent=replace(config.agent, peers=tuple(addresses))), settle)
+
+    def _start(self, config: Config, settle: bool) -> AgentInTest:
+        plugins = registered(self._classes)
+        made: list[AgentInTest] = []
+
+        def make(virtual: Virtual) -> Agent:
+            made.append(with_probe(_Faulty(config, plugins, virtual, self.faults)))
+            self.fleet.dispatcher.settle()  # it listens before the agent says anything
+            return made[0].agent
+
+        self.fleet.add(config.agent.name, make)
+        (found,) = made
+        self.agents[found.name] = found
+        self.started.append(found)
+        if settle:
+            found.wait_until(found.agent.ready.is_set, what="readiness")
+        return found
+
+    def stop(self, name: str) -> None:
+        """Stops an agent in good order."""
+        self.agents.pop(name)
+        self.fleet.stop(name)
+
+    def crash(self, name: str) -> None:
+        """Ends an agent as a power cut does; what its disk has not yet got is lost."""
+        self.agents.pop(name)
+        self.fleet.crash(name)
+
+    def run_for(self, duration_s: float) -> None:
+        """Runs all agents for so many seconds of virtual time."""
+        self.fleet.run_for(duration_s)
+
+    def run_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
+        """Runs all agents until a condition holds; returns whether it came to hold."""
+        return self.fleet.run_while(lambda: not condition(), at_most_s)
+
+    def connect(self, at_most_s: float = PATIENCE_S) -> None:
+        """Runs until every agent has a link to every other."""
+
+        def meshed() -> bool:
+            return all(len(agent.agent.mesh.connected()) == len(self.agents) - 1 for agent in self.agents.values())
+
+        assert self.run_until(meshed, at_most_s), f"no full mesh within {at_most_s:g} s"
+
+    def close(self) -> None:
+        """Stops all agents."""
+        self.fleet.close()
+        self.agents.clear()

@@ -1,0 +1,87 @@
+"""An assertion about what has been published, which says what there was instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pancakes.packet import Packet, type_name
+from pancakes.testing.agent import PATIENCE_S, AgentInTest
+from pancakes.testing.probe import Probe, Where
+
+MOST_SHOWN = 20
+
+
+def assert_published(
+    probe: Probe | AgentInTest,
+    body: type,
+    where: Where | None = None,
+    *,
+    channel: str = "",
+    source: str = "",
+    times: int | None = None,
+    within_s: float | None = None,
+) -> Packet:
+    """Asserts that a packet is published, and returns the last one that fits.
+
+    Without `times` it waits for the first packet that fits, if there is none yet. With `times` it looks at what there
+    is at the end of `within_s`: all that has been heard so far counts.
+
+    Args:
+        probe: who listens, or the agent whose probe does.
+        body: its type.
+        where: says yes to its body.
+        channel: where it is published.
+        source: who publishes it.
+        times: how many there must be, neither more nor fewer; None: one or more.
+        within_s: how long to wait, in virtual time or, on threads, in seconds of the host; None: 10 s, and with
+            `times` not at all.
+
+    Returns:
+        The packet; one without a body where `times` is 0.
+
+    Raises:
+        AssertionError: names what was published instead.
+    """
+    listener = probe.probe if isinstance(probe, AgentInTest) else probe
+
+    def found() -> list[Packet]:
+        return listener.packets(body, where, channel=channel, source=source)
+
+    limit_s = within_s if within_s is not None else PATIENCE_S if times is None else 0.0
+    if times is None:
+        listener.wait(lambda: bool(found()), limit_s)
+    elif limit_s > 0.0:
+        listener.wait(lambda: len(found()) > times, limit_s)
+    fitting = found()
+    if (times is None and fitting) or len(fitting) == times:
+        return fitting[-1] if fitting else Packet("", "", "", "", 0.0, 0, None)
+    wanted = "at least one" if times is None else str(times)
+    name = type_name(body)
+    fits = "packet of the type {!r} fits" if len(fitting) == 1 else "packets of the type {!r} fit"
+    limits = [f"on {channel}"] * bool(channel) + [f"of {source}"] * bool(source) + ["that `where` takes"] * bool(where)
+    waited = f"within {limit_s:g} s " if limit_s > 0.0 else ""
+    raise AssertionError(
+        f"{len(fitting)} {fits.format(name)}, {wanted} wanted {waited}on {listener.agent}"
+        + (f" ({', '.join(limits)})" if limits else "")
+        + f"; {_instead(listener, name, listener.packets(body))}"
+    )
+
+
+def _instead(listener: Probe, name: str, same: Sequence[Packet]) -> str:
+    """Says what was published instead: packets of the same type, or else what there was of each type."""
+    if same:
+        first = f"of the type {name!r} there were {len(same)}, the last of them:\n"
+        return first + "\n".join(f"  {_line(packet)}" for packet in same[-MOST_SHOWN:])
+    by_type: dict[tuple[str, str, str], list[Packet]] = {}
+    for packet in listener.packets():
+        by_type.setdefault((packet.type, packet.channel, packet.source), []).append(packet)
+    if not by_type:
+        return "nothing at all was published"
+    lines = [f"  {len(packets)} x {key[0]}, last: {_line(packets[-1])}" for key, packets in by_type.items()]
+    more = f"\n  and {len(lines) - MOST_SHOWN} more" if len(lines) > MOST_SHOWN else ""
+    return f"none of this type; what was published instead:\n{chr(10).join(lines[:MOST_SHOWN])}{more}"
+
+
+def _line(packet: Packet) -> str:
+    to = f" to {packet.destination}" if packet.destination else ""
+    return f"{packet.stamp:.3f} s {packet.channel} {packet.source}{to}: {packet.body}"

@@ -1,0 +1,280 @@
+"""Drivers of a sensor field: lines with tiny nodes, the virtual devices that these become, and a simulated thermometer.
+
+A node that is too small for an agent is one of its gateway's devices, or several (paper §3.5). The gateway has a device
+for the line that the node speaks on, and a virtual one for each thing that the node measures: what the node `shed`
+says of its temperature becomes a reading of the device `shed_temperature`, and of motion one of `shed_motion`.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from pancakes.config import parse_address
+from pancakes.devices.driver import DeviceContext, Sensor
+from pancakes.devices.network import NetworkSensor
+from pancakes.devices.types import Motion, Temperature
+from pancakes.packet import SYSTEM, Packet, join
+from pancakes.sim.drivers import SimulatedSensor
+from pancakes.sim.quantities import Positive
+from pancakes_sensor_field.frame import TEMPERATURE
+from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
+from pancakes_sensor_field.packets import LineReport, ReportPeriod
+from pancakes_sensor_field.station import Reading, Station
+
+NodeNumber = Annotated[int, Meta(ge=1, le=254)]
+PeriodS = Annotated[float, Meta(ge=0.1, le=3276.7)]
+
+
+class TinyNodes(Sensor):
+    """A line with tiny nodes; a kind of line is a subclass.
+
+    Its own readings say how well they are heard. A `ReportPeriod` that is sent to it goes on to the nodes.
+    """
+
+    type = "sensor_field.line"
+
+    @dataclass
+    class Settings:
+        """Who speaks on a line.
+
+        Attributes:
+            nodes: the number of each tiny node, by the name that it shall have here.
+            period_s: the report period that they are to have, in seconds; without it, what each was made with.
+        """
+
+        nodes: dict[str, NodeNumber] = field(kw_only=True)
+        period_s: PeriodS | None = field(default=None, kw_only=True)
+
+        def __post_init__(self) -> None:
+            numbers = list(self.nodes.values())
+            for name, number in self.nodes.items():
+                if numbers.count(number) > 1:
+                    raise ValueError(f"{name} is not the only node with the number {number}")
+
+    settings: Any
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        self._station = Station(settings.nodes, settings.period_s)
+        self._line: Line | None = None
+        self._connected = False
+        self._complained = False
+        self._told_errors = 0
+
+    @abstractmethod
+    def make_line(self) -> Line:
+        """Returns the line that the settings mean."""
+
+    @abstractmethod
+    def line_name(self) -> str:
+        """Returns what people call the line."""
+
+    def open(self) -> None:
+        self._line = self.make_line()
+        self._line.open(self)
+
+    def close(self) -> None:
+        if self._line is not None:
+            self._line.close()
+
+    def sample(self) -> LineReport:
+        """Says how well the nodes are heard."""
+        station = self._station
+        if station.crc_errors > self._told_errors:
+            new, self._told_errors = station.crc_errors - self._told_errors, station.crc_errors
+            self.context.log("info", f"{new} frames on {self.line_name()} had a wrong CRC and were dropped")
+        return LineReport(
+            self._connected,
+            station.frames,
+            station.crc_errors,
+            station.skipped_bytes,
+            station.missed,
+            station.repeated,
+            station.unknown,
+        )
+
+    def receive(self, packet: Packet) -> None:
+        """Takes a `ReportPeriod`."""
+        wish = packet.body
+        if not isinstance(wish, ReportPeriod):
+            self.context.log("warning", f"{packet.source} sent {packet.type!r}, which no tiny node understands")
+        elif not 0.1 <= wish.period_s <= 3276.7:
+            self.context.log(
+                "warning", f"{packet.source} asks for a report period of {wish.period_s:g} s: 0.1 to 3276.7"
+            )
+        elif not self._station.want_period(wish.period_s, wish.node):
+            known = ", ".join(self.settings.nodes)
+            self.context.log("warning", f"{packet.source} means a tiny node {wish.node!r}; there are {known}")
+
+    # From the line, in its thread ------------------------------------------------------------------------------
+
+    def found(self) -> None:
+        """The line is there."""
+        self.context.call(self._found)
+
+    def heard(self, data: bytes, reply: Reply, whole: bool) -> None:
+        """Bytes have come in."""
+        self.context.call(lambda: self._heard(data, reply, whole))
+
+    def lost(self, reason: str) -> None:
+        """The line is gone, or not there."""
+        self.context.call(lambda: self._lost(reason))
+
+    # In the device's task --------------------------------------------------------------------------------------
+
+    def _found(self) -> None:
+        self._connected = True
+        self._complained = False
+        self.context.log("info", f"listens to {self.line_name()}")
+
+    def _lost(self, reason: str) -> None:
+        was, self._connected = self._connected, False
+        self._station.ended()
+        if was:
+            self.context.log("error", f"{self.line_name()} is gone ({reason}); trying until it is there again")
+        elif not self._complained:
+            self.context.log("warning", f"{self.line_name()} is not there ({reason}); trying until it is")
+        self._complained = True
+
+    def _heard(self, data: bytes, reply: Reply, whole: bool) -> None:
+        heard = self._station.received(data)
+        if whole:
+            self._station.ended()
+        for number in heard.strangers:
+            self.context.log(
+                "warning", f"a node with the number {number} speaks on {self.line_name()}; nobody named it"
+            )
+        for reading in heard.readings:
+            self._show(reading)
+        if heard.answer:
+            try:
+                reply(heard.answer)
+            except OSError:
+                pass  # the line has gone since; its thread says so, and the node is told when it next speaks
+
+    def _show(self, reading: Reading) -> None:
+        """Hands a reading to the virtual device that stands for it."""
+        body: Any
+        if reading.kind == TEMPERATURE:
+            device, body = f"{reading.node}_temperature", Temperature(reading.value)
+        else:
+            device, body = f"{reading.node}_motion", Motion(reading.value != 0.0)
+        self.context.send(SYSTEM, body, join(self.context.agent, "device", device))
+
+
+class SerialNodes(TinyNodes):
+    """Tiny nodes on a serial port (`sensor_field.serial`)."""
+
+    @dataclass
+    class Settings(TinyNodes.Settings):
+        """Where they are.
+
+        Attributes:
+            port: the port's file, such as `/dev/ttyUSB0`.
+            baud: bits a second.
+        """
+
+        port: str
+        baud: Annotated[int, Meta(ge=50)] = 9600
+
+    def make_line(self) -> Line:
+        return SerialLine(self.settings.port, self.settings.baud)
+
+    def line_name(self) -> str:
+        return f"the serial port {self.settings.port}"
+
+
+class UdpNodes(TinyNodes):
+    """Tiny nodes that send datagrams (`sensor_field.udp`).
+
+    Who they are is not checked: whoever can reach the port can speak as any of them.
+    """
+
+    @dataclass
+    class Settings(TinyNodes.Settings):
+        """Where they send to.
+
+        Attributes:
+            listen: the address that they send to, such as `udp://127.0.0.1:7421`; port 0 takes a free one.
+        """
+
+        listen: str
+
+        def __post_init__(self) -> None:
+            TinyNodes.Settings.__post_init__(self)
+            if parse_address(self.listen).scheme != "udp":
+                raise ValueError(f"listen = {self.listen!r} is no address such as 'udp://127.0.0.1:7421'")
+
+    def make_line(self) -> Line:
+        address = parse_address(self.settings.listen)
+        return UdpLine(address.host, address.port)
+
+    def line_name(self) -> str:
+        return f"the UDP port {self.settings.listen.removeprefix('udp://')}"
+
+
+class TcpNodes(TinyNodes):
+    """Tiny nodes on a serial port at the far end of a TCP connection, as `ser2net` offers it (`sensor_field.tcp`).
+
+    It runs in virtual time too.
+    """
+
+    @dataclass
+    class Settings(TinyNodes.Settings):
+        """Where they are.
+
+        Attributes:
+            address: where the connection is taken, such as `tcp://192.168.1.20:4001`.
+        """
+
+        address: str
+
+        def __post_init__(self) -> None:
+            TinyNodes.Settings.__post_init__(self)
+            if parse_address(self.address).scheme != "tcp":
+                raise ValueError(f"address = {self.address!r} is no address such as 'tcp://192.168.1.20:4001'")
+
+    def make_line(self) -> Line:
+        return TcpLine(self.context.transport, self.settings.address)
+
+    def line_name(self) -> str:
+        return f"the line at {self.settings.address}"
+
+
+class TinySensor(NetworkSensor):
+    """A virtual device that stands for what a tiny node measures; what that is, a subclass says."""
+
+    networked = False  # the line is this agent's own: that it sleeps on the mesh does no harm
+
+    @dataclass
+    class Settings(NetworkSensor.Settings):
+        """How many readings are wanted.
+
+        Attributes:
+            max_hz: how many readings a second are published, where more come; without it, all are.
+            stale_after_s: after so long without a reading the log has a warning; longer than the report period.
+        """
+
+        stale_after_s: Positive = 30.0
+
+
+class TinyTemperature(TinySensor):
+    """The temperature that a tiny node tells (`sensor_field.tiny_temperature`)."""
+
+    type = "temperature"
+
+
+class TinyMotion(TinySensor):
+    """The motion that a tiny node senses (`sensor_field.tiny_motion`)."""
+
+    type = "motion"
+
+
+class SimulatedTemperature(SimulatedSensor):
+    """A thermometer in a simulated field (`sensor_field.temperature`)."""
+
+    type = "temperature"

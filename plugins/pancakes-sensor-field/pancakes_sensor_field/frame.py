@@ -1,0 +1,116 @@
+"""The wire format of the tiny nodes: eight bytes a frame, both ways. Pure, and without anything of Pancakes.
+
+    byte    0      1      2      3      4 5      6 7
+            sync   node   kind   number value    crc
+
+`sync` is 0xA5. `node` is the node's number, 1 to 254: its own in what it sends, whom it is for in what is sent to it.
+`value` is a signed number, `crc` the CRC-16/CCITT-FALSE of bytes 1 to 5; both have the higher byte first.
+
+| kind | from a node | to a node |
+|---|---|---|
+| 1 | its temperature, in hundredths of a degree Celsius | |
+| 2 | 1: something moves; 0: nothing does | |
+| 3 | its report period, in tenths of a second | the report period that it is to have |
+
+A node counts its frames in `number`: 0 for the first after its start, then 1 to 255 over and over. A node listens just
+after it has sent, as its radio costs power; what is for it is sent then, with the number of the frame that it answers.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+SYNC: Final = 0xA5
+LENGTH: Final = 8
+TEMPERATURE: Final = 1
+MOTION: Final = 2
+PERIOD: Final = 3
+NODES: Final = range(1, 255)
+
+_VALUES: Final = range(-32768, 32768)
+_LAYOUT: Final = struct.Struct(">BBBhH")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What eight bytes say.
+
+    Attributes:
+        node: the tiny node's number, 1 to 254.
+        kind: what the value is, 0 to 255; see the module's text.
+        number: the frame's number, 0 to 255.
+        value: -32768 to 32767.
+    """
+
+    node: int
+    kind: int
+    number: int
+    value: int
+
+
+def encode(frame: Frame) -> bytes:
+    """Returns a frame's eight bytes.
+
+    Raises:
+        ValueError: one of its numbers does not fit.
+    """
+    if frame.node not in NODES or frame.value not in _VALUES:
+        raise ValueError(f"{frame} does not fit into {LENGTH} bytes")
+    try:
+        head = bytes((frame.node, frame.kind, frame.number)) + frame.value.to_bytes(2, "big", signed=True)
+    except ValueError:
+        raise ValueError(f"{frame} does not fit into {LENGTH} bytes") from None
+    return bytes((SYNC,)) + head + _crc(head).to_bytes(2, "big")
+
+
+class Decoder:
+    """Finds the frames in a stream of bytes, in which others may lie and some may be wrong.
+
+    After anything that is no frame it looks for the next sync byte, also among the bytes that it took for a frame: so
+    it never loses a good frame that lies in one piece behind the bad one.
+
+    Attributes:
+        frames: how many frames it has found.
+        crc_errors: how often a sync byte began something whose CRC was wrong.
+        skipped_bytes: how many bytes belonged to no frame.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.crc_errors = 0
+        self.skipped_bytes = 0
+        self._waiting = bytearray()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Takes bytes, however the line cut them, and returns the frames that are now complete."""
+        waiting = self._waiting
+        waiting += data
+        found: list[Frame] = []
+        while True:
+            start = waiting.find(SYNC)
+            self._skip(len(waiting) if start < 0 else start)
+            if len(waiting) < LENGTH:
+                return found
+            node, kind, number, value, crc = _LAYOUT.unpack_from(waiting, 1)
+            if crc != _crc(waiting[1:6]) or node not in NODES:
+                self.crc_errors += 1
+                self._skip(1)
+                continue
+            del waiting[:LENGTH]
+            self.frames += 1
+            found.append(Frame(node, kind, number, value))
+
+    def end(self) -> None:
+        """Forgets what is incomplete: a datagram has ended, or the line was lost."""
+        self._skip(len(self._waiting))
+
+    def _skip(self, count: int) -> None:
+        del self._waiting[:count]
+        self.skipped_bytes += count
+
+
+def _crc(data: bytes | bytearray) -> int:
+    return binascii.crc_hqx(data, 0xFFFF)
