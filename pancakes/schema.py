@@ -21,7 +21,7 @@ def schema_of(cls: type) -> dict[str, Any]:
     Raises:
         TypeError: a field has another type.
     """
-    reach = _classes(cls)
+    reach = dataclasses_of(cls)
     (reference,), components = msgspec.json.schema_components((cls,), ref_template=_REF)
     for name, component in components.items():
         found = reach.get(name)
@@ -65,8 +65,8 @@ def _describe(component: dict[str, Any], cls: type) -> None:
             part["description"] = notes[name]
 
 
-def _classes(cls: type) -> dict[str, type]:
-    """Returns the dataclasses that a dataclass is made of, itself among them, by the names that msgspec gives them."""
+def dataclasses_of(cls: type) -> dict[str, type]:
+    """Returns the dataclasses that a dataclass is made of, itself first, by the names that msgspec gives them."""
     found: dict[str, type] = {}
     ahead = [cls]
     while ahead:

@@ -229,6 +229,13 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.rglob("*")] == ["scan-target", "precious"]
 
 
+def test_a_folder_that_came_to_be_meanwhile_is_left_alone(tmp_path):
+    (tmp_path / "made").mkdir()
+    with pytest.raises(PancakesError, match="/made exists already"):
+        write(tmp_path / "made", [File("one.txt", "", "1")])
+    assert [path.name for path in tmp_path.rglob("*")] == ["made"]
+
+
 def test_nothing_stays_where_writing_fails_half_way(tmp_path):
     files = [File("one.txt", "", "1"), File("one.txt/two.txt", "", "2")]
     with pytest.raises(PancakesError, match=r"/made cannot be written: (Not a directory|File exists)"):

@@ -55,6 +55,18 @@ def pose_device(**settings):
     return driver, context
 
 
+def test_whatever_time_a_reading_came_its_age_is_looked_at_a_few_times_only():
+    """A difference of two times may be a rounding short of the bound: then the next look must still come later."""
+    for tenth in range(1, 300):
+        driver, context = pose_device(stale_after_s=1.0)
+        context.run_until(tenth * 0.1)
+        driver.receive(packet(Pose(1.0, 2.0, 0.5)))
+        for _ in range(4):
+            context.time_s, look = context.later.pop(0)
+            look()
+        assert ("warning", "no reading has come for 1.0 s of mission time") in context.lines
+
+
 def test_a_reading_that_comes_is_published_as_its_own():
     driver, context = pose_device()
     driver.receive(packet(Pose(1.0, 2.0, 0.5)))
