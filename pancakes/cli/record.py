@@ -9,11 +9,11 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import accepted
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents
-from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
+from pancakes.cli.options import asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 
@@ -137,7 +137,7 @@ def list_(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: f
 
 @record.command()
 @click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
-@click.option("--format", "format_", type=click.Choice(["table", "json"]), default="table", show_default=True)
+@format_option
 @sentences
 def info(path: Path, format_: str) -> None:
     """Show what is in a recording: a file with its parts, or all files of a folder.
@@ -186,7 +186,7 @@ def info(path: Path, format_: str) -> None:
 @click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
 @dry_run_option
-@click.option("--format", "format_", type=click.Choice(["table", "json"]), default="table", show_default=True)
+@format_option
 @sentences
 def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
     """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.

@@ -31,7 +31,12 @@ class Pose:
 @packet_type("motors")
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """A command to a drive: forward speed and turning rate, in the frame of the body."""
+    """A command to a drive, in the frame of the body.
+
+    Attributes:
+        v_mps: forward speed.
+        omega_radps: turning rate, counter-clockwise.
+    """
 
     v_mps: float
     omega_radps: float
@@ -72,7 +77,13 @@ class Infrared:
 @packet_type("sonar")
 @dataclass(frozen=True, slots=True)
 class Sonar:
-    """One sweep of a ring of sonars; see `Infrared` for the attributes."""
+    """One sweep of a ring of sonars.
+
+    Attributes:
+        bearings_rad: direction of each sonar, in the frame of the body.
+        ranges_m: distance from each sonar to what it hears; its full range where it hears nothing.
+        max_range_m: the full range.
+    """
 
     bearings_rad: tuple[float, ...]
     ranges_m: tuple[float, ...]
@@ -111,7 +122,12 @@ class Load:
 @packet_type("memory")
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """How much memory a computer has and uses, in bytes."""
+    """The memory of a computer.
+
+    Attributes:
+        used_bytes: how much is in use.
+        total_bytes: how much it has.
+    """
 
     used_bytes: int
     total_bytes: int
@@ -120,6 +136,10 @@ class Memory:
 @packet_type("temperature")
 @dataclass(frozen=True, slots=True)
 class Temperature:
-    """A temperature in degrees Celsius."""
+    """A temperature.
+
+    Attributes:
+        celsius: in degrees Celsius.
+    """
 
     celsius: float
