@@ -2,12 +2,48 @@
 
 from __future__ import annotations
 
-from torture.kills import run_fleets
+from pathlib import Path
+
+import pytest
+from torture.kills import Kills, plan, run_fleets
+from torture.points import NAMES, POINTS
+from torture.tally import Tally
 
 
-def test_no_kill_doubles_a_task_or_loses_one() -> None:
-    tally = run_fleets(kills=50, seed=1, fleets=2)
-    assert tally.kills >= 50 and tally.moves > 10 and tally.ticks > 500
-    assert (tally.doubled, tally.lost, tally.backwards) == ([], [], [])
+def check(tally: Tally) -> None:
+    assert (tally.doubled, tally.lost, tally.backwards, tally.missed) == ([], [], [], [])
+    assert tally.moves > 10 and tally.ticks > 500 and tally.packets > 50
     # A checkpoint each second, and the disk may be slow: what a crash takes is bounded.
     assert tally.worst_step_back < 50 * 5
+
+
+@pytest.mark.timeout(300)
+def test_no_kill_doubles_a_task_or_loses_one() -> None:
+    """At each point between the effects of the protocol once, and the rest of the fifty at random moments."""
+    tally = run_fleets(50 - len(NAMES), POINTS, seed=1, fleets=2)
+    check(tally)
+    assert tally.kills >= 50 and sorted(tally.points) == sorted(NAMES)
+
+
+def test_a_plan_divides_kills_and_goes_to_each_point_in_turn() -> None:
+    assert plan(10, "random") == (10, [])
+    assert plan(len(NAMES), "effects") == (0, list(POINTS))
+    random_kills, points = plan(2 * len(NAMES), "both")
+    assert (random_kills, points) == (len(NAMES), list(POINTS))
+
+
+FORGETFUL = """
+from pancakes.migration import handoff, source
+from pancakes.migration.record import Phase
+
+recover = handoff.recover
+handoff.recover = lambda record, *others: recover(
+    source.taken_back(record) if record.phase is Phase.COMMITTED else record, *others
+)
+"""
+
+
+def test_agents_that_take_back_what_they_have_given_away_are_convicted(tmp_path: Path) -> None:
+    points = [point for point in POINTS if point.name == "source: after it sent COMMIT"]
+    tally = Kills(tmp_path, seed=1, spoilt_by=FORGETFUL).run(0, points)
+    assert tally.kills == 1 and any("runs beside another" in sentence for sentence in tally.doubled)

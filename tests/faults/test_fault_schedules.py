@@ -25,11 +25,27 @@ def test_each_task_runs_once_at_most_and_once_in_the_end(first: int) -> None:
     assert counts["moved"] > 5 and counts["kill"] > 5 and counts["late"] + counts["lost"] + counts["doubled"] > 20
 
 
-def test_a_schedule_does_the_same_again() -> None:
-    runs: list[list[str]] = [[], []]
-    for lines in runs:
-        run_schedule(7, lines.append)
-    assert len(runs[0]) > 100 and runs[0] == runs[1]
+@pytest.mark.parametrize("seed", [7, 9, 3169])
+def test_a_schedule_does_the_same_again_and_so_it_does_while_its_story_is_told(seed: int) -> None:
+    stories: list[list[str]] = [[], []]
+    told = [run_schedule(seed, lines.append) for lines in stories]
+    assert len(stories[0]) > 100 and stories[0] == stories[1]
+    untold = run_schedule(seed)
+    assert untold.fingerprint == told[0].fingerprint == told[1].fingerprint
+    assert untold.counts == told[0].counts
+
+
+def test_two_seeds_are_two_schedules() -> None:
+    assert run_schedule(7).fingerprint != run_schedule(8).fingerprint
+
+
+def test_a_story_is_in_words() -> None:
+    lines: list[str] = []
+    run_schedule(3169, lines.append)
+    story = "\n".join(lines)
+    assert "on the disk of b: b/Two stands still, and is offered to a as 1@b" in story
+    assert "on the disk of b: b/Two is given to a as 1@b, for good" in story
+    assert "killed: a" in story and "a hears from b: COMMIT 1@b for b/Two" in story
 
 
 def convicted(seeds: range) -> list[str]:
@@ -58,6 +74,28 @@ def test_an_agent_that_forgets_what_it_was_given_is_convicted(monkeypatch: pytes
     monkeypatch.setattr(candidate, "resend", lambda record, event, times: [])
     monkeypatch.setattr(candidate, "commit", lambda record, event, message: [])
     assert any("after all healed" in violation for violation in convicted(range(1, 6)))
+
+
+def test_a_task_that_forgets_what_it_has_heard_is_convicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pancakes.migration.post import Incoming
+
+    monkeypatch.setattr(Incoming, "is_old", lambda self, stream, seq: False)
+    monkeypatch.setattr(Incoming, "is_next", lambda self, stream, seq, first: True)
+    assert any("gets it twice, or too late" in violation for violation in convicted(range(3, 31, 3)))
+
+
+def test_a_task_that_acknowledges_before_its_disk_has_it_is_convicted(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pancakes.migration.event import PacketId
+    from pancakes.services.postbox import Postbox
+
+    took = Postbox._took
+
+    def hasty(self: Any, slot: Any, task: Any, letter: Any, packet: Any) -> None:
+        took(self, slot, task, letter, packet)
+        self._acknowledge(self._service.id_of(slot), PacketId(letter.stream, letter.seq), letter.sender)
+
+    monkeypatch.setattr(Postbox, "_took", hasty)
+    assert any("lacks some" in violation for violation in convicted(range(3, 121, 3)))
 
 
 def test_a_violation_gives_exit_code_1_and_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:

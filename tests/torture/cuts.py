@@ -10,15 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from torture.live import LiveFleet, free_ports
-from torture.proxy import Proxy
+from torture.grounds import Cuttable, Survey, by_proxy
+from torture.live import LiveFleet
 
-from pancakes.cli.client import Client
+from pancakes.client import Client
 from pancakes.control import Describe, Migrate
 from pancakes.errors import PancakesError
 
 STEPS = ("solicit", "bid", "reserve", "reserved", "transfer", "prepared", "commit", "activated")
 FATES = ("heals at once", "heals after 3 s", "source dies", "destination dies")
+NAMES = ("source", "destination")
 NOBODY = "nobody"
 SETTLES_WITHIN_S = 25.0
 
@@ -35,19 +36,22 @@ class End(NamedTuple):
     finally_: tuple[str, ...]
 
 
-def ends(step: str, fate: str) -> End:
-    """Returns how a cut at a step must end; `source` is where the task was, `destination` where it was to go."""
+def ends(step: str, fate: str, tells_losses: bool = True) -> End:
+    """Returns how a cut at a step must end; `source` is where the task was, `destination` where it was to go.
+
+    Args:
+        step: at which word.
+        fate: what happens then.
+        tells_losses: whether the word is lost for good, see `Ground`.
+    """
     given_away = step in ("commit", "activated")  # the source has written COMMITTED: there is no way back
     taken = step == "activated"
     if fate == "heals at once":
         # In the middle, what was lost is said again, or the source takes the task back: both are right.
+        either = not tells_losses or step in ("transfer", "prepared")
         return End(
             ("source", "destination", NOBODY),
-            ("destination",)
-            if given_away
-            else ("source", "destination")
-            if step in ("transfer", "prepared")
-            else ("source",),
+            ("destination",) if given_away else NAMES if either else ("source",),
         )
     final = ("destination",) if given_away else ("source",)
     if fate == "heals after 3 s":
@@ -77,75 +81,101 @@ class Case(NamedTuple):
     faults: tuple[str, ...]
 
 
-def run_cut(step: str, fate: str) -> Case:
-    """Cuts the link once, between two agents that are started for it."""
-    with tempfile.TemporaryDirectory(prefix="pancakes-cut-") as name:
-        directory = Path(name)
-        listen = {
-            agent: f"tcp://127.0.0.1:{port}"
-            for agent, port in zip(("source", "destination"), free_ports(2), strict=True)
-        }
-        proxy = Proxy(listen["destination"])
-        task = f'[task.One]\ntype = "torture.Holder"\nsettings = {{directory = "{directory}"}}\n'
-        fleet = LiveFleet(
-            directory,
-            ("source", "destination"),
-            {"source": task},
-            listen,
-            {"source": [proxy.address], "destination": []},
-        )
-        try:
-            return _run(fleet, proxy, step, fate)
-        finally:
-            fleet.close()
-            proxy.close()
+class Cutter:
+    """Makes cuts, several at once.
 
+    Args:
+        survey: makes the ground that the two agents of each cut stand on.
+    """
 
-def run_cuts(cases: Sequence[tuple[str, str]], jobs: int) -> Iterator[Case]:
-    """Runs cuts, several at once, and yields how they ended, in their order."""
-    with ThreadPoolExecutor(jobs) as pool:
-        yield from pool.map(lambda case: run_cut(*case), cases)
+    def __init__(self, survey: Survey = by_proxy) -> None:
+        self._survey = survey
+        self._ended = threading.Event()
 
+    def run(self, cases: Sequence[tuple[str, str]], jobs: int) -> Iterator[Case]:
+        """Makes cuts, each a step and a fate, and yields how they ended, in their order.
 
-def _run(fleet: LiveFleet, proxy: Proxy, step: str, fate: str) -> Case:
-    faults: list[str] = []
-    for name in fleet.names:
-        fleet.start(name, wait=True)
-    with Client(at=[fleet.addresses["source"]], timeout_s=10.0) as client:
-        wait_for_link(client, "source", "destination")
-        proxy.cut_at(f"migration.{step}")
-        asking = threading.Thread(target=_ask, args=(client,), daemon=True)
-        asking.start()
-        if not proxy.cut.wait(10.0):
-            faults.append(f"{step} was never said")
-        victim = {"source dies": "source", "destination dies": "destination"}.get(fate)
-        if victim is not None:
-            fleet.kill(victim)
-        if fate != "heals at once":
-            time.sleep(2.6)  # what is frozen is taken back after 2 s
-        meanwhile = _runs(fleet, 0.4) if fate != "heals at once" else NOBODY
-        proxy.heal()
-        if victim is not None:
-            fleet.start(victim)
+        Where whoever takes them stops early, or is interrupted, those under way are broken off.
+        """
+        with ThreadPoolExecutor(jobs) as pool:
+            try:
+                yield from pool.map(lambda case: self._cut(*case), cases)
+            finally:
+                self._ended.set()
+                pool.shutdown(cancel_futures=True)
+
+    def _cut(self, step: str, fate: str) -> Case:
+        """Cuts the link once, between two agents that are started for it."""
+        ground = self._survey(NAMES)
+        with tempfile.TemporaryDirectory(prefix="pancakes-cut-") as name:
+            task = f'[task.One]\ntype = "torture.Holder"\nsettings = {{directory = "{name}"}}\n'
+            fleet = ground.fleet(Path(name), {"source": task, "destination": ""})
+            try:
+                assert ground.link is not None
+                return self._run(fleet, ground.link, step, fate, ends(step, fate, ground.tells_losses))
+            finally:
+                fleet.close()
+                ground.close()
+
+    def _run(self, fleet: LiveFleet, link: Cuttable, step: str, fate: str, expected: End) -> Case:
+        faults: list[str] = []
+        for name in fleet.names:
+            fleet.start(name, wait=True)
+        with Client(at=[fleet.addresses["source"]], timeout_s=10.0) as client:
+            wait_for_link(client, "source", "destination")
+            link.cut_at(f"migration.{step}")
+            asking = threading.Thread(target=_ask, args=(client,), daemon=True)
+            asking.start()
+            if not link.cut.wait(10.0):
+                faults.append(f"{step} was never said")
+            victim = {"source dies": "source", "destination dies": "destination"}.get(fate)
+            if victim is not None:
+                fleet.kill(victim)
+            meanwhile = NOBODY
+            if fate != "heals at once":
+                self._let(2.6)  # what is frozen is taken back after 2 s
+                meanwhile = self._runs(fleet, 0.4)
+            link.heal()
+            if victim is not None:
+                fleet.start(victim)
+            finally_, settled_s = self._settled(fleet, expected)
+            asking.join(10.0)
+        if meanwhile not in expected.meanwhile:
+            faults.append(f"while it was cut {meanwhile} ran it, not {' or '.join(expected.meanwhile)}")
+        if finally_ not in expected.finally_:
+            faults.append(f"in the end {finally_} runs it, not {' or '.join(expected.finally_)}")
+        doubled = fleet.directory / "One.doubled"
+        if doubled.exists():
+            faults.append(doubled.read_text().strip())
+        return Case(step, fate, meanwhile, finally_, settled_s, tuple(faults))
+
+    def _settled(self, fleet: LiveFleet, expected: End) -> tuple[str, float]:
+        """Watches until the task runs where it is to; returns who runs it, and after how many seconds that was so."""
         healed_s = time.monotonic()
-        expected = ends(step, fate)
-        finally_, settled_s = NOBODY, 0.0
+        runs, settled_s = NOBODY, 0.0
         while (now_s := time.monotonic()) < healed_s + SETTLES_WITHIN_S:
-            before, finally_ = finally_, _runs(fleet, 0.4)
-            if finally_ != before:
+            before, runs = runs, self._runs(fleet, 0.4)
+            if runs != before:
                 settled_s = now_s - healed_s
             # Looked at for longer than anything takes that might still turn it round.
-            if finally_ in expected.finally_ and now_s > healed_s + max(2.5, settled_s + 1.0):
+            if runs in expected.finally_ and now_s > healed_s + max(2.5, settled_s + 1.0):
                 break
-        asking.join(10.0)
-    if meanwhile not in expected.meanwhile:
-        faults.append(f"while it was cut {meanwhile} ran it, not {' or '.join(expected.meanwhile)}")
-    if finally_ not in expected.finally_:
-        faults.append(f"in the end {finally_} runs it, not {' or '.join(expected.finally_)}")
-    doubled = fleet.directory / "One.doubled"
-    if doubled.exists():
-        faults.append(doubled.read_text().strip())
-    return Case(step, fate, meanwhile, finally_, settled_s, tuple(faults))
+        return runs, settled_s
+
+    def _runs(self, fleet: LiveFleet, for_s: float) -> str:
+        """Watches for a while who works, by what the task writes itself."""
+        count = fleet.directory / "One.count"
+        before = count.stat().st_size
+        self._let(for_s)
+        with count.open("rb") as file:
+            file.seek(before)
+            lines = file.read().decode().splitlines()
+        return lines[-1].split()[2] if lines else NOBODY
+
+    def _let(self, for_s: float) -> None:
+        """Lets so much time pass in which something might happen that must not."""
+        if self._ended.wait(for_s):
+            raise InterruptedError("the cuts were broken off")
 
 
 def wait_for_link(client: Client, one: str, other: str) -> None:
@@ -166,14 +196,3 @@ def _ask(client: Client) -> None:
         client.request("source", Migrate("client/One"))
     except PancakesError:  # who was asked has died, as it was to
         pass
-
-
-def _runs(fleet: LiveFleet, for_s: float) -> str:
-    """Watches for a while who works, by what the task writes itself."""
-    count = fleet.directory / "One.count"
-    before = count.stat().st_size
-    time.sleep(for_s)
-    with count.open("rb") as file:
-        file.seek(before)
-        lines = file.read().decode().splitlines()
-    return lines[-1].split()[2] if lines else NOBODY

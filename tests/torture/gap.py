@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from torture.cuts import wait_for_link
-from torture.live import LiveFleet, free_ports
-from torture.proxy import Proxy
+from torture.grounds import Survey, on_loopback
+from torture.live import LiveFleet
 
-from pancakes.cli.client import Client
+from pancakes.client import Client
 from pancakes.control import Migrate
 
 NAMES = ("left", "right")
@@ -27,32 +29,31 @@ class Gaps(NamedTuple):
         state_bytes: how much state the task carried.
         gaps_s: between the last command from one agent and the first from the other, for each move, ascending.
         refused: a sentence for each move that came to nothing.
+        pauses_s: the longest time without a command in each of those: its task stood still, and went on where it was.
     """
 
     state_bytes: int
     gaps_s: Sequence[float]
     refused: Sequence[str]
+    pauses_s: Sequence[float]
 
     def percentile_s(self, percent: float) -> float:
         """Returns the gap that so many of a hundred moves do not exceed."""
-        return self.gaps_s[min(len(self.gaps_s) - 1, int(len(self.gaps_s) * percent / 100))]
+        return self.gaps_s[math.ceil(len(self.gaps_s) * percent / 100) - 1]
 
 
-def measure(state_bytes: int, moves: int, delay_s: float = 0.0, loss: float = 0.0) -> Gaps:
+def measure(state_bytes: int, moves: int, survey: Survey = on_loopback, move_s: float = 20.0) -> Gaps:
     """Moves a task that drives a hundred times a second to and fro between two real agents.
 
     Args:
         state_bytes: how much state it carries.
         moves: how often it moves.
-        delay_s: how much later everything arrives, each way; 0: loopback as it is.
-        loss: the share of frames that are lost on the way and sent again.
+        survey: makes the ground that the agents stand on.
+        move_s: how long a move may take before nobody waits for it any longer.
     """
+    ground = survey(NAMES)
     with tempfile.TemporaryDirectory(prefix="pancakes-gap-") as name:
         directory = Path(name)
-        listen = {agent: f"tcp://127.0.0.1:{port}" for agent, port in zip(NAMES, free_ports(2), strict=True)}
-        # TCP sees a loss by the acknowledgements that are missing, two round trips later where nothing follows.
-        proxy = Proxy(listen["right"], delay_s, loss, again_s=4 * delay_s) if delay_s or loss else None
-        way = proxy.address if proxy is not None else listen["right"]
         rest = {
             agent: f'[device.motors]\ndriver = "torture.recorder"\n'
             f'settings = {{file = "{directory / agent}.commands"}}\n'
@@ -60,38 +61,66 @@ def measure(state_bytes: int, moves: int, delay_s: float = 0.0, loss: float = 0.
             for agent in NAMES
         }
         rest["left"] += f'[task.Pilot]\ntype = "torture.Pilot"\nsettings = {{state_bytes = {state_bytes}}}\n'
-        fleet = LiveFleet(directory, NAMES, rest, listen, {"left": [way], "right": []})
+        fleet = ground.fleet(directory, rest)
         try:
             for agent in NAMES:
                 fleet.start(agent, wait=True)
-            refused = _move(fleet, moves)
+            attempts = _move(fleet, moves, move_s)
         finally:
             fleet.close()
-            if proxy is not None:
-                proxy.close()
-        return Gaps(state_bytes, _gaps(directory), refused)
+            ground.close()
+        heard = _heard(directory)
+        refused = [attempt for attempt in attempts if attempt.refused]
+        return Gaps(
+            state_bytes, _gaps(heard), [it.refused for it in refused], [_longest_pause(heard, it) for it in refused]
+        )
 
 
-def _move(fleet: LiveFleet, moves: int) -> list[str]:
-    refused = []
-    with Client(at=list(fleet.addresses.values()), timeout_s=20.0) as client:
+class _Attempt(NamedTuple):
+    """One move: when it was asked for and answered, on the machine's clock, and why it was refused, if it was."""
+
+    asked_s: float
+    answered_s: float
+    refused: str
+
+
+def _move(fleet: LiveFleet, moves: int, move_s: float) -> list[_Attempt]:
+    attempts = []
+    never = threading.Event()
+    with Client(at=list(fleet.addresses.values()), timeout_s=move_s) as client:
         wait_for_link(client, *NAMES)
-        time.sleep(1.0)
         at, to = NAMES
         for number in range(moves):
+            asked_s = time.monotonic()
             reply = client.request(at, Migrate("client/Pilot", to=to))
             if reply.ok:
                 at, to = to, at
-            else:
-                refused.append(reply.reason)
-            time.sleep(0.2 + 0.013 * (number % 7))  # at another phase of the ticks and checkpoints each time
-    return refused
+            attempts.append(_Attempt(asked_s, time.monotonic(), "" if reply.ok else reply.reason))
+            # It is to drive for a while, so that each move finds its ticks and checkpoints at another phase.
+            never.wait(0.2 + 0.013 * (number % 7))
+    return attempts
 
 
-def _gaps(directory: Path) -> list[float]:
+def _heard(directory: Path) -> list[tuple[float, str]]:
+    """Returns when each actuator was commanded, on the machine's clock, and whose it is."""
     heard = []
     for agent in NAMES:
         for line in (directory / f"{agent}.commands").read_text().splitlines():
             heard.append((int(line.split()[0]) / 1e9, agent))
-    heard.sort()
+    return sorted(heard)
+
+
+def _gaps(heard: Sequence[tuple[float, str]]) -> list[float]:
     return sorted(now - before for (before, one), (now, other) in zip(heard, heard[1:], strict=False) if one != other)
+
+
+def _longest_pause(heard: Sequence[tuple[float, str]], attempt: _Attempt) -> float:
+    """Returns the longest time between two commands during an attempt; it goes on just before it is answered."""
+    return max(
+        (
+            now_s - before_s
+            for (before_s, _), (now_s, _) in zip(heard, heard[1:], strict=False)
+            if now_s > attempt.asked_s and before_s < attempt.answered_s
+        ),
+        default=0.0,
+    )

@@ -1,4 +1,8 @@
-"""Real agents that are killed at random moments while their tasks move; a file lock says whether one ran twice."""
+"""Real agents that are killed while their tasks move, at random moments and between the effects of the protocol.
+
+An oracle outside of the agents says what became of the tasks: a file lock that whoever runs a task holds, a file in
+which it counts, and a stream of counted packets to it from an agent that is never killed.
+"""
 
 from __future__ import annotations
 
@@ -6,62 +10,41 @@ import random
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from torture.live import LiveFleet
+from torture.gates import BALLAST_BYTES
+from torture.live import LiveFleet, free_ports
+from torture.points import POINTS, Point
+from torture.proxy import Proxy, Verdict
+from torture.tally import Tally, total
+from torture.traps import Field, Trap
 
-from pancakes.cli.client import Client
+from pancakes.client import Client
 from pancakes.control import Migrate
 from pancakes.errors import PancakesError
+from pancakes.migration.record import TaskId
 
 NAMES = ("a", "b", "c")
+TELLER = "teller"
+"""The agent that is never killed, and sends packets to the tasks."""
 BORN = {"One": "a", "Two": "b", "Three": "c"}
+DURABILITY = {"One": "lazy", "Two": "each", "Three": "lazy"}
+LAZY = [task for task, durability in DURABILITY.items() if durability == "lazy"]
+TOLD = ("One", "Two")
+"""The tasks that packets are sent to, one of each durability."""
 HEALS_WITHIN_S = 30.0
+REACHED_WITHIN_S = 12.0
+"""How long it is waited for an agent to come to a point; a source that takes its task back does so after 2 s."""
+BACK_WITHIN_S = 40.0
+"""The same for one that is started first: others try to reach it again every 10 s in the end."""
+TRIES = 5
+"""How often an agent that did not come to its point is waited for again."""
 ROUND = 50
 """After so many kills all agents are left alone until each task runs."""
-
-
-@dataclass
-class Tally:
-    """What happened.
-
-    Attributes:
-        kills: how many agents were killed.
-        moves: how many hand-overs have come to an end with a task at its new agent, by the tasks' own files.
-        asked: how many moves were answered with success to whoever asked.
-        ticks: how often the tasks have worked.
-        doubled: a sentence for each time that a task ran beside itself.
-        lost: a sentence for each time that a task did not run after all was well again.
-        backwards: a sentence for each time that a task ran under an epoch that had passed.
-        worst_step_back: by how many ticks a task was set back by a crash, at most.
-        heals_s: how long each healing took.
-    """
-
-    kills: int = 0
-    moves: int = 0
-    asked: int = 0
-    ticks: int = 0
-    doubled: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    backwards: list[str] = field(default_factory=list)
-    worst_step_back: int = 0
-    heals_s: list[float] = field(default_factory=list)
-
-    def add(self, other: Tally) -> None:
-        """Adds what happened to another fleet."""
-        self.kills += other.kills
-        self.moves += other.moves
-        self.asked += other.asked
-        self.ticks += other.ticks
-        self.doubled += other.doubled
-        self.lost += other.lost
-        self.backwards += other.backwards
-        self.worst_step_back = max(self.worst_step_back, other.worst_step_back)
-        self.heals_s += other.heals_s
 
 
 class _Mover(threading.Thread):
@@ -83,7 +66,9 @@ class _Mover(threading.Thread):
                 host = last_host(self._count)
                 try:
                     self.asking.set()
-                    self.asked += client.request(host, Migrate(f"client/{self._task}")).ok
+                    # Sometimes to whoever takes it for the lowest cost, which is the same one time after time.
+                    to = self._random.choice(["", *(name for name in NAMES if name != host)])
+                    self.asked += client.request(host, Migrate(f"client/{self._task}", to=to)).ok
                 except PancakesError:  # it is dead
                     pass
                 self.ended.wait(self._random.uniform(0.0, 0.2))
@@ -97,50 +82,94 @@ def last_host(count: Path) -> str:
 
 
 class Kills:
-    """One fleet of three agents, each of which has given birth to a task.
+    """One fleet of three agents, each of which has given birth to a task, with a proxy between each two.
 
     Args:
         directory: all files.
         seed: draws who is killed, and when; the machine draws the rest.
+        ended: set by whoever does not want to wait for all of it.
+        spoilt_by: Python that breaks the agents, see `LiveFleet`.
     """
 
-    def __init__(self, directory: Path, seed: int) -> None:
+    def __init__(self, directory: Path, seed: int, ended: threading.Event | None = None, spoilt_by: str = "") -> None:
+        self._ended = ended or threading.Event()
         self.random = random.Random(f"kills/{seed}")
         self.directory = directory
         self.counts = directory / "counts"
         self.counts.mkdir()
-        durabilities = {"One": "lazy", "Two": "each", "Three": "lazy"}
         rest = {
-            agent: f'[task.{task}]\ntype = "torture.Holder"\ndurability = "{durabilities[task]}"\n'
-            f'settings = {{directory = "{self.counts}"}}\n[service.log]\nsettings = {{level = "warning"}}\n'
+            agent: f'[task.{task}]\ntype = "torture.Holder"\ndurability = "{DURABILITY[task]}"\n'
+            f'settings = {{directory = "{self.counts}", ballast_bytes = {BALLAST_BYTES}}}\n'
+            '[service.log]\nsettings = {level = "warning"}\n'
             for task, agent in BORN.items()
         }
-        self.fleet = LiveFleet(directory, NAMES, rest)
+        to = ", ".join(f'"{BORN[task]}/{task}"' for task in TOLD)
+        rest[TELLER] = (
+            f'[task.Teller]\ntype = "torture.Teller"\nsettings = {{directory = "{self.counts}", to = [{to}]}}\n'
+            '[service.log]\nsettings = {level = "warning"}\n'
+        )
+        names = (*NAMES, TELLER)
+        listen = {name: f"tcp://127.0.0.1:{port}" for name, port in zip(names, free_ports(len(names)), strict=True)}
+        self._proxies: list[Proxy] = []
+        peers: dict[str, list[str]] = {name: [] for name in names}
+        for number, dialled in enumerate(names):
+            for dialler in names[:number]:
+                self._proxies.append(Proxy(listen[dialled], self._watch))
+                peers[dialler].append(self._proxies[-1].address)
+        # An environment hosts no tasks, and is asked for none.
+        self.fleet = LiveFleet(
+            directory, names, rest, listen, peers, roles={TELLER: "environment"}, spoilt_by=spoilt_by
+        )
         self.tally = Tally()
+        self._trap: Trap | None = None
 
-    def run(self, kills: int, told: Callable[[Tally], None] = lambda tally: None) -> Tally:
-        """Kills so many agents; what happened is returned, and told after each round."""
+    def run(
+        self, random_kills: int, points: Sequence[Point] = (), told: Callable[[Tally], None] = lambda tally: None
+    ) -> Tally:
+        """Kills agents, at random moments and at points, in a drawn order.
+
+        Args:
+            random_kills: how many at random moments.
+            points: where else; one that stands there twice is gone to twice. A point that leads to a second one
+                makes two kills.
+            told: is told what happened so far after each round.
+
+        Returns:
+            What happened.
+        """
         calm = threading.Event()
         movers = [
             _Mover(self.fleet, task, self.counts / f"{task}.count", random.Random(self.random.random()), calm)
             for task in BORN
         ]
+        todo: list[Point | None] = [*points, *[None] * random_kills]
+        self.random.shuffle(todo)
         try:
-            for name in NAMES:
+            for name in self.fleet.names:
                 self.fleet.start(name)
             self._heal()
             for mover in movers:
                 mover.start()
-            while self.tally.kills < kills and not self.tally.lost:
+            while todo and not self.tally.lost and not self._ended.is_set():
                 calm.clear()
-                until = min(self.tally.kills + ROUND, kills)
-                while self.tally.kills < until:
-                    self._kill_one(self.random.choice(movers))
+                until = self.tally.kills + ROUND
+                while todo and self.tally.kills < until and not self._ended.is_set():
+                    point = todo.pop()
+                    if point is None:
+                        self._kill_one(self.random.choice(movers))
+                    else:
+                        self._kill_at(point)
+                    # Who was killed comes back now or later, so that now and then two are dead, or all three.
+                    for dead in NAMES:
+                        if dead not in self.fleet.running and self.random.random() < 0.7:
+                            self.fleet.start(dead)
+                if self._ended.is_set():
+                    break
                 calm.set()
                 self._heal()
                 self.tally.asked = sum(mover.asked for mover in movers)
                 told(self.tally)
-            self._count()
+            self.tally.count(self.counts, DURABILITY)
         finally:
             for mover in movers:
                 mover.ended.set()
@@ -148,7 +177,54 @@ class Kills:
                 if mover.is_alive():
                     mover.join(10.0)
             self.fleet.close()
+            for proxy in self._proxies:
+                proxy.close()
         return self.tally
+
+    def _watch(self, row: list[Any]) -> Verdict:
+        trap = self._trap
+        return trap.watch(row) if trap is not None else Verdict.PASS
+
+    def _kill_at(self, point: Point) -> None:
+        """Kills an agent at a point, and where that leads to another once it is back, there too."""
+        victim = ""
+        for _ in range(TRIES):
+            task = self.random.choice(LAZY if point.lazy else ["Two"])
+            self._start_all()
+            if self._lost(self._until_works([task])):
+                return
+            victim = self._spring(point, task, "" if point.word else last_host(self.counts / f"{task}.count"))
+            if victim:
+                break
+        if not victim:
+            self.tally.missed.append(f"no agent came to the point {point.name!r}")
+        elif point.then is not None and not self._spring(point.then, task, victim, start=True):
+            self.tally.missed.append(f"no agent came to the point {point.then.name!r}")
+
+    def _spring(self, point: Point, task: str, victim: str, start: bool = False) -> str:
+        """Kills the agent that comes to a point; returns its name, or nothing where none came to it.
+
+        Args:
+            point: where.
+            task: whose hand-over it is.
+            victim: the only agent that may come there; empty: any.
+            start: whether that agent is dead and to be started first.
+        """
+        place = Field(TaskId(BORN[task], task), self.fleet.state, self.counts, self.fleet.strike)
+        trap = Trap(point, place, victim)
+        self._trap = trap
+        try:
+            trap.begin(self.fleet.start if start else None)
+            reached = trap.spring(BACK_WITHIN_S if start else REACHED_WITHIN_S)
+        finally:
+            self._trap = None
+            trap.clear()
+        if trap.dead:
+            self.fleet.kill(trap.dead)
+            self.tally.kills += 1
+        if reached:
+            self.tally.points[point.name] += 1
+        return reached
 
     def _kill_one(self, mover: _Mover) -> None:
         """Kills one agent: just after a move was asked for, so that it is in the middle of it, or at any moment."""
@@ -160,77 +236,98 @@ class Kills:
             time.sleep(draw.uniform(0.0, 0.06))
         else:
             time.sleep(draw.uniform(0.0, 1.0))
-        name = draw.choice(NAMES)
-        if name in self.fleet.running:
-            self.fleet.kill(name)
-            self.tally.kills += 1
-        # Who was killed before comes back now or later, so that now and then two are dead, or all three.
-        for dead in NAMES:
-            if dead not in self.fleet.running and draw.random() < 0.7:
-                self.fleet.start(dead)
+        if all(name not in self.fleet.running for name in NAMES):
+            self._start_all()
+        self.fleet.kill(draw.choice([name for name in NAMES if name in self.fleet.running]))
+        self.tally.kills += 1
 
-    def _heal(self) -> None:
-        """Starts all that are dead, and waits until each task runs."""
+    def _start_all(self) -> None:
         for name in NAMES:
             if name not in self.fleet.running:
                 self.fleet.start(name)
+
+    def _heal(self) -> None:
+        """Starts all that are dead, and waits until each task runs and has heard all that was sent to it."""
+        self._start_all()
         began_s = time.monotonic()
-        before = {task: self._size(task) for task in BORN}
-        waiting = list(BORN)
-        while waiting:
-            time.sleep(0.1)
-            # A task that has written something since has run; in the next round that is looked at again.
-            waiting = [task for task in waiting if self._size(task) <= before[task] + 200]
-            if time.monotonic() - began_s > HEALS_WITHIN_S:
-                said = "\n".join(line for running in self.fleet.running.values() for line in _heard(running))
-                self.tally.lost += [f"{task} did not run within {HEALS_WITHIN_S:g} s; {said}" for task in waiting]
-                break
+        idle = self._until_works(list(BORN))
+        if not self._lost(idle):
+            told = {task: _number(self.counts / f"{task}.told") for task in TOLD}
+            while deaf := [task for task in TOLD if self._heard(task) < told[task]]:
+                if time.monotonic() - began_s > HEALS_WITHIN_S:
+                    self.tally.lost += [
+                        f"{task} did not hear packet {told[task]} within {HEALS_WITHIN_S:g} s, only"
+                        f" {self._heard(task)}; {self._said()}"
+                        for task in deaf
+                    ]
+                    break
+                time.sleep(0.1)
         dead = [name for name, running in self.fleet.running.items() if running.process.poll() is not None]
         self.tally.lost += [f"{name} has ended by itself" for name in dead]
         self.tally.heals_s.append(time.monotonic() - began_s)
+
+    def _until_works(self, tasks: list[str]) -> list[str]:
+        """Waits until tasks work; returns those that do not."""
+        until_s = time.monotonic() + HEALS_WITHIN_S
+        before = {task: self._size(task) for task in tasks}
+        # A task that has written something since has run; in the next round that is looked at again.
+        while waiting := [task for task in tasks if self._size(task) <= before[task] + 200]:
+            if time.monotonic() > until_s:
+                return waiting
+            time.sleep(0.05)
+        return []
+
+    def _lost(self, tasks: list[str]) -> bool:
+        """Writes down which tasks do not run, if any, and returns whether there are any."""
+        self.tally.lost += [f"{task} did not run within {HEALS_WITHIN_S:g} s; {self._said()}" for task in tasks]
+        return bool(tasks)
+
+    def _said(self) -> str:
+        """Returns the last that the agents have said."""
+        return "\n".join(line for running in self.fleet.running.values() for line in running.so_far()[-5:])
+
+    def _heard(self, task: str) -> int:
+        path = self.counts / f"{task}.heard"
+        if not path.exists():
+            return 0
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - 100))
+            return int(file.read().decode().splitlines()[-1].split()[0])
 
     def _size(self, task: str) -> int:
         path = self.counts / f"{task}.count"
         return path.stat().st_size if path.exists() else 0
 
-    def _count(self) -> None:
-        """Reads what the tasks have written themselves."""
-        for task in BORN:
-            doubled = self.counts / f"{task}.doubled"
-            if doubled.exists():
-                self.tally.doubled += [f"{task}: {line}" for line in doubled.read_text().splitlines()]
-            n = epoch = 0
-            for line in (self.counts / f"{task}.count").read_text().splitlines():
-                now, under, agent, pid = line.split()
-                if int(under) < epoch:
-                    self.tally.backwards.append(f"{task} ran on {agent} ({pid}) under {under}, after {epoch}")
-                self.tally.moves += max(0, int(under) - epoch)
-                self.tally.worst_step_back = max(self.tally.worst_step_back, n - int(now))
-                n, epoch = int(now), max(epoch, int(under))
-                self.tally.ticks += 1
 
-
-def _heard(running: object) -> list[str]:
-    said = getattr(running, "said", [])
-    lines = getattr(running, "_lines", None)
-    while lines is not None and not lines.empty():
-        line = lines.get()
-        if line is not None:
-            said.append(line)
-    return said[-5:]
-
-
-def run_kills(kills: int, seed: int, told: Callable[[Tally], None] = lambda tally: None) -> Tally:
-    """Kills so many agents of one fleet, in a directory that is removed afterwards."""
-    with tempfile.TemporaryDirectory(prefix="pancakes-kills-") as directory:
-        return Kills(Path(directory), seed).run(kills, told)
-
-
-def run_fleets(kills: int, seed: int, fleets: int, told: Callable[[Tally], None] = lambda tally: None) -> Tally:
-    """Kills so many agents of several fleets at once.
+def plan(kills: int, at: str) -> tuple[int, list[Point]]:
+    """Returns how many agents are to be killed at random moments, and at which points.
 
     Args:
-        kills: how many in all.
+        kills: how many in all, or one more: some points make two.
+        at: `random`, `effects` or `both`: half of them each.
+    """
+    between = {"random": 0, "effects": kills, "both": kills // 2}[at]
+    points: list[Point] = []
+    planned = 0
+    while planned < between:
+        point = POINTS[len(points) % len(POINTS)]
+        points.append(point)
+        planned += 1 if point.then is None else 2
+    return max(0, kills - planned), points
+
+
+def run_fleets(
+    random_kills: int,
+    points: Sequence[Point],
+    seed: int,
+    fleets: int,
+    told: Callable[[Tally], None] = lambda tally: None,
+) -> Tally:
+    """Kills agents of several fleets at once.
+
+    Args:
+        random_kills: how many at random moments, in all.
+        points: at which points besides.
         seed: the first fleet's; the others have those that follow.
         fleets: how many fleets.
         told: is told what has happened so far after each round, in any thread.
@@ -238,24 +335,32 @@ def run_fleets(kills: int, seed: int, fleets: int, told: Callable[[Tally], None]
     Raises:
         PancakesError: a fleet could not be set up.
     """
-    shares = [kills // fleets + (number < kills % fleets) for number in range(fleets)]
+    shares = [
+        (random_kills // fleets + (number < random_kills % fleets), points[number::fleets]) for number in range(fleets)
+    ]
     tallies: dict[int, Tally] = {}
     lock = threading.Lock()
+    ended = threading.Event()
+
+    def run(number: int) -> Tally:
+        with tempfile.TemporaryDirectory(prefix="pancakes-kills-") as directory:
+            return Kills(Path(directory), seed + number, ended).run(*shares[number], partial(tell, number))
 
     def tell(number: int, tally: Tally) -> None:
         with lock:
             tallies[number] = tally
-            told(_sum(tallies.values()))
+            told(total(tallies.values()))
 
     with ThreadPoolExecutor(fleets) as pool:
-        jobs = [
-            pool.submit(run_kills, share, seed + number, partial(tell, number)) for number, share in enumerate(shares)
-        ]
-        return _sum([job.result() for job in jobs])
+        try:
+            return total(pool.map(run, range(fleets)))
+        finally:
+            ended.set()  # where it was interrupted, the others need not go on
 
 
-def _sum(tallies: Iterable[Tally]) -> Tally:
-    total = Tally()
-    for tally in tallies:
-        total.add(tally)
-    return total
+def _number(path: Path) -> int:
+    """Reads a number that is being written time and again."""
+    while True:
+        text = path.read_text() if path.exists() else "0"
+        if text:
+            return int(text)

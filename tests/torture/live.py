@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,7 +18,17 @@ from dataclasses import dataclass
 
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Twist
-from pancakes.task import Task, every
+from pancakes.errors import MailboxFull
+from pancakes.packet import packet_type
+from pancakes.task import Task, every, on, reliable
+
+
+@packet_type("torture.count")
+@dataclass
+class Count:
+    """The packets of a stream, counted by whoever sends them."""
+
+    n: int
 
 
 class Holder(Task):
@@ -26,12 +37,17 @@ class Holder(Task):
     @dataclass
     class Settings:
         directory: str = ""
+        ballast_bytes: int = 0
 
     @dataclass
     class State:
         n: int = 0
+        heard: int = 0
+        ballast: bytes = b""
 
     def on_start(self):
+        self.gate("start")
+        self.state.ballast = bytes(self.settings.ballast_bytes)
         self.fence_n = self.fence.epoch[0]
         self.lock = os.open(self.file("lock"), os.O_CREAT | os.O_RDWR)
         self.count = os.open(self.file("count"), os.O_CREAT | os.O_WRONLY | os.O_APPEND)
@@ -50,6 +66,7 @@ class Holder(Task):
         fcntl.flock(self.lock, fcntl.LOCK_UN)
 
     def resume(self):
+        self.gate("resume")
         self.take()
         super().resume()
 
@@ -58,6 +75,18 @@ class Holder(Task):
             fcntl.flock(self.lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self.say("doubled", f"{self.address} epoch {self.fence_n} runs beside another")
+
+    def gate(self, kind):
+        """Stands still where a test has put a pipe in the way, until the test kills the agent or takes it away."""
+        try:
+            pipe = os.open(self.file(f"{kind}-{self.agent}"), os.O_WRONLY)
+        except FileNotFoundError:
+            return
+        try:
+            os.write(pipe, bytes(8192))
+        except BrokenPipeError:
+            pass
+        os.close(pipe)
 
     def file(self, kind):
         return os.path.join(self.settings.directory, f"{self.name}.{kind}")
@@ -70,6 +99,34 @@ class Holder(Task):
     def tick(self, tick):
         self.state.n += 1
         os.write(self.count, f"{self.state.n} {self.fence_n} {self.agent} {os.getpid()}\\n".encode())
+
+    @on("system", Count, keep=reliable(256))
+    def hear(self, packet):
+        self.say("heard", f"{packet.body.n} {self.state.heard}")
+        self.state.heard = packet.body.n
+
+
+class Teller(Task):
+    """Sends a stream of counted packets to each of some tasks, wherever these are."""
+
+    @dataclass
+    class Settings:
+        directory: str = ""
+        to: tuple[str, ...] = ()
+
+    def on_start(self):
+        self.told = dict.fromkeys(self.settings.to, 0)
+
+    @every(hz=20)
+    def tell(self, tick):
+        for task, n in self.told.items():
+            try:
+                self.publish("system", Count(n + 1), to=f"task:{task}")
+            except MailboxFull:
+                continue  # too many wait: not sent, so not counted
+            self.told[task] = n + 1
+            with open(os.path.join(self.settings.directory, f"{task.split('/')[1]}.told"), "w") as out:
+                out.write(str(n + 1))
 
 
 class Pilot(Task):
@@ -121,6 +178,10 @@ ENTRY_POINTS = """
 [pancakes.tasks]
 torture.Holder = plugin_torture:Holder
 torture.Pilot = plugin_torture:Pilot
+torture.Teller = plugin_torture:Teller
+
+[pancakes.packets]
+torture = plugin_torture
 
 [pancakes.drivers]
 torture.recorder = plugin_torture:Recorder
@@ -146,11 +207,16 @@ class LiveFleet:
         directory: all of their files.
         names: their names.
         rest: what follows `[agent]` in the configuration of each, by name.
+        addresses: where each listens, by name; None: at free ports of this machine.
         peers: where each dials the others, by name; not named: where they listen.
+        commands: what stands before the command of each, by name, such as what makes it run in a namespace.
+        roles: the role of each that is no usual agent, by name.
+        spoilt_by: Python that each agent runs at its start, such as what breaks it, to see whether that is noticed.
 
     Attributes:
         running: the processes that run, by name.
         addresses: where each listens.
+        state: the directory that holds the state directory of each, by its name.
     """
 
     def __init__(
@@ -160,29 +226,43 @@ class LiveFleet:
         rest: Mapping[str, str],
         addresses: Mapping[str, str] | None = None,
         peers: Mapping[str, Sequence[str]] | None = None,
+        commands: Mapping[str, Sequence[str]] | None = None,
+        roles: Mapping[str, str] | None = None,
+        spoilt_by: str = "",
     ) -> None:
         self.directory = directory
+        self.state = directory / "state"
         self.rig = Rig(directory)
-        self.rig.install("torture", ENTRY_POINTS, SOURCE)
+        self.rig.install("torture", ENTRY_POINTS, f"{SOURCE}\n{spoilt_by}")
         self.names = tuple(names)
         ports = free_ports(len(names))
         self.addresses = dict(
             addresses or {name: f"tcp://127.0.0.1:{port}" for name, port in zip(names, ports, strict=True)}
         )
         self.running: dict[str, Running] = {}
+        self._commands = dict(commands or {})
         self._configs: dict[str, Path] = {}
         for name in names:
             dialled = list((peers or {}).get(name, [self.addresses[other] for other in names if other != name]))
             head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "torture"\nlisten = "{self.addresses[name]}"\n'
+            head += f'state_dir = "{self.state / name}"\nrole = "{(roles or {}).get(name, "agent")}"\n'
             path = directory / f"{name}.toml"
             path.write_text(f"{head}peers = {json.dumps(dialled)}\n{rest.get(name, '')}\n")
             self._configs[name] = path
 
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left."""
-        self.running[name] = self.rig.agent(self._configs[name])
+        command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.cli.agent"]
+        command += ["--config", str(self._configs[name])]
+        self.running[name] = Running(command, self.rig.environment, self.directory)
         if wait:
             self.running[name].hear(READY)
+
+    def strike(self, name: str) -> None:
+        """Kills an agent with SIGKILL, without waiting for its end. Any thread; `kill` is to follow."""
+        running = self.running.get(name)
+        if running is not None:
+            running.process.kill()
 
     def kill(self, name: str) -> None:
         """Kills an agent with SIGKILL; returns once it is dead."""
@@ -192,5 +272,5 @@ class LiveFleet:
 
     def close(self) -> None:
         """Ends all of them."""
-        self.running.clear()
-        self.rig.close()
+        for name in list(self.running):
+            self.kill(name)

@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from pancakes.errors import MailboxFull
 from pancakes.migration.record import Epoch, Record
 from pancakes.migration.snapshot import Snapshot
-from pancakes.task import Task, every
+from pancakes.packet import SYSTEM, Packet, packet_type, task_address
+from pancakes.task import Task, every, on
+
+PARTNERS = {"One": "b/Two", "Two": "a/Three", "Three": "c/Four", "Four": "a/One"}
+"""To whom each task writes."""
 
 
 class Violation(AssertionError):
     """Something happened that never may."""
+
+
+@packet_type("test.note")
+@dataclass(frozen=True)
+class Note:
+    """What a copy of a task writes to another task.
+
+    Attributes:
+        copy: which copy writes: its address, and its number among all that were started.
+        n: the number of this note, from 1.
+    """
+
+    copy: str
+    n: int
 
 
 class Oracle:
@@ -22,15 +41,22 @@ class Oracle:
 
     Args:
         now: the virtual time.
+        talk: whether the tasks write to each other.
+        each: the tasks that acknowledge nothing before it is on disk.
 
     Attributes:
+        notes: how many of what the tasks wrote has had its effect.
         starts: how many copies were ever started.
         moves: how many of these were the first under a new epoch, elsewhere than at the task's birth.
         durable: the highest count of each task that was ever on a disk, by the task's name.
     """
 
-    def __init__(self, now: Callable[[], float]) -> None:
+    def __init__(self, now: Callable[[], float], talk: bool = False, each: Sequence[str] = ()) -> None:
         self._now = now
+        self._each = each
+        self._wrong = ""  # said at the next look: what a task raises ends no more than the task
+        self.talk = talk
+        self.notes = 0
         self._copies: dict[str, list[Task]] = {}
         self._epochs: dict[str, Epoch] = {}
         self.starts = 0
@@ -58,6 +84,14 @@ class Oracle:
         if task not in self.running(task.name):
             raise Violation(f"{task.address} works although it does not run, at {self._now():.4f} s")
 
+    def heard(self, task: Task, note: Note, last: int) -> None:
+        """A note takes effect on a task that has `last` of its copy: once, in order; all, where promised."""
+        self.notes += 1
+        lost = note.n > last + 1 and task.name in self._each
+        if note.n <= last or lost:
+            what = "lacks some" if lost else "gets it twice, or too late"
+            self._wrong = f"{task.address} gets note {note.n} of {note.copy} after {last}: it {what}"
+
     def written(self, record: Record) -> None:
         """A record is on a disk for good."""
         if record.snapshot:
@@ -72,7 +106,9 @@ class Oracle:
         return [copy for copy in alive if copy.actor_inbox.component is copy and not copy.actor_inbox.paused]
 
     def check(self) -> None:
-        """Looks whether any task runs twice."""
+        """Looks whether any task runs twice, or has heard what it must not."""
+        if self._wrong:
+            raise Violation(f"{self._wrong}, at {self._now():.4f} s")
         for name, copies in self._copies.items():
             if len(copies) > 1 and len(running := self.running(name)) > 1:
                 where = " and on ".join(copy.agent for copy in running)
@@ -80,7 +116,7 @@ class Oracle:
 
 
 class Roamer(Task):
-    """Counts its ticks, and tells an oracle what it does.
+    """Counts its ticks, writes notes to another task, and tells an oracle what it does.
 
     Attributes:
         oracle: the one of the fleet that runs just now: there is one at a time. A class made for each would stay for
@@ -96,16 +132,33 @@ class Roamer(Task):
     @dataclass
     class State:
         n: int = 0
+        notes: dict[str, int] = field(default_factory=dict)  # the last of each copy
 
     def on_start(self) -> None:
         assert self.oracle is not None
         self.oracle.started(self)
+        self.copy = f"{self.address} #{self.oracle.starts}"
+        self.written = 0
+
+    @on(SYSTEM, Note, addressed=True)
+    def read(self, packet: Packet) -> None:
+        assert self.oracle is not None
+        note: Note = packet.body
+        self.oracle.heard(self, note, self.state.notes.get(note.copy, 0))
+        self.state.notes[note.copy] = note.n
 
     @every(hz=10)
     def tick(self, tick: Any) -> None:
         assert self.oracle is not None
         self.oracle.ticked(self)
         self.state.n += 1
+        if not self.oracle.talk:
+            return
+        try:
+            self.publish(SYSTEM, Note(self.copy, self.written + 1), to=task_address(PARTNERS[self.name]))
+        except MailboxFull:
+            return  # its partner was away for long
+        self.written += 1
 
 
 class Drives(Roamer):

@@ -1,45 +1,56 @@
-"""A TCP proxy between two agents that reads what they say, cuts the link at a chosen word, and can be slow."""
+"""A TCP proxy between two agents that reads what they say, and cuts the link or loses a packet at a chosen word."""
 
 from __future__ import annotations
 
-import queue
-import random
 import socket
 import struct
 import threading
-import time
+from collections.abc import Callable
+from enum import Enum
+from typing import Any
 
 import msgspec
 
 from pancakes.wire.codec import rows_from_payload
 from pancakes.wire.framing import FrameReader
-from pancakes.wire.messages import HELLO_NUMBER
+from pancakes.wire.messages import HELLO_NUMBER, Peers
 
 LISTEN = 7  # where a hello has the address at which its sender may be dialled
+
+
+class Verdict(Enum):
+    """What becomes of a packet."""
+
+    PASS = "pass"
+    LOSE = "lose"
+    """It does not arrive; what follows does."""
+    END = "end"
+    """It does not arrive, and nothing else on this connection: its sender is dead."""
+
+
+Watch = Callable[[list[Any]], Verdict]
+"""Is shown each packet, as the row that it is on the wire."""
 
 
 class Proxy:
     """Stands between two agents.
 
-    The address that each of them gives for itself is taken out of its hello, so that there is no way around.
+    The address that each of them gives for itself is taken out of its hello, and what they tell about others is lost,
+    so that there is no way around.
 
     Args:
         target: where the other agent listens, as `tcp://host:port`.
-        delay_s: how much later each frame arrives, each way.
-        loss: the share of frames that have to be sent again, which on a stream is a delay of all that follow.
-        again_s: how long that takes.
-        seed: draws which frames are lost.
+        watch: decides what becomes of each packet, in the connection's own thread; None: all pass.
 
     Attributes:
         address: where to dial it.
         cut: set once the link has been cut.
     """
 
-    def __init__(self, target: str, delay_s: float = 0.0, loss: float = 0.0, again_s: float = 0.0, seed: int = 0):
+    def __init__(self, target: str, watch: Watch | None = None) -> None:
         host, _, port = target.removeprefix("tcp://").rpartition(":")
         self._target = (host, int(port))
-        self._delay_s, self._loss, self._again_s = delay_s, loss, again_s
-        self._random = random.Random(f"proxy/{seed}")
+        self._watch = watch
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
         self.cut = threading.Event()
@@ -98,43 +109,66 @@ class Proxy:
                 one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
                 self._pairs.append((near, far))
-            for source, sink in ((near, far), (far, near)):
-                later: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
-                threading.Thread(target=self._read, args=(source, later), daemon=True).start()
-                threading.Thread(target=self._write, args=(later, sink), daemon=True).start()
+            threading.Thread(target=self._carry_both, args=(near, far), daemon=True).start()
 
-    def _read(self, source: socket.socket, later: queue.SimpleQueue[tuple[float, bytes]]) -> None:
+    def _carry_both(self, near: socket.socket, far: socket.socket) -> None:
+        """Carries both ways until both have ended, and closes the two."""
+        back = threading.Thread(target=self._carry, args=(far, near), daemon=True)
+        back.start()
+        self._carry(near, far)
+        back.join()
+        with self._lock:
+            if (near, far) in self._pairs:
+                self._pairs.remove((near, far))
+        near.close()
+        far.close()
+
+    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
         reader = FrameReader()
-        due_s = 0.0
         try:
             while data := source.recv(1 << 18):
                 for payload in reader.feed(data):
-                    lost = self._random.random() < self._loss
-                    due_s = max(due_s, time.monotonic() + self._delay_s + (self._again_s if lost else 0.0))
                     rows = rows_from_payload(payload)
-                    if any(row[0] == HELLO_NUMBER for row in rows):
-                        rows = [row[:LISTEN] + [""] if row[0] == HELLO_NUMBER else row for row in rows]
-                        payload = msgspec.msgpack.encode(rows)
-                    if self._word and any(isinstance(row[0], str) and row[1] == self._word for row in rows):
-                        with self._lock:
-                            self._word, self._open = "", False
-                        self._break()
-                        self.cut.set()
+                    if self._is_cut_by(rows):
                         return
-                    later.put((due_s, struct.pack(">I", len(payload)) + payload))
+                    kept, ends = self._judged(rows)
+                    if kept != rows:
+                        payload = msgspec.msgpack.encode(kept)
+                    if kept:
+                        sink.sendall(struct.pack(">I", len(payload)) + payload)
+                    if ends:
+                        return
         except OSError:
             pass
         finally:
-            later.put((due_s, b""))
+            for one in (source, sink):
+                try:
+                    one.shutdown(socket.SHUT_RDWR)
+                except OSError:  # it is closed already
+                    pass
 
-    def _write(self, later: queue.SimpleQueue[tuple[float, bytes]], sink: socket.socket) -> None:
-        try:
-            while True:
-                due_s, data = later.get()
-                time.sleep(max(0.0, due_s - time.monotonic()))
-                if not data:
-                    sink.shutdown(socket.SHUT_RDWR)
-                    return
-                sink.sendall(data)
-        except OSError:
-            pass
+    def _is_cut_by(self, rows: list[list[Any]]) -> bool:
+        if not self._word or not any(isinstance(row[0], str) and row[1] == self._word for row in rows):
+            return False
+        with self._lock:
+            self._word, self._open = "", False
+        self._break()
+        self.cut.set()
+        return True
+
+    def _judged(self, rows: list[list[Any]]) -> tuple[list[list[Any]], bool]:
+        """Returns the rows that arrive, and whether they are the last ones."""
+        kept: list[list[Any]] = []
+        for row in rows:
+            if row[0] == HELLO_NUMBER:
+                row = row[:LISTEN] + [""]
+            elif row[0] == Peers.__struct_config__.tag:
+                continue
+            elif self._watch is not None and isinstance(row[0], str):
+                verdict = self._watch(row)
+                if verdict is Verdict.END:
+                    return kept, True
+                if verdict is Verdict.LOSE:
+                    continue
+            kept.append(row)
+        return kept, False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from torture import __main__ as command
+from torture import live_commands
+from torture.gap import Gaps
 from torture.missions import Job, Outcome, fly
+from torture.points import Point
+from torture.schedules import Outcome as ScheduleOutcome
+from torture.tally import Tally
 
 
 def test_missions_that_pass_give_exit_code_0() -> None:
@@ -43,6 +50,52 @@ def test_a_mission_that_fails_gives_exit_code_1_and_its_reason(monkeypatch: pyte
     assert "seed 8: FAIL: nobody drove for 0.80 s" in result.output
     assert "gap in control: 0.700 to 0.800 s" in result.output
     assert "1 passed, 1 failed" in result.output
+
+
+def test_figures_are_written_for_programs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def one(seeds: range, jobs: int) -> list[ScheduleOutcome]:
+        return [ScheduleOutcome(seed, "One runs twice" if seed == 4 else "", Counter(kill=2), 0.5) for seed in seeds]
+
+    monkeypatch.setattr(command, "run_schedules", one)
+    path = tmp_path / "figures.json"
+    result = CliRunner().invoke(command.torture, ["schedules", "--first", "3", "--seeds", "2", "--json", str(path)])
+    assert result.exit_code == 1
+    figures = json.loads(path.read_text())
+    assert figures["violations"] == {"4": "One runs twice"} and figures["counts"]["kill"] == 4
+    assert figures["healed_s"] == {"least": 0.5, "median": 0.5, "most": 0.5}
+
+
+def test_kills_are_told_by_point_and_one_that_was_never_reached_fails(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def some(random_kills: int, points: list[Point], *others: Any) -> Tally:
+        assert (random_kills, len(points)) == (3, 3)
+        tally = Tally(kills=6, points=Counter({points[0].name: 2, points[1].name: 1}), heals_s=[1.0])
+        tally.missed.append(f"no agent came to the point {points[2].name!r}")
+        return tally
+
+    monkeypatch.setattr(live_commands, "run_fleets", some)
+    path = tmp_path / "figures.json"
+    result = CliRunner().invoke(command.torture, ["kills", "--kills", "6", "--at", "both", "--json", str(path)])
+    assert result.exit_code == 1 and isinstance(result.exception, SystemExit), result.output
+    assert "    2 killed: source: before it sends SOLICIT" in result.output
+    assert "    0 killed: source: before it sends RESERVE" in result.output
+    assert "agents killed: 6, 3 of them between effects, at 2 points" in result.output
+    figures = json.loads(path.read_text())
+    assert figures["kills"] == 6 and figures["points"]["source: before it sends SOLICIT"] == 2
+
+
+def test_moves_that_come_to_nothing_fail_on_loopback_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def measured(size: int, moves: int, survey: Any) -> Gaps:
+        return Gaps(size, [0.02, 0.03, 0.06], ["right: did not say that it has the snapshot"], [2.1])
+
+    monkeypatch.setattr(live_commands, "measure", measured)
+    path = tmp_path / "figures.json"
+    result = CliRunner().invoke(command.torture, ["gap", "--no-netns", "--json", str(path)])
+    assert result.exit_code == 1
+    assert "loopback, 64 KiB of state: p50 30.0 ms, p99 60.0 ms, 3 moves: longer than 50 ms" in result.output
+    assert "the task stood still for 2100 ms in these, at most" in result.output
+    assert [row["state_bytes"] for row in json.loads(path.read_text())["gaps"]] == [1024, 65_536, 4 * 1024 * 1024]
 
 
 def test_a_mission_that_breaks_down_fails(tmp_path: Path) -> None:

@@ -1,0 +1,189 @@
+"""The commands of `scripts/torture` that run real agents: kills, cuts, gap."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any, Final
+
+import click
+from torture.cuts import FATES, STEPS, Cutter
+from torture.gap import Gaps, measure
+from torture.grounds import Survey, by_proxy, in_namespaces, on_loopback
+from torture.kills import plan, run_fleets
+from torture.namespaces import Namespaces, NoNamespaces, check, interruptible
+from torture.points import NAMES as POINT_NAMES
+from torture.report import json_option, spread, write
+from torture.tally import Tally
+
+
+@contextmanager
+def namespaces(wanted: bool | None, what: str) -> Iterator[tuple[Namespaces | None, list[str]]]:
+    """Gives network namespaces where they are wanted and this machine can make them, and says what is not run without.
+
+    They are removed at any end.
+
+    Args:
+        wanted: True: somebody asked for them, so that nothing else will do. None: where they can be had.
+        what: is not run without them.
+    """
+    spaces: Namespaces | None = None
+    not_run: list[str] = []
+    if wanted is not False:
+        try:
+            check()
+            spaces = Namespaces()
+        except NoNamespaces as error:
+            if wanted:
+                raise click.ClickException(f"{error}.") from None
+            not_run.append(f"{what}: {error}")
+            print(f"Not run: {not_run[0]}.")
+    with interruptible(), spaces or nullcontext():
+        yield spaces, not_run
+
+
+netns_option = click.option(
+    "--netns/--no-netns",
+    "netns",
+    default=None,
+    help="Only, or never, in network namespaces; without this both ways, where the machine can (root, iproute2).",
+)
+
+
+@click.command()
+@click.option("--kills", "count", default=1000, show_default=True, type=click.IntRange(1), help="How many kills.")
+@click.option(
+    "--at",
+    type=click.Choice(["random", "effects", "both"]),
+    default="both",
+    show_default=True,
+    help="At random moments, at the named points between the effects of the protocol, or half of them each.",
+)
+@click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first fleet's seed.")
+@click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="How many fleets at once.")
+@json_option
+def kills(count: int, at: str, first: int, fleets: int, json_file: Path | None) -> None:
+    """Real agents killed (SIGKILL) while their tasks move; whoever runs a task holds a file lock.
+
+    Exit code 0 only where no task ever ran twice, none was lost, no packet to a task had its effect twice or never,
+    and each point between effects was reached.
+    """
+    began_s = time.monotonic()
+
+    def told(tally: Tally) -> None:
+        print(f"{tally.kills} kills, {len(tally.lost)} lost, {time.monotonic() - began_s:.0f} s", flush=True)
+
+    random_kills, points = plan(count, at)
+    with interruptible():
+        tally = run_fleets(random_kills, points, first, min(fleets, count), told)
+    faults = (*tally.doubled, *tally.lost, *tally.backwards, *tally.missed)
+    for sentence in faults:
+        print(sentence)
+    for name in POINT_NAMES if points else ():
+        print(f"{tally.points[name]:>5} killed: {name}")
+    between = tally.points.total()
+    print(f"agents killed: {tally.kills}, {between} of them between effects, at {len(tally.points)} points")
+    print(f"hand-overs, by the epochs that the tasks ran under: {tally.moves}")
+    print(f"hand-overs answered with success: {tally.asked}")
+    print(
+        f"ticks counted: {tally.ticks}, at most {tally.worst_step_back} of a task forgotten in one crash (50 a second)"
+    )
+    print(f"packets to tasks counted: {tally.packets}")
+    print(f"all ran again within: {max(tally.heals_s):.1f} s")
+    print(f"in {time.monotonic() - began_s:.0f} s")
+    print(f"{len(tally.doubled)} doubled, {len(tally.lost)} lost, {len(tally.backwards)} under a passed epoch")
+    figures: dict[str, Any] = {**vars(tally), "between_effects": between, "wall_s": time.monotonic() - began_s}
+    write(json_file, figures | {"heals_s": spread(tally.heals_s)})
+    sys.exit(1 if faults else 0)
+
+
+@click.command()
+@click.option("--jobs", default=4, show_default=True, type=click.IntRange(1), help="How many at once.")
+@netns_option
+@json_option
+def cuts(jobs: int, netns: bool | None, json_file: Path | None) -> None:
+    """The link between two real agents cut at each step of a hand-over, and what became of the task.
+
+    A TCP proxy makes the cut, which resets the connection; and a wire between network namespaces, on which all is
+    silent from then on. Exit code 0 only where each ended as docs/protocol.md says.
+    """
+    failed = 0
+    began_s = time.monotonic()
+    rows: list[dict[str, Any]] = []
+    cases = [(step, fate) for step in STEPS for fate in FATES]
+    with namespaces(netns, "the same between network namespaces") as (spaces, not_run):
+        ways: dict[str, Survey] = {} if netns else {"TCP proxy": by_proxy}
+        if spaces is not None:
+            ways["network namespaces"] = in_namespaces(spaces)
+        for way, survey in ways.items():
+            print(f"{way}:")
+            print(f"{'cut at':<10} {'then':<18} {'meanwhile ran':<14} {'ran in the end':<15} {'after':>6}")
+            for case in Cutter(survey).run(cases, jobs):
+                failed += bool(case.faults)
+                rows.append({"by": way, **case._asdict()})
+                row = (
+                    f"{case.step:<10} {case.fate:<18} {case.meanwhile:<14} {case.finally_:<15} {case.settled_s:>4.1f} s"
+                )
+                print(f"{row}  {'; '.join(case.faults) or 'as it must'}", flush=True)
+    print(f"{len(rows)} cuts, in {time.monotonic() - began_s:.0f} s; {failed} ended as they must not")
+    write(json_file, {"cuts": rows, "failed": failed, "not_run": not_run, "wall_s": time.monotonic() - began_s})
+    sys.exit(1 if failed else 0)
+
+
+WANTED_S: Final = 0.05
+"""The longest gap of 99 in 100 moves on loopback, with 64 KiB of state."""
+SIZES: Final = (1024, 64 * 1024, 4 * 1024 * 1024)
+"""How much state the task carries, in bytes."""
+DELAY_S: Final = 0.02
+LOSS: Final = 0.05
+
+
+@click.command()
+@click.option("--moves", default=100, show_default=True, type=click.IntRange(1), help="How many moves of each kind.")
+@netns_option
+@json_option
+def gap(moves: int, netns: bool | None, json_file: Path | None) -> None:
+    """For how long an actuator hears nothing while the task that commands it at 100 Hz moves between real agents.
+
+    On loopback; and between network namespaces, where each IP packet takes 20 ms and 5 % of them are lost. Exit code 1
+    where 99 in 100 moves with 64 KiB of state take longer than 50 ms on loopback, or a move there is refused.
+    """
+    rows: list[dict[str, Any]] = []
+    failed = False
+    with namespaces(netns, "20 ms each way and 5 % lost, between network namespaces") as (spaces, not_run):
+        for size in () if netns else SIZES:
+            found = measure(size, moves, on_loopback)
+            late = size == SIZES[1] and bool(found.gaps_s) and found.percentile_s(99) > WANTED_S
+            failed = failed or late or bool(found.refused) or not found.gaps_s
+            rows.append(_told("loopback", found, f": longer than {WANTED_S * 1000:g} ms" if late else ""))
+        for size in SIZES if spaces is not None else ():
+            assert spaces is not None
+            found = measure(size, moves, in_namespaces(spaces, DELAY_S, LOSS))
+            failed = failed or not found.gaps_s
+            rows.append(_told("20 ms each way, 5 % lost", found))
+    print("The gap holds one period of the task, 10 ms.")
+    write(json_file, {"gaps": rows, "failed": failed, "not_run": not_run})
+    sys.exit(1 if failed else 0)
+
+
+def _told(where: str, found: Gaps, fault: str = "") -> dict[str, Any]:
+    """Prints what was measured, and returns it for a file."""
+    row: dict[str, Any] = {"where": where, "state_bytes": found.state_bytes, "moves": len(found.gaps_s)}
+    row["gaps_s"] = list(found.gaps_s)
+    head = f"{where}, {found.state_bytes / 1024:g} KiB of state"
+    if found.gaps_s:
+        row |= {"p50_s": found.percentile_s(50), "p99_s": found.percentile_s(99), "longest_s": found.gaps_s[-1]}
+        print(
+            f"{head}: p50 {row['p50_s'] * 1000:.1f} ms, p99 {row['p99_s'] * 1000:.1f} ms, {row['moves']} moves{fault}",
+            flush=True,
+        )
+    else:
+        print(f"{head}: no move arrived", flush=True)
+    if found.refused:
+        row |= {"refused": found.refused, "longest_pause_s": max(found.pauses_s, default=0.0)}
+        print(f"{head}: {len(found.refused)} moves came to nothing, such as: {found.refused[0]}")
+        print(f"{head}: the task stood still for {row['longest_pause_s'] * 1000:.0f} ms in these, at most", flush=True)
+    return row

@@ -1,0 +1,93 @@
+"""The story of a fault schedule, in words. It looks on and changes nothing, so that a schedule told is the same one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pancakes.events import Event, LogLine
+from pancakes.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.packet import Packet, agent_of
+
+UNTOLD = ("migration",)
+"""Fields of events that would fill pages: the whole ledger is in the event `migration`, told as its outcome."""
+
+
+class Story:
+    """Tells what happens, a line each.
+
+    Args:
+        tell: takes a line; None: nobody listens, and no sentence is made.
+        now: the virtual time, in seconds.
+    """
+
+    def __init__(self, tell: Callable[[str], None] | None, now: Callable[[], float]) -> None:
+        self._tell = tell
+        self._now = now
+        self._known: dict[tuple[str, TaskId], tuple[object, ...]] = {}
+
+    @property
+    def told(self) -> bool:
+        """Whether anybody listens."""
+        return self._tell is not None
+
+    def say(self, text: str) -> None:
+        """Tells a sentence."""
+        if self._tell is not None:
+            self._tell(f"{self._now():9.4f} {text}")
+
+    def wrote(self, agent: str, record: Record) -> None:
+        """A record is on an agent's disk for good; a mere checkpoint is not worth a line."""
+        if self._tell is None:
+            return
+        news = (record.phase, record.epoch, record.offer, record.wanted, record.incarnation)
+        if self._known.get((agent, record.task_id)) != news:
+            self._known[agent, record.task_id] = news
+            self.say(f"on the disk of {agent}: {_standing(record)}")
+
+    def heard(self, name: str, packet: Packet, how: str = "") -> None:
+        """A packet of a hand-over has come to an agent."""
+        if self._tell is None:
+            return
+        body = packet.body
+        what = packet.type.removeprefix("migration.").upper()
+        offer = f" {body.offer}" if hasattr(body, "offer") else ""
+        reason = f": {body.reason}" if hasattr(body, "reason") else ""
+        self.say(f"{name} hears{how} from {agent_of(packet.source)}: {what}{offer} for {body.task_id}{reason}")
+
+    def logged(self, packet: Packet) -> None:
+        """An agent has published something on `log`."""
+        body = packet.body
+        if isinstance(body, LogLine):
+            if body.level != "debug":
+                self.say(f"{packet.source} says ({body.level}): {body.text}")
+        elif isinstance(body, Event):
+            self.say(f"{packet.source}: {_words_of(body)}")
+
+
+def _standing(record: Record) -> str:
+    task = str(record.task_id)
+    match record.phase:
+        case Phase.OWNER:
+            wanted = "to run" if record.wanted is Wanted.RUNNING else f"to be {record.wanted.value}"
+            return f"{task} is its own under {record.epoch}, {wanted}, start {record.incarnation}"
+        case Phase.FROZEN:
+            return f"{task} stands still, and is offered to {record.peer} as {record.offer}"
+        case Phase.COMMITTED:
+            return f"{task} is given to {record.peer} as {record.offer}, for good"
+        case Phase.PREPARED:
+            return f"{task} of {record.peer} rests there, offered as {record.offer}"
+        case Phase.RELEASED:
+            return f"{task} has moved to {record.peer}, which has said so"
+        case Phase.ABSENT:
+            return f"{task} is not there after all; {record.peer} took its offer back"
+
+
+def _words_of(event: Event) -> str:
+    fields = dict(event.fields)
+    if event.kind in UNTOLD:
+        lines = "; ".join(f"{line['peer']} {line['fate']} {line['reason']}".strip() for line in fields["lines"])
+        who = f" to {fields['winner']}" if fields["winner"] else ""
+        return f"the move of {fields['task']} has ended: {fields['outcome']}{who} ({lines or 'nobody was asked'})"
+    words = event.kind.replace("_", " ")
+    told = ", ".join(f"{key} {value}" for key, value in fields.items() if value not in (None, ""))
+    return f"{words}: {told}" if told else words

@@ -1,0 +1,171 @@
+"""Kills a real agent at a named point: watches what agents say to each other, and what they write."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torture.gates import Gate, before_write, identity_file, journal_file
+from torture.points import Point
+from torture.proxy import Verdict
+
+from pancakes.migration.record import TaskId
+from pancakes.packet import agent_of
+
+LOOK_S = 0.0005
+"""How often it is looked at what nobody announces: a file that is replaced, a write that ends."""
+_never = threading.Event()
+
+
+@dataclass(frozen=True)
+class Field:
+    """Where a trap is laid.
+
+    Attributes:
+        task_id: the task whose hand-over is meant.
+        state: the directory that holds the agents' state directories, by their names.
+        gates: the directory in which the task looks for gates.
+        kill: kills an agent, at once.
+    """
+
+    task_id: TaskId
+    state: Path
+    gates: Path
+    kill: Callable[[str], None]
+
+
+class Trap:
+    """Kills one agent at one point.
+
+    Args:
+        point: which.
+        field: where.
+        victim: whom, where the point itself does not say so: where it has no word, or the agent was there before.
+    """
+
+    def __init__(self, point: Point, field: Field, victim: str = "") -> None:
+        self.point = point
+        self._field = field
+        self._victim = victim
+        self._lock = threading.Lock()
+        self._set = threading.Event()  # the victim is known, and dead or about to come to the gate
+        self._dead = ""
+        self._gate: Gate | None = None
+        self._before: int | None = None
+
+    def begin(self, start: Callable[[str], None] | None = None) -> None:
+        """Lays the trap where its point has no word: there is nothing to wait for.
+
+        Args:
+            start: starts the victim, which is dead; None: it runs.
+        """
+        victim = self._victim
+        identity = identity_file(self._field.state, victim) if victim else Path()
+        boot = _file_number(identity)
+        gated = self.point.how in ("start", "resume")
+        if gated and not self.point.word:
+            self._lay(victim)
+        if start is not None:
+            start(victim)
+            # It opens its journal, and clears it up, before it looks at its tasks.
+            while not gated and not self.point.word and _file_number(identity) == boot:
+                _never.wait(LOOK_S)
+        if not gated and not self.point.word:
+            self._lay(victim)
+
+    def watch(self, row: list[Any]) -> Verdict:
+        """Is shown each packet from one agent to another, and says what becomes of it. Any thread."""
+        sender, receiver = agent_of(row[2]), agent_of(row[3])
+        with self._lock:
+            if sender == self._dead:
+                return Verdict.END
+            if not self._concerns(row):
+                return Verdict.PASS
+            kind, point = row[1], self.point
+            lost = Verdict.LOSE if kind == point.lose else Verdict.PASS
+            if kind != point.word or self._set.is_set():
+                return lost
+            if point.how in ("lost", "sent"):
+                if self._victim not in ("", sender):
+                    return lost
+                self._dead = self._victim = sender
+                self._field.kill(sender)
+                self._set.set()
+                return Verdict.END if point.how == "lost" else Verdict.PASS
+            self._lay(receiver)
+            return lost
+
+    def spring(self, timeout_s: float) -> str:
+        """Waits until the point is reached, and kills the agent there; returns its name, or nothing: nobody came."""
+        if not self._set.wait(timeout_s):
+            return ""
+        if self._dead:
+            return self._dead
+        if self._gate is not None:
+            reached = self._gate.reached(timeout_s)
+        else:
+            reached = self._is_replaced(timeout_s)
+        if not reached:
+            return ""
+        self._field.kill(self._victim)
+        self._dead = self._victim
+        if self.point.how == "write" and self._gate is not None and self._gate.phase() is not self.point.phase:
+            return ""  # it was another record of this task, such as a checkpoint
+        return self._dead
+
+    @property
+    def dead(self) -> str:
+        """Who was killed, also where it was not at the point."""
+        return self._dead
+
+    def clear(self) -> None:
+        """Takes the gate away. The trap is not shown anything any more."""
+        with self._lock:
+            self._set.set()
+            if self._gate is not None:
+                self._gate.remove()
+                self._gate = None
+
+    def _concerns(self, row: list[Any]) -> bool:
+        body = row[7]
+        told = body.get("task_id") if isinstance(body, dict) else None
+        return told in (list(self._field.task_id), str(self._field.task_id))
+
+    def _lay(self, victim: str) -> None:
+        """Lays a gate in an agent's way, or looks at what it has written so far."""
+        field = self._field
+        self._victim = victim
+        match self.point.how:
+            case "write":
+                while self._gate is None:
+                    try:
+                        self._gate = before_write(field.state, victim, field.task_id)
+                    except FileExistsError:  # a checkpoint is being written: that ends
+                        _never.wait(LOOK_S)
+            case "written":
+                self._before = _file_number(journal_file(field.state, victim, field.task_id))
+            case how:
+                self._gate = Gate(field.gates / f"{field.task_id.name}.{how}-{victim}")
+        self._set.set()
+
+    def _is_replaced(self, timeout_s: float) -> bool:
+        path = journal_file(self._field.state, self._victim, self._field.task_id)
+        until_s = time.monotonic() + timeout_s
+        while _file_number(path) == self._before:
+            if time.monotonic() > until_s:
+                return False
+            _never.wait(LOOK_S)
+        return True
+
+
+def _file_number(path: Path) -> int | None:
+    """Returns what tells a file from the one that takes its place."""
+    try:
+        return os.stat(path).st_ino
+    except FileNotFoundError:
+        return None
