@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import secrets
+import random
 import threading
 import uuid
 from collections.abc import Callable, Mapping
@@ -10,7 +10,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
+from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, PluginError
 from pancakes.events import Event
 from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
@@ -19,7 +22,7 @@ from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
-from pancakes.migration.post import Outgoing
+from pancakes.migration.outbox import Outbox
 from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, join
@@ -84,7 +87,7 @@ class Agent:
         self.config = config
         self.name = config.agent.name
         self._plugins = plugins or Plugins()
-        seed = config.agent.seed if config.agent.seed is not None else secrets.randbits(63)
+        seed = config.agent.seed if config.agent.seed is not None else random.SystemRandom().getrandbits(63)
         self.kernel = Kernel(
             self.name,
             seed=seed,
@@ -140,7 +143,7 @@ class Agent:
             defer=defer,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
-        self._outgoing = Outgoing(f"{self.name}/{journal.uuid}.{journal.boot}")
+        self._outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         for channel in config.channels:
             self.kernel.stream.open(channel)
@@ -176,7 +179,7 @@ class Agent:
 
     def _spawn_courier(self) -> None:
         self.kernel.spawn(
-            Courier, join(self.name, COURIER), outgoing=self._outgoing, mesh=self.mesh, exited=self._courier_ended
+            Courier, join(self.name, COURIER), outbox=self._outbox, mesh=self.mesh, exited=self._courier_ended
         )
 
     def _courier_ended(self, courier: Component, error: BaseException | None) -> None:
@@ -274,7 +277,7 @@ class Agent:
         if not isinstance(migrator, TaskMigrator):
             return {"load": None, "battery_level": None}
         load = migrator.measured
-        return {"load": asdict(load) if load is not None else None, "battery_level": migrator.battery_level}
+        return {"load": msgspec.to_builtins(load), "battery_level": migrator.battery_level}
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
@@ -282,7 +285,11 @@ class Agent:
         try:
             self.kernel.stream.inject(packet)
         except PancakesError as error:
-            self.kernel.log("warning", f"a packet of {peer} was dropped: {error}")
+            reason, root = str(error), self._root
+            if isinstance(packet.body, CONTROLS) and root is not None:
+                root.call(lambda: root.refuse(packet, reason))
+            else:
+                self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
 
     def _on_peer_up(self, hello: Hello) -> None:
         if hello.role == "client":

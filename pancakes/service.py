@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Final
 
 from pancakes.control import Command, Configure, Describe, Reply, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused, PancakesError
+from pancakes.kernel.component import describe
 from pancakes.kernel.handlers import on
+from pancakes.kernel.mailbox import reliable
 from pancakes.packet import SYSCTRL, Packet
 from pancakes.settings import change_plain, change_settings
 from pancakes.slot import Request, Slot, TaskState
@@ -38,6 +40,11 @@ class ServiceSpec:
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
 
+WAITING: Final = reliable(1024)
+"""So many control packets of each type wait where they come in faster than they can be carried out. Whoever sends one
+more is refused, and told so: none may be lost without a word."""
+
+
 class Service(Supervisor):
     """The base of all services.
 
@@ -45,11 +52,19 @@ class Service(Supervisor):
     group `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
     """
 
-    @on(SYSCTRL, Command, addressed=True)
+    def __init__(self, *args: Any, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._unanswered: dict[int, Request] = {}
+
+    @on(SYSCTRL, Command, keep=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
         """Carries out one command and answers it."""
         command: Command = packet.body
-        request = Request(command.request[0], command.request, command.number)
+        if command.body is None:
+            self.close(lambda: None)
+            return
+        request = _request(command)
+        self._unanswered[request.number] = request
         slot = self.slots.get(command.task) if command.task else None
         if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
@@ -70,18 +85,45 @@ class Service(Supervisor):
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
+        self._unanswered.pop(request.number, None)
         try:
-            self.publish(
-                SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause
-            )
+            self.publish(SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause)
         except PancakesError as error:
             # A service must not fail because whoever asked does not listen fast enough.
             self.log("warning", f"the answer to {request.by} was lost: {error}")
 
+    def close(self, then: Callable[[], None]) -> None:
+        def answered() -> None:
+            self._answer_all(f"{self.address} was stopped before it came to that")
+            then()
+
+        super().close(answered)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        super().on_failure(exception_type, exception_value, traceback)
+        self._answer_all(f"{self.address} failed before it had done that: {describe(exception_value)}")
+
+    def unheard(self) -> list[Request]:
+        """Returns, once it has ended, the commands that it never came to, and forgets them."""
+        queue = self.actor_inbox.queues.get(SYSCTRL)
+        left = []
+        while queue is not None and (packet := queue.pop()) is not None:
+            if isinstance(packet.body, Command) and packet.body.body is not None:
+                left.append(_request(packet.body))
+        return left
+
+    def _answer_all(self, reason: str) -> None:
+        """Tells everybody who still waits for an answer that there will be none, as the service ends."""
+        for slot in self.slots.values():
+            slot.commands.clear()
+        for request in list(self._unanswered.values()):
+            self.reply(request, reason)
+
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)
         if slot is None:
-            raise ControlRefused(f"{self.address} has no task {name!r}, only {', '.join(self.slots) or 'none at all'}")
+            known = f"only {', '.join(self.slots)}" if self.slots else "nor any other"
+            raise ControlRefused(f"{self.address} has no task {name!r}, {known}")
         return slot
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
@@ -144,7 +186,11 @@ class Service(Supervisor):
             return
         self.tell_asked("stop", slot, request)
         answer = self._occupy(slot, request)
-        self.halt(slot, lambda: answer(""), f"asked for by {request.by}", answer)
+        self.halt(slot, lambda: self.when_stopped(slot, answer), f"asked for by {request.by}", answer)
+
+    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
+        """For subclasses: calls `then` once a stop that was asked for will last; with a reason where it may not."""
+        then("")
 
     def _occupy(self, slot: Slot, request: Request) -> Callable[[str], None]:
         """Lets all later commands for a task wait for this one.
@@ -225,7 +271,8 @@ class Service(Supervisor):
                 carried = task.carry()
             except Exception as error:  # what a task keeps in its state may be anything
                 raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
-            return {**detail, "settings": carried.settings, "state": carried.state}
+            now = {"host_s": task.kernel.host.now(), "mission_s": task.now(), "began": task.began()}
+            return {**detail, **now, "settings": carried.settings, "state": carried.state}
 
         self.in_task(slot, request, "", look)
 
@@ -275,3 +322,7 @@ class Service(Supervisor):
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
+
+
+def _request(command: Command) -> Request:
+    return Request(command.request[0], command.request, command.number)

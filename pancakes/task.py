@@ -14,6 +14,7 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -131,6 +132,9 @@ class Task(Component):
         self.fence = fence
         self.__on_started = started
         self.__on_handled = handled
+        # A copy: what the state has lists in may share them.
+        self.__carried = Carried(carried.settings, copy.deepcopy(carried.state), carried.periods_s, carried.heard)
+        self.__began_s = (0.0, 0.0)
         self.last: Carried | None = None
 
     def on_settings(self) -> None:
@@ -160,6 +164,23 @@ class Task(Component):
         super().take_turn(slice_s)
         if self.__on_handled is not None:
             self.__on_handled(self)
+
+    def before_start(self) -> None:
+        super().before_start()
+        self.__began_s = (self.kernel.host.now(), self.now())
+
+    def began(self) -> dict[str, Any]:
+        """Returns when this actor began, on the agent's own clock and in mission time, and what it carried then."""
+        host_s, mission_s = self.__began_s
+        carried = self.__carried
+        return {
+            "host_s": host_s,
+            "mission_s": mission_s,
+            "settings": dict(carried.settings),
+            "state": dict(carried.state),
+            "periods_s": dict(carried.periods_s),
+            "rate_hz": self.__rate_hz,
+        }
 
     def after_start(self) -> None:
         if self.__on_started is not None:

@@ -55,7 +55,7 @@ def commit(record: Record, event: Received, message: Commit) -> list[Effect]:
         return [
             Persist(own),
             Remember(Volatile(running=True)),
-            StartTask(own.epoch, own.incarnation, own.snapshot),
+            StartTask(own.epoch, own.incarnation, own.snapshot, fresh=True),
             answer,
         ]
     if record.seen >= message.offer:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Final
+
+import msgspec
 
 from pancakes.migration.cost import fault_of_choice, names_of
 from pancakes.migration.messages import Solicit
@@ -18,8 +19,7 @@ BATTERY_MARGIN: Final = 0.10
 """A candidate's battery must lie at least this much above the level where the task would move on: no ping-pong."""
 
 
-@dataclass(frozen=True, slots=True)
-class Capability:
+class Capability(msgspec.Struct, frozen=True):
     """What an agent has to offer to a task, at the moment of asking.
 
     Attributes:
@@ -33,8 +33,8 @@ class Capability:
 
     role: str = HOST_ROLE
     devices: tuple[str, ...] = ()
-    types: Mapping[str, str] = field(default_factory=dict)
-    names: Mapping[str, TaskId] = field(default_factory=dict)
+    types: Mapping[str, str] = msgspec.field(default_factory=dict)
+    names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
 

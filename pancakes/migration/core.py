@@ -20,6 +20,7 @@ from pancakes.migration.event import (
     Award,
     Born,
     Checkpoint,
+    Concluded,
     Ended,
     Event,
     FreezeFailed,
@@ -82,6 +83,8 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
             return owner.start(record, volatile, event)
         case Ended():
             return owner.ended(record, volatile, event)
+        case Concluded():
+            return source.concluded(record)
         case Adopt():
             return owner.adopt(me, record, event)
         case PersistFailed():
@@ -103,6 +106,8 @@ def recover(record: Record, times: Times = TIMES) -> list[Effect]:
             return source.recover(record, times)
         case Phase.PREPARED:
             return candidate.recover(record, times)
+        case Phase.RELEASED:
+            return source.remind(record)
         case _:
             return []
 

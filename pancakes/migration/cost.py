@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar
+
+import msgspec
 
 from pancakes.errors import MigrationError
 
@@ -18,8 +19,7 @@ CostChoice = str | dict[str, float]
 """What a task is to cost: the name of a cost function, or the weight of each of several."""
 
 
-@dataclass(frozen=True, slots=True)
-class HostLoad:
+class HostLoad(msgspec.Struct, frozen=True):
     """What a cost function may know of the agent that is asked. Everything was measured before; nothing waits.
 
     Attributes:

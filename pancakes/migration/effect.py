@@ -6,7 +6,8 @@ A crash may fall between any two of them: the order is what the protocol's promi
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass
+
+import msgspec
 
 from pancakes.migration.event import Event, PacketId
 from pancakes.migration.messages import HandOffMessage
@@ -14,30 +15,26 @@ from pancakes.migration.record import Epoch, Record
 from pancakes.migration.volatile import Volatile
 
 
-@dataclass(frozen=True, slots=True)
-class Persist:
+class Persist(msgspec.Struct, frozen=True):
     """Put the record on disk. What follows waits until it is there for good."""
 
     record: Record
 
 
-@dataclass(frozen=True, slots=True)
-class Remember:
+class Remember(msgspec.Struct, frozen=True):
     """Replace the volatile part."""
 
     volatile: Volatile
 
 
-@dataclass(frozen=True, slots=True)
-class Send:
+class Send(msgspec.Struct, frozen=True):
     """Send a message. It may be lost."""
 
     peer: str
     message: HandOffMessage
 
 
-@dataclass(frozen=True, slots=True)
-class StartTask:
+class StartTask(msgspec.Struct, frozen=True):
     """Start the task from a snapshot, and raise the fence to its epoch.
 
     What follows waits until its first handler has run or its start has failed; a failed start is its
@@ -47,15 +44,16 @@ class StartTask:
         epoch: the right under which it runs.
         incarnation: which start under that epoch this is; its checkpoints say it.
         snapshot: what it begins from, encoded.
+        fresh: whether it goes on exactly where it stood still on its former host: nothing of it has run since.
     """
 
     epoch: Epoch
     incarnation: int
     snapshot: bytes
+    fresh: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Freeze:
+class Freeze(msgspec.Struct, frozen=True):
     """Stop the task at a tick boundary and bring its actuators to their safe hold.
 
     To be answered, once, by `Frozen` with what it then is, or by `FreezeFailed`. The actor is kept as it is
@@ -65,8 +63,7 @@ class Freeze:
     offer: Epoch
 
 
-@dataclass(frozen=True, slots=True)
-class Resume:
+class Resume(msgspec.Struct, frozen=True):
     """Let the frozen task go on as it stands, under the right it had; where its actor is gone, from the snapshot.
 
     Attributes: as in `StartTask`.
@@ -77,32 +74,27 @@ class Resume:
     snapshot: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Discard:
+class Discard(msgspec.Struct, frozen=True):
     """Let go of the object that stands still here: a frozen task that was given away, or a dormant one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ack:
+class Ack(msgspec.Struct, frozen=True):
     """Tell the sender of a packet that its effect is on disk."""
 
     packet: PacketId
 
 
-@dataclass(frozen=True, slots=True)
-class Deliver:
+class Deliver(msgspec.Struct, frozen=True):
     """Give the packet that has arrived to the task, which runs here."""
 
 
-@dataclass(frozen=True, slots=True)
-class Forward:
+class Forward(msgspec.Struct, frozen=True):
     """Send the packet that has arrived on to `peer`."""
 
     peer: str
 
 
-@dataclass(frozen=True, slots=True)
-class After:
+class After(msgspec.Struct, frozen=True):
     """Feed `event` to the core in `delay_s` seconds of host time.
 
     Attributes:
@@ -123,15 +115,13 @@ class After:
         return self.delay_s * source.uniform(1.0 - self.spread, 1.0 + self.spread)
 
 
-@dataclass(frozen=True, slots=True)
-class Warn:
+class Warn(msgspec.Struct, frozen=True):
     """Tell people, on `log`."""
 
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Decline:
+class Decline(msgspec.Struct, frozen=True):
     """Refuse what an event of this agent's own services asked for; nothing has changed.
 
     Attributes:
@@ -143,8 +133,7 @@ class Decline:
     moved_to: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class AttemptFailed:
+class AttemptFailed(msgspec.Struct, frozen=True):
     """The hand-off to `peer` came to nothing, and the task goes on here: the next bidder may be tried.
 
     Attributes:
@@ -155,9 +144,10 @@ class AttemptFailed:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class HandedOver:
-    """`peer` owns the task, and has said so.
+class HandedOver(msgspec.Struct, frozen=True):
+    """`peer` owns the task, and has said so: what is to follow, as the record's sequel says, may be done now.
+
+    It comes again after a restart of the agent, until `Concluded` says that all of it was done.
 
     Attributes:
         epoch: the epoch that it runs under there.

@@ -6,8 +6,9 @@ to, so that one that comes late, twice or never does no harm, and none has to be
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
+
+import msgspec
 
 from pancakes.migration.messages import HandOffMessage, Solicit
 from pancakes.migration.record import Epoch, Phase, Record, Wanted
@@ -23,8 +24,7 @@ class PacketId(NamedTuple):
 # What the agent's own services say.
 
 
-@dataclass(frozen=True, slots=True)
-class Born:
+class Born(msgspec.Struct, frozen=True):
     """The task is started for the first time in its life, on its birthplace.
 
     Attributes:
@@ -34,8 +34,7 @@ class Born:
     snapshot: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(msgspec.Struct, frozen=True):
     """The task is to run: somebody wants it, or its service starts it again after a failure.
 
     Attributes:
@@ -45,8 +44,7 @@ class Start:
     again: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Ended:
+class Ended(msgspec.Struct, frozen=True):
     """The task's actor has ended for good: stopped because somebody wanted that, or given up on; or never began.
 
     Attributes:
@@ -58,8 +56,7 @@ class Ended:
     snapshot: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class Checkpoint:
+class Checkpoint(msgspec.Struct, frozen=True):
     """The running task has been written down.
 
     Attributes:
@@ -75,8 +72,7 @@ class Checkpoint:
     consumed: tuple[PacketId, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Arrived:
+class Arrived(msgspec.Struct, frozen=True):
     """A packet addressed to the task has come to this agent.
 
     Attributes:
@@ -86,16 +82,14 @@ class Arrived:
     sender: str
 
 
-@dataclass(frozen=True, slots=True)
-class Adopt:
+class Adopt(msgspec.Struct, frozen=True):
     """A person says that the other side is gone for good, and that the task shall run here after all.
 
     The one event that can make two of a task, namely where that person is wrong.
     """
 
 
-@dataclass(frozen=True, slots=True)
-class PersistFailed:
+class PersistFailed(msgspec.Struct, frozen=True):
     """The journal could not write the record. Nothing that was to follow has happened.
 
     Attributes:
@@ -107,8 +101,7 @@ class PersistFailed:
     record: Record
 
 
-@dataclass(frozen=True, slots=True)
-class WriteAgain:
+class WriteAgain(msgspec.Struct, frozen=True):
     """Time to try a write again that failed, of a task that does not run here.
 
     Attributes:
@@ -123,8 +116,7 @@ class WriteAgain:
 # The source's side of a hand-off.
 
 
-@dataclass(frozen=True, slots=True)
-class Award:
+class Award(msgspec.Struct, frozen=True):
     """The bids are compared, and `peer` is next.
 
     Attributes:
@@ -136,21 +128,21 @@ class Award:
     request: Solicit
 
 
-@dataclass(frozen=True, slots=True)
-class Frozen:
+class Frozen(msgspec.Struct, frozen=True):
     """The task has stopped at a tick boundary, and its actuators are in their safe hold.
 
     Attributes:
         offer: the hand-off that it was stopped for.
         snapshot: what it is, encoded.
+        sequel: what is to be done here once it has gone, an encoded `Sequel`.
     """
 
     offer: Epoch
     snapshot: bytes
+    sequel: bytes = b""
 
 
-@dataclass(frozen=True, slots=True)
-class FreezeFailed:
+class FreezeFailed(msgspec.Struct, frozen=True):
     """The task could not be stopped or written down; it goes on (or its service restarts it).
 
     Attributes:
@@ -162,11 +154,14 @@ class FreezeFailed:
     reason: str
 
 
+class Concluded(msgspec.Struct, frozen=True):
+    """What was to follow the hand-over has been done."""
+
+
 # Messages and timers.
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(msgspec.Struct, frozen=True):
     """A message came from another agent.
 
     Attributes:
@@ -181,16 +176,14 @@ class Received:
     refusal: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ReservationExpired:
+class ReservationExpired(msgspec.Struct, frozen=True):
     """`peer` was asked for a reservation, long ago."""
 
     peer: str
     offer: Epoch
 
 
-@dataclass(frozen=True, slots=True)
-class GiveUp:
+class GiveUp(msgspec.Struct, frozen=True):
     """A frozen task has waited long enough for its destination, or the link to it is gone.
 
     Attributes:
@@ -201,8 +194,7 @@ class GiveUp:
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Resend:
+class Resend(msgspec.Struct, frozen=True):
     """Time to say it again.
 
     Attributes:
@@ -216,8 +208,7 @@ class Resend:
     attempt: int
 
 
-@dataclass(frozen=True, slots=True)
-class InDoubt:
+class InDoubt(msgspec.Struct, frozen=True):
     """A hand-off has stood undecided for so long that a person should know."""
 
     offer: Epoch
@@ -236,6 +227,7 @@ Event = (
     | Award
     | Frozen
     | FreezeFailed
+    | Concluded
     | Received
     | ReservationExpired
     | GiveUp

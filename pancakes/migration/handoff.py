@@ -60,11 +60,6 @@ class HandOff:
         """Whether every event so far is dealt with and every effect carried out."""
         return self._waiting is None and not self._effects and not self._events
 
-    @property
-    def writing(self) -> bool:
-        """Whether a record waits for the disk."""
-        return isinstance(self._waiting, Persist)
-
     def recover(self) -> None:
         """Takes the task up after a restart of the agent. Called once, before any event."""
         self._effects.extend(recover(self.record, self._times))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from pancakes.packet import packet_type
 
@@ -15,8 +17,7 @@ Fate = Literal["won", "lost", "failed", "refused", "silent"]
 """What became of it: `lost` to a cheaper bid; `failed` after it was chosen."""
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
+class Line(msgspec.Struct, frozen=True):
     """What one neighbour said, and what became of that.
 
     Attributes:
@@ -32,13 +33,12 @@ class Line:
     answer: Answer
     fate: Fate
     cost: float | None = None
-    terms: Mapping[str, float] = field(default_factory=dict)
+    terms: Mapping[str, float] = msgspec.field(default_factory=dict)
     reason: str = ""
 
 
 @packet_type("migration.ledger")
-@dataclass(frozen=True, slots=True)
-class Ledger:
+class Ledger(msgspec.Struct, frozen=True):
     """The whole account.
 
     Attributes:
@@ -50,6 +50,7 @@ class Ledger:
         winner: the neighbour that has it, or (dry run) would get it; empty where none.
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
+        offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
     """
 
     task_id: str
@@ -60,3 +61,15 @@ class Ledger:
     winner: str
     lines: tuple[Line, ...]
     duration_s: float
+    offer: str = ""
+
+    def moved(self, offer: str) -> Ledger:
+        """Returns the account of a move that was undecided: the hand-over has happened."""
+        return replace(self, outcome="moved", offer=offer)
+
+    def stayed(self, offer: str, reason: str) -> Ledger:
+        """Returns the account of a move that was undecided: the hand-over has come to nothing."""
+        lines = tuple(
+            replace(line, fate="failed", reason=reason) if line.peer == self.winner else line for line in self.lines
+        )
+        return replace(self, outcome="stayed", winner="", lines=lines, offer=offer)

@@ -10,8 +10,10 @@ leaves it empty; `addressed` fills it in on the way out, and `is_for` checks it 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TypeVar
+
+import msgspec
+from msgspec.structs import replace
 
 from pancakes.migration.cost import CostChoice
 from pancakes.migration.record import Epoch, TaskId
@@ -19,8 +21,7 @@ from pancakes.packet import packet_type
 
 
 @packet_type("migration.solicit")
-@dataclass(frozen=True, slots=True)
-class Solicit:
+class Solicit(msgspec.Struct, frozen=True):
     """Asks a neighbour whether it would take a task, and at what cost.
 
     Attributes:
@@ -48,8 +49,7 @@ class Solicit:
 
 
 @packet_type("migration.bid")
-@dataclass(frozen=True, slots=True)
-class Bid:
+class Bid(msgspec.Struct, frozen=True):
     """Offers to take a task.
 
     Attributes:
@@ -65,8 +65,7 @@ class Bid:
 
 
 @packet_type("migration.refuse")
-@dataclass(frozen=True, slots=True)
-class Refuse:
+class Refuse(msgspec.Struct, frozen=True):
     """Declines to take a task; the reason is for people."""
 
     task_id: TaskId
@@ -76,8 +75,7 @@ class Refuse:
 
 
 @packet_type("migration.reserve")
-@dataclass(frozen=True, slots=True)
-class Reserve:
+class Reserve(msgspec.Struct, frozen=True):
     """Tells the winner; it checks again whether it can, and keeps a slot for a few seconds.
 
     Attributes:
@@ -91,8 +89,7 @@ class Reserve:
 
 
 @packet_type("migration.reserved")
-@dataclass(frozen=True, slots=True)
-class Reserved:
+class Reserved(msgspec.Struct, frozen=True):
     """Says that a slot is kept for the task."""
 
     task_id: TaskId
@@ -101,8 +98,7 @@ class Reserved:
 
 
 @packet_type("migration.transfer")
-@dataclass(frozen=True, slots=True)
-class Piece:
+class Piece(msgspec.Struct, frozen=True):
     """A part of a snapshot on its way (see `pieces`).
 
     Attributes:
@@ -124,8 +120,7 @@ class Piece:
 
 
 @packet_type("migration.nak")
-@dataclass(frozen=True, slots=True)
-class Nak:
+class Nak(msgspec.Struct, frozen=True):
     """Declines a reservation or a snapshot; the task stays with its source."""
 
     task_id: TaskId
@@ -135,8 +130,7 @@ class Nak:
 
 
 @packet_type("migration.prepared")
-@dataclass(frozen=True, slots=True)
-class Prepared:
+class Prepared(msgspec.Struct, frozen=True):
     """Says that the snapshot is on the destination's disk, dormant."""
 
     task_id: TaskId
@@ -145,8 +139,7 @@ class Prepared:
 
 
 @packet_type("migration.commit")
-@dataclass(frozen=True, slots=True)
-class Commit:
+class Commit(msgspec.Struct, frozen=True):
     """Gives the task away. The source never takes it back after this."""
 
     task_id: TaskId
@@ -155,8 +148,7 @@ class Commit:
 
 
 @packet_type("migration.activated")
-@dataclass(frozen=True, slots=True)
-class Activated:
+class Activated(msgspec.Struct, frozen=True):
     """Says that the destination owns the task, on disk."""
 
     task_id: TaskId
@@ -165,8 +157,7 @@ class Activated:
 
 
 @packet_type("migration.abort")
-@dataclass(frozen=True, slots=True)
-class Abort:
+class Abort(msgspec.Struct, frozen=True):
     """Takes an offer back that was never committed."""
 
     task_id: TaskId
@@ -175,8 +166,7 @@ class Abort:
 
 
 @packet_type("migration.unknown")
-@dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(msgspec.Struct, frozen=True):
     """Says that the sender has no memory of an offer that it must have known: its disk was lost."""
 
     task_id: TaskId
@@ -185,8 +175,7 @@ class Unknown:
 
 
 @packet_type("migration.moved")
-@dataclass(frozen=True, slots=True)
-class Moved:
+class Moved(msgspec.Struct, frozen=True):
     """Tells the sender of a packet for a task where that task went.
 
     Attributes:
@@ -200,8 +189,7 @@ class Moved:
     journal: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Transfer:
+class Transfer(msgspec.Struct, frozen=True):
     """A whole snapshot on its way. It travels as `Piece`s and is put together again by an `Assembly`.
 
     Attributes:

@@ -8,7 +8,9 @@ task runs on all through this.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+
+import msgspec
+from msgspec.structs import replace
 
 from pancakes.errors import NoCandidate
 from pancakes.migration.cost import cost_text, fault_of
@@ -16,15 +18,13 @@ from pancakes.migration.ledger import Ledger, Line
 from pancakes.migration.messages import Solicit
 
 
-@dataclass(frozen=True, slots=True)
-class Awarded:
+class Awarded(msgspec.Struct, frozen=True):
     """`peer` is to get the task: begin the hand-off, then say `failed` or `moved`."""
 
     peer: str
 
 
-@dataclass(frozen=True, slots=True)
-class Exhausted:
+class Exhausted(msgspec.Struct, frozen=True):
     """No neighbour can take the task, or the one asking wanted to know nothing but who could.
 
     Attributes:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
+
+import msgspec
 
 from pancakes.errors import MailboxFull
 from pancakes.migration.record import TaskId
+from pancakes.migration.snapshot import Posted, PostedTo
 from pancakes.packet import packet_type
 
 WINDOW: Final = 1024
@@ -37,10 +40,11 @@ class Letter:
 
     Attributes:
         task_id: the task, as `birthplace/name`.
-        stream: the sender's stream, `agent/token`; a sender that lost its memory begins a new one.
+        stream: the sender's stream; it moves with a task that sends. A sender that lost its memory begins a new one.
         seq: number in that stream, to this task, from 1.
         first: the lowest number that was not acknowledged when this was sent; nothing before it comes again.
         packet: the packet, as the wire writes it.
+        sender: the agent that sends it, and wants to hear what became of it.
         hops: how often it was forwarded.
     """
 
@@ -49,6 +53,7 @@ class Letter:
     seq: int
     first: int
     packet: bytes
+    sender: str
     hops: int = 0
 
 
@@ -86,9 +91,8 @@ class ForwardTo:
     epoch_n: int
 
 
-@dataclass(slots=True)
-class _Correspondence:
-    """All that one agent sends to one task.
+class _Correspondence(msgspec.Struct):
+    """All that goes to one task in one stream.
 
     Attributes:
         host: where the task is thought to be.
@@ -102,15 +106,14 @@ class _Correspondence:
 
     host: str
     epoch_n: int = -1
-    packets: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+    packets: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
     next_seq: int = 1
     in_flight: int = 0
     due_s: float = 0.0
     pause_s: float = RESEND_S
 
 
-@dataclass(frozen=True, slots=True)
-class Dispatch:
+class Dispatch(msgspec.Struct, frozen=True):
     """What to send, and to whom.
 
     Attributes:
@@ -123,19 +126,42 @@ class Dispatch:
 
 
 class Outgoing:
-    """The letters of one agent that are not acknowledged.
+    """The letters of one stream that are not acknowledged.
 
     Args:
-        stream: the name of its stream, `agent/token`, that no other sender ever had.
+        stream: its name, that no other stream ever had.
+        agent: the agent that sends them.
     """
 
-    def __init__(self, stream: str) -> None:
-        self._stream = stream
+    def __init__(self, stream: str, agent: str) -> None:
+        self.stream = stream
+        self._agent = agent
         self._to: dict[str, _Correspondence] = {}
 
-    def knows(self, task_id: TaskId) -> bool:
-        """Returns whether anything was ever sent to this task."""
-        return str(task_id) in self._to
+    @classmethod
+    def of(cls, posted: Posted, agent: str) -> Outgoing:
+        """Returns the stream as its sender took it along; what it has not been told of is sent again."""
+        stream = cls(posted.stream, agent)
+        for to in posted.to:
+            first = to.next_seq - len(to.packets)
+            packets = OrderedDict(enumerate(to.packets, first))
+            stream._to[to.task_id] = _Correspondence(to.host, to.epoch_n, packets, to.next_seq)
+        return stream
+
+    def posted(self) -> Posted:
+        """Returns the stream for a sender that takes it along."""
+        return Posted(
+            self.stream,
+            tuple(
+                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()))
+                for task_id, to in self._to.items()
+            ),
+        )
+
+    def host_of(self, task_id: TaskId) -> tuple[int, str] | None:
+        """Returns how fresh the news is of where a task is, and where that is; None: nothing was ever sent to it."""
+        to = self._to.get(str(task_id))
+        return (to.epoch_n, to.host) if to is not None else None
 
     def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[Dispatch]:
         """Takes a packet, and returns what is to be sent now.
@@ -162,7 +188,7 @@ class Outgoing:
     def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[Dispatch]:
         """Forgets what has had its effect, and returns what may follow."""
         to = self._to.get(receipt.task_id)
-        if to is None or receipt.stream != self._stream:
+        if to is None or receipt.stream != self.stream:
             return []
         if receipt.epoch_n >= to.epoch_n:
             to.host, to.epoch_n = peer, receipt.epoch_n
@@ -219,7 +245,7 @@ class Outgoing:
         return [Dispatch(to.host, self._letter(task_id, to, seq)) for seq in range(first + sent, first + to.in_flight)]
 
     def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
-        return Letter(task_id, self._stream, seq, next(iter(to.packets)), to.packets[seq])
+        return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)
 
 
 def onward(letter: Letter) -> Letter | None:

@@ -99,6 +99,8 @@ class Record(msgspec.Struct, frozen=True):
         wanted: what those who command the task want of it.
         incarnation: how often it was started here under `epoch`; a checkpoint of an earlier one is not taken.
         snapshot: an encoded `Snapshot`; empty where this agent holds none.
+        sequel: what is to be done here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
+        service: the service that keeps the record; known on disk only, where a tombstone could not tell otherwise.
     """
 
     task_id: TaskId
@@ -110,6 +112,8 @@ class Record(msgspec.Struct, frozen=True):
     wanted: Wanted = Wanted.RUNNING
     incarnation: int = 0
     snapshot: bytes = b""
+    sequel: bytes = b""
+    service: str = ""
 
     def encode(self) -> bytes:
         """Returns the record as msgpack bytes, for the journal."""

@@ -7,11 +7,11 @@ are the old host's.
 
 from __future__ import annotations
 
-import hashlib
 from typing import Any, Final
 
 import msgspec
 
+from pancakes.digest import sha256
 from pancakes.errors import MigrationError
 from pancakes.migration.record import TaskId
 
@@ -33,18 +33,34 @@ class TimerPhase(msgspec.Struct, frozen=True):
     due_in_s: float
 
 
-class HeldPacket(msgspec.Struct, frozen=True):
-    """A packet addressed to the task that it has not acknowledged yet.
+class PostedTo(msgspec.Struct, frozen=True):
+    """What the task has sent to another task.
 
     Attributes:
-        stream: the sender's stream that it belongs to.
-        seq: its number in that stream, from 1.
-        packet: the packet itself, as the wire writes it.
+        task_id: that task, as `birthplace/name`.
+        host: where that task is thought to be.
+        epoch_n: how many hand-offs that news knows of.
+        next_seq: number of the next packet.
+        packets: those that were not acknowledged, as the wire writes them: the last ones before `next_seq`.
+    """
+
+    task_id: str
+    host: str
+    epoch_n: int
+    next_seq: int
+    packets: tuple[bytes, ...] = ()
+
+
+class Posted(msgspec.Struct, frozen=True):
+    """The stream in which the task sends to other tasks: it takes it along, so that nothing overtakes anything.
+
+    Attributes:
+        stream: its name.
+        to: what was sent, by receiver.
     """
 
     stream: str
-    seq: int
-    packet: bytes
+    to: tuple[PostedTo, ...] = ()
 
 
 class Heard(msgspec.Struct, frozen=True):
@@ -74,7 +90,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         configured: the settings that its configuration gave it; what differs from these was changed while it ran.
         state: its state.
         timers: the phases of its periodic handlers.
-        held: packets addressed to it and not acknowledged.
+        posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
         heard: the duplicate filter, by stream.
         sent: number of the last packet it sent, by stream.
         restart: its restart policy, as in `[task.NAME] restart`.
@@ -91,7 +107,7 @@ class Snapshot(msgspec.Struct, frozen=True):
     configured: dict[str, Any] = {}
     state: dict[str, Any] = {}
     timers: tuple[TimerPhase, ...] = ()
-    held: tuple[HeldPacket, ...] = ()
+    posted: Posted | None = None
     heard: dict[str, Heard] = {}
     sent: dict[str, int] = {}
     restart: dict[str, Any] = {}
@@ -133,4 +149,4 @@ _DECODER = msgspec.msgpack.Decoder(Snapshot)
 
 def digest(data: bytes) -> bytes:
     """Returns the content hash (SHA-256) by which an encoded snapshot is checked on arrival."""
-    return hashlib.sha256(data).digest()
+    return sha256(data)

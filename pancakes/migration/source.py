@@ -63,7 +63,13 @@ def frozen(me: str, record: Record, volatile: Volatile, event: Frozen, times: Ti
     if record.phase is not Phase.OWNER or not volatile.freezing or event.offer != next_offer(me, record):
         return []
     record = replace(
-        record, phase=Phase.FROZEN, seen=event.offer, offer=event.offer, peer=volatile.asked, snapshot=event.snapshot
+        record,
+        phase=Phase.FROZEN,
+        seen=event.offer,
+        offer=event.offer,
+        peer=volatile.asked,
+        snapshot=event.snapshot,
+        sequel=event.sequel,
     )
     wait_s = times.prepare_s + times.transfer_s(len(event.snapshot))
     give_up = GiveUp(event.offer, f"did not say within {wait_s:.1f} s that it has the snapshot")
@@ -129,6 +135,13 @@ def activated(record: Record, peer: str, message: Activated) -> list[Effect]:
     return [Persist(tombstone), HandedOver(peer, message.offer)]
 
 
+def concluded(record: Record) -> list[Effect]:
+    """Forgets what was to follow the hand-over: it has been done."""
+    if record.phase is not Phase.RELEASED or not record.sequel:
+        return []
+    return [Persist(replace(record, sequel=b""))]
+
+
 def unknown(record: Record, peer: str, message: Unknown) -> list[Effect]:
     """Tells people that the other side has lost its disk. Nothing here can undo that."""
     if record.offer != message.offer or record.phase not in (Phase.COMMITTED, Phase.PREPARED):
@@ -148,6 +161,11 @@ def resend(record: Record, event: Resend, times: Times) -> list[Effect]:
     return _commit(record, event.attempt + 1, times)
 
 
+def remind(record: Record) -> list[Effect]:
+    """Returns what to do about a tombstone after a restart of the agent: what was to follow may not have been done."""
+    return [HandedOver(record.peer, record.seen)] if record.sequel else []
+
+
 def recover(record: Record, times: Times) -> list[Effect]:
     """Returns what to do about a COMMITTED record after a restart of the agent: it stays in doubt and asks."""
     return [*_commit(record, 0, times), After(times.warn_s, InDoubt(record.offer, Phase.COMMITTED))]
@@ -155,7 +173,7 @@ def recover(record: Record, times: Times) -> list[Effect]:
 
 def taken_back(record: Record) -> Record:
     """Returns the record of a FROZEN task that stays here after all; `seen` keeps the offer from being reused."""
-    return replace(record, phase=Phase.OWNER, offer=NO_EPOCH, peer="")
+    return replace(record, phase=Phase.OWNER, offer=NO_EPOCH, peer="", sequel=b"")
 
 
 def _waits_for(me: str, record: Record, volatile: Volatile, peer: str, offer: Epoch) -> bool:

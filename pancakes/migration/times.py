@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 
-@dataclass(frozen=True, slots=True)
-class Times:
+class Times(msgspec.Struct, frozen=True):
     """How long each step of a hand-off may take, and how often it is repeated.
 
     No safety hangs on any of them: a timer may fire at any time, early, late or never.

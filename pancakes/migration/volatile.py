@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 
-@dataclass(frozen=True, slots=True)
-class Volatile:
+class Volatile(msgspec.Struct, frozen=True):
     """The part of a hand-off that a crash may forget.
 
     Attributes:

@@ -10,8 +10,10 @@ from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, R
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import queue
-from pancakes.migration.post import RESEND_S, Dispatch, ForwardTo, Letter, Outgoing, Receipt
+from pancakes.migration.outbox import Outbox
+from pancakes.migration.post import RESEND_S, Dispatch, ForwardTo, Letter, Receipt
 from pancakes.migration.record import TaskId
+from pancakes.migration.snapshot import Posted
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
 from pancakes.services.postbox import COURIER
@@ -34,13 +36,13 @@ class Courier(Component):
     It belongs to no service: what goes from task to task on one agent needs no network, which may sleep.
 
     Args:
-        outgoing: what is not acknowledged; it outlives an actor that fails.
+        outbox: what is not acknowledged; it outlives an actor that fails.
         mesh: says who the neighbours are.
     """
 
-    def __init__(self, *args: Any, outgoing: Outgoing, mesh: Mesh, **others: Any) -> None:
+    def __init__(self, *args: Any, outbox: Outbox, mesh: Mesh, **others: Any) -> None:
         super().__init__(*args, **others)
-        self._outgoing = outgoing
+        self._outbox = outbox
         self._mesh = mesh
         self._lock = threading.Lock()  # the books are filled in the publishers' threads, so that these hear what fails
         self._encoder = Encoder()
@@ -74,11 +76,37 @@ class Courier(Component):
                     f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} takes {len(data)} bytes,"
                     f" and {MAX_MESSAGE_BYTES - ENVELOPE_BYTES} may be sent to a task"
                 )
-            here = not self._outgoing.knows(task_id) and self._service_of(task_id) is not None
-            host = self.agent if here else task_id.birthplace
-            letters = self._outgoing.post(task_id, data, host, self.kernel.host.now())
+            sender = packet.fence.task_id if packet.fence is not None else ""
+            host = self._outbox.host_of(sender, task_id)
+            if not host:
+                host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
+            letters = self._outbox.post(sender, task_id, data, host, self.kernel.host.now())
             # Under the lock: they are to go in the order in which they were numbered.
             self.call(lambda: self._send(letters))
+
+    # A task that sends, and moves. Any thread.
+
+    def leave(self, sender: TaskId) -> Posted | None:
+        """A task stands still and is about to leave: returns what it takes along of what it has sent."""
+        with self._lock:
+            return self._outbox.leave(str(sender))
+
+    def stay(self, sender: TaskId) -> None:
+        """It does not leave after all."""
+        with self._lock:
+            self._outbox.stay(str(sender))
+
+    def gone(self, sender: TaskId) -> None:
+        """It has left for good."""
+        with self._lock:
+            self._outbox.gone(str(sender))
+
+    def arrive(self, sender: TaskId, posted: Posted | None, fresh: bool) -> None:
+        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken."""
+        with self._lock:
+            self._outbox.arrive(str(sender), posted, fresh)
+        if posted is not None:
+            self.call(self._look)
 
     def say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
         """Tells the courier of an agent something; it may be lost. In this actor."""
@@ -129,12 +157,12 @@ class Courier(Component):
 
     def _acknowledged(self, receipt: Receipt, peer: str) -> None:
         with self._lock:
-            letters = self._outgoing.acknowledged(receipt, peer, self.kernel.host.now())
+            letters = self._outbox.acknowledged(receipt, peer, self.kernel.host.now())
         self._send(letters)
 
     def _forwarded(self, news: ForwardTo) -> None:
         with self._lock:
-            letters = self._outgoing.forwarded(news, self.kernel.host.now())
+            letters = self._outbox.forwarded(news, self.kernel.host.now())
         self._send(letters)
 
     # Sending ---------------------------------------------------------------------------------------------------
@@ -150,8 +178,8 @@ class Courier(Component):
     def _look(self) -> None:
         """Sends again what was not acknowledged for too long."""
         with self._lock:
-            letters = self._outgoing.due(self.kernel.host.now())
-            waits = bool(self._outgoing.waiting())
+            letters = self._outbox.due(self.kernel.host.now())
+            waits = bool(self._outbox.waiting())
         self._looking = waits
         if waits:
             self.after_host(RESEND_S / 2, self._look)

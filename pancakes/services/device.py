@@ -5,8 +5,9 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
 
 from pancakes.control import Hold
 from pancakes.devices.driver import Actuator, Driver, Sensor
@@ -26,8 +27,7 @@ if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceSpec:
+class DeviceSpec(msgspec.Struct, frozen=True):
     """A device as data, from `[device.NAME]`.
 
     Attributes:
@@ -43,7 +43,7 @@ class DeviceSpec:
     name: str
     cls: type[Driver]
     type: str = ""
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
     rate_hz: float | None = None
     hold_after_s: float = 0.5
     restart: RestartSpec = RestartSpec()

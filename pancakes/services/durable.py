@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pancakes.control import Adopt, Describe, Migrate
-from pancakes.errors import ControlRefused, PancakesError
+from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.mailbox import LATEST
 from pancakes.migration.candidate import would_take
 from pancakes.migration.cost import cost_text, fault_of_choice
@@ -27,14 +27,15 @@ from pancakes.migration.effect import (
     HandedOver,
     Resume,
     Send,
-    StartTask,
 )
 from pancakes.migration.event import Adopt as RunHere
-from pancakes.migration.event import Award, FreezeFailed, Frozen, Received
+from pancakes.migration.event import Award, Concluded, FreezeFailed, Frozen, Received
 from pancakes.migration.handoff import HandOff
+from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import HandOffMessage, Solicit, Transfer
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.migration.rule import ASK_AGAIN_S
+from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
 from pancakes.services import adoption
@@ -61,12 +62,14 @@ class Move:
         then: a task to start here once the other has gone.
         answer: whom to answer; None where a rule asked.
         dry_run: whether nothing is to be moved.
+        ledger: the account as it stands while a hand-off is under way; None before the first, and between two.
     """
 
     request: Solicit
     then: str
     answer: Request | None
     dry_run: bool
+    ledger: Ledger | None = None
 
 
 class DurableService(RecordedService):
@@ -80,40 +83,36 @@ class DurableService(RecordedService):
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
         self._moves: dict[TaskId, Move] = {}
+        self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
         self._ask_again_s: dict[TaskId, float] = {}
         self._watched: list[str] = []
         self._asks = 0
 
     def after_start(self) -> None:
         super().after_start()
+        for record, ledger in self._broken_off:
+            self._account_for_broken_off(record, ledger)
         self._tell_migrator(lambda migrator: migrator.service_began(self))
+
+    def _account_for_broken_off(self, record: Record, ledger: Ledger) -> None:
+        reason = f"{self.address} was started anew before {ledger.winner} had the task"
+        ledger = ledger.stayed(str(record.offer), reason)
+        self._tell_migrator(lambda migrator: migrator.account(self, record.task_id, ledger, reason, reason))
 
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
         # A task that is in doubt may be started any moment: nobody here may take its actuators before.
         for hand_off in self.hand_offs.values():
             record = hand_off.record
+            ledger = self._sequel_of(record).ledger
+            if record.phase is Phase.FROZEN and ledger is not None:
+                self._broken_off.append((record, ledger))
             if record.phase is Phase.PREPARED:
                 requires = Snapshot.decode(record.snapshot).requires
                 reason = self.kernel.registry.reserve(self._place_of(record.task_id), requires)
                 if reason:
                     self.log("warning", f"no actuators are kept for {record.task_id}: {reason}")
         return specs
-
-    def _place_of(self, task_id: TaskId) -> str:
-        return join(self.address, task_id.name)
-
-    def carry_out(self, task_id: TaskId, effect: Effect, done: Callable[[], None]) -> None:
-        if not isinstance(effect, StartTask):
-            super().carry_out(task_id, effect, done)
-            return
-
-        def begun() -> None:
-            # It holds its actuators now; where it could not be started they are not kept for it for ever.
-            self.kernel.registry.unreserve(self._place_of(task_id))
-            done()
-
-        super().carry_out(task_id, effect, begun)
 
     def task_arrived(self, task_id: TaskId) -> None:
         self._ask_again_s[task_id] = self.kernel.host.now() + SETTLE_S
@@ -125,13 +124,16 @@ class DurableService(RecordedService):
             case Freeze():
                 self._freeze(slot, effect)
             case Resume():
-                self._resume(slot)
+                self._resume(task_id, slot)
             case Discard():
                 self._discard(task_id, slot)
             case Decline():
                 self._declined(task_id, effect.reason)
             case AttemptFailed():
-                self._tell_migrator(lambda migrator: migrator.attempt_failed(task_id, effect.peer, effect.reason))
+                ledger = self._attempt_over(task_id)
+                self._tell_migrator(
+                    lambda migrator: migrator.attempt_failed(self, task_id, effect.peer, effect.reason, ledger)
+                )
             case HandedOver():
                 self._handed_over(task_id, effect)
 
@@ -177,17 +179,28 @@ class DurableService(RecordedService):
             late.call(late.resume)
             return
         self.hold_actuators(slot, "its task is handed over")
+        courier = self._postbox.courier()
+        task_id = hand_off.record.task_id
         try:
-            snapshot = self._snapshot(slot, carried)
+            snapshot = self._snapshot(slot, carried, courier.leave(task_id) if courier is not None else None)
         except PancakesError as error:
+            self._stays(task_id)
             task = slot.task
             task.call(task.resume)
             hand_off.feed(FreezeFailed(effect.offer, str(error)))
             return
         self.event("task_frozen", task=slot.name, offer=effect.offer.n)
-        hand_off.feed(Frozen(effect.offer, snapshot))
+        move = self._moves.get(task_id)
+        sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
+        hand_off.feed(Frozen(effect.offer, snapshot, sequel))
 
-    def _resume(self, slot: Slot | None) -> None:
+    def _stays(self, task_id: TaskId) -> None:
+        courier = self._postbox.courier()
+        if courier is not None:
+            courier.stay(task_id)
+
+    def _resume(self, task_id: TaskId, slot: Slot | None) -> None:
+        self._stays(task_id)
         if slot is None:
             return
         task = slot.task
@@ -201,6 +214,10 @@ class DurableService(RecordedService):
     def _discard(self, task_id: TaskId, slot: Slot | None) -> None:
         self._arriving.pop(task_id, None)
         self.kernel.registry.unreserve(self._place_of(task_id))
+        self._postbox.forget(task_id)
+        courier = self._postbox.courier()
+        if courier is not None:
+            courier.gone(task_id)
         if slot is None:
             return
         if slot.task is None and slot.state is not TaskState.STARTING:
@@ -224,31 +241,85 @@ class DurableService(RecordedService):
                 then_ended()
         for then in self._starting.pop(task_id, []):
             then(reason)
+        if self.hand_off(task_id).record.phase is not Phase.PREPARED:
+            self.kernel.registry.unreserve(self._place_of(task_id))
         # A task that failed while it stood still could not be started again; its hand-off goes on all the same.
         going_on = self.hand_off(task_id).record.phase in (Phase.FROZEN, Phase.COMMITTED)
         if task_id in self._moves and not going_on:
-            self._tell_migrator(lambda migrator: migrator.abandon(task_id, reason))
+            ledger = self._attempt_over(task_id)
+            self._tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
 
     def _send(self, peer: str, message: HandOffMessage) -> None:
         self._tell_migrator(lambda migrator: migrator.send(peer, message))
 
     def _handed_over(self, task_id: TaskId, effect: HandedOver) -> None:
         slot = self.slots.get(task_id.name)
-        move = self._moves.get(task_id)
-        then = move.then if move is not None else (slot.spec.rule.then if slot is not None and slot.spec.rule else "")
         if slot is not None and slot.task is None and slot.name not in self._residents:
             self._forget(slot)
         self.event("task_handed_over", task=task_id.name, to=effect.peer, epoch=effect.epoch.n)
-        self._tell_migrator(lambda migrator: migrator.moved(task_id, effect.peer))
-        if then:
-            self._start_then(then)
+        sequel = self._sequel_of(self.hand_off(task_id).record)
+        # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
+        self.call(lambda: self._conclude(task_id, effect, sequel))
 
-    def _start_then(self, name: str) -> None:
+    def _sequel_of(self, record: Record) -> Sequel:
+        try:
+            return Sequel.decode(record.sequel)
+        except MigrationError as error:
+            self.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
+            return Sequel()
+
+    def _conclude(self, task_id: TaskId, effect: HandedOver, sequel: Sequel) -> None:
+        """Does what is to follow a hand-over; only when all of it is done, or on disk, does the record forget it."""
+        left = 2
+
+        def one_done() -> None:
+            nonlocal left
+            left -= 1
+            if not left:
+                self.hand_off(task_id).feed(Concluded())
+
+        def account(migrator: TaskMigrator) -> None:
+            migrator.moved(self, task_id, effect, sequel.ledger, note)
+            self.call(one_done)
+
+        anew = f"the Task Migrator of {self.agent}" if task_id in self._moves else self.address
+        peer = effect.peer
+        note = f"{anew} was started anew while the task was on its way, so the duration ends with the choice of {peer}"
+        if self._migrator() is None:
+            self.log("warning", f"the move of {task_id} to {peer} leaves no account: the Network Service is stopped")
+            one_done()
+        else:
+            self._tell_migrator(account)
+        self._follow(sequel.then, one_done)
+
+    def _follow(self, name: str, then: Callable[[], None]) -> None:
+        """Starts a task because another one has gone; `then` is called once its record says that it is wanted."""
         slot = self.slots.get(name)
-        if slot is None or slot.state is not TaskState.STOPPED:
-            self.log("error", f"{name} cannot follow: {self.address} has no such task at rest")
+        if slot is None or slot.state not in (TaskState.STOPPED, TaskState.FAILED):
+            if name and (slot is None or slot.state in (TaskState.STOPPING, TaskState.STUCK)):
+                self.log("error", f"{name} cannot follow: {self.address} has no such task at rest")
+            then()
             return
-        self.begin(slot, lambda reason: self._report(slot, reason))
+        reason = self.admit(slot)
+        if reason:
+            self.log("error", f"{slot.address} cannot follow: {reason}")
+            then()
+            return
+
+        def begun(why_not: str) -> None:
+            self._report(slot, why_not)
+            then()
+
+        slot.supervision.forget()
+        self._begin(slot, begun)
+
+    def _attempt_over(self, task_id: TaskId) -> Ledger | None:
+        """A hand-off has come to nothing. Returns its account as it stood."""
+        move = self._moves.get(task_id)
+        if move is None:
+            return None
+        ledger, move.ledger = move.ledger, None
+        return ledger
 
     def _tell_migrator(self, tell: Callable[[TaskMigrator], None]) -> None:
         migrator = self._migrator()
@@ -292,8 +363,11 @@ class DurableService(RecordedService):
             return f"has a task named {slot.name} already"
         return self.kernel.registry.reserve(self._place_of(message.task_id), snapshot.requires)
 
-    def award(self, task_id: TaskId, peer: str, request: Solicit) -> None:
+    def award(self, task_id: TaskId, peer: str, request: Solicit, ledger: Ledger) -> None:
         """The bids are compared: hands the task to `peer`. In this actor."""
+        move = self._moves.get(task_id)
+        if move is not None:
+            move.ledger = ledger
         self.hand_off(task_id).feed(Award(peer, request))
 
     def move_ended(self, task_id: TaskId, reason: str, result: Any) -> None:
@@ -308,9 +382,13 @@ class DurableService(RecordedService):
             self.log("warning", f"{task_id} stays on {self.agent}: {reason}")
 
     def migrator_began(self) -> None:
-        """The migrator has started anew and knows of no negotiation: those that wait are told. In this actor."""
-        for task_id in list(self._moves):
-            self.move_ended(task_id, "the Task Migrator was started anew", None)
+        """The migrator has started anew and knows of no negotiation: those that wait are told. In this actor.
+
+        A hand-off under way goes on without it, and with it the move.
+        """
+        for task_id, move in list(self._moves.items()):
+            if move.ledger is None:
+                self.move_ended(task_id, "the Task Migrator was started anew", None)
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
@@ -374,6 +452,7 @@ class DurableService(RecordedService):
     def _adopt(self, body: Adopt, request: Request) -> None:
         record = adoption.chosen(self.address, body.target, body.birthplace, self._records_of(body.target))
         task_id, peer = record.task_id, record.peer
+        ledger = self._sequel_of(record).ledger
         migrator = self._migrator()
         if migrator is None:
             raise ControlRefused(
@@ -387,6 +466,10 @@ class DurableService(RecordedService):
             )
         if not body.force:
             raise ControlRefused(adoption.meaning(record, self.agent))
+        done = {"task_id": str(task_id), "peer": peer}
+        if body.dry_run:
+            self.reply(request, result=done)
+            return
         reason = f"{task_id} was adopted on {self.agent}, as {request.by} asked, because {peer} is gone for good"
         self.log("warning", reason)
         self.event("asked", what="adopt", task=task_id.name, service=self.name, by=request.by, number=request.number)
@@ -395,11 +478,11 @@ class DurableService(RecordedService):
             owned = self.hand_off(task_id).record.phase is Phase.OWNER
             if owned:
                 # Whoever asked for the move that was in doubt has waited for this.
-                self._tell_migrator(lambda migrator: migrator.abandon(task_id, reason))
+                self._tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
                 self.event("task_adopted", task=task_id.name, peer=peer, epoch=self.hand_off(task_id).record.epoch.n)
             if owned and why_not:
                 why_not = f"{task_id} belongs to {self.agent} now, but does not run: {why_not}"
-            self.reply(request, why_not, {"task_id": str(task_id), "peer": peer} if not why_not else None)
+            self.reply(request, why_not, done if not why_not else None)
 
         self._starting.setdefault(task_id, []).append(begun)
         self.hand_off(task_id).feed(RunHere())
@@ -407,7 +490,7 @@ class DurableService(RecordedService):
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
         super()._not_written(hand_off, reason)
         record = hand_off.record
-        if record.phase is not Phase.PREPARED:
+        if record.phase is not Phase.PREPARED and record.task_id not in self._starting:
             self.kernel.registry.unreserve(self._place_of(record.task_id))
         if record.phase in adoption.DOUBT and hand_off.idle:
             # An adoption is not tried again by itself: the person may have learnt better meanwhile.
@@ -417,6 +500,7 @@ class DurableService(RecordedService):
     # Rules -----------------------------------------------------------------------------------------------------
 
     def task_running(self, slot: Slot) -> None:
+        super().task_running(slot)
         rule = slot.spec.rule
         if rule is not None and rule.when not in self._watched:
             self._watched.append(rule.when)

@@ -24,7 +24,7 @@ class Kept(msgspec.Struct, frozen=True):
         number: its place in the order of all moves from this agent, from 1.
         boot: in which life of the agent: mission time begins anew with each.
         mission_s: the mission time at which the move was over.
-        reason: why it came to nothing; empty where the task has moved.
+        reason: why it came to nothing, or (moved all the same) what had come between; else empty.
         ledger: the account.
     """
 
@@ -65,14 +65,19 @@ class Ledgers:
         self._kept = deque(found, maxlen=KEPT)
 
     def add(self, ledger: Ledger, reason: str, mission_s: float) -> None:
-        """Keeps an account, and begins to write it down. Never waits.
+        """Keeps an account, and begins to write it down; that of a hand-off is kept once. Never waits.
 
         Args:
             ledger: the account.
-            reason: why the move came to nothing; empty where the task has moved.
+            reason: why the move came to nothing, or what had come between; else empty.
             mission_s: mission time.
         """
         with self._lock:
+            if ledger.offer and any(
+                (kept.ledger.task_id, kept.ledger.offer) == (ledger.task_id, ledger.offer) for kept in self._kept
+            ):
+                # The agent was killed after it was written and before the task's record said so.
+                return
             number = self._kept[-1].number + 1 if self._kept else 1
             kept = Kept(number, self._boot, mission_s, reason, ledger)
             self._kept.append(kept)

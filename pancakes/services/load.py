@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
+
+import msgspec
 
 from pancakes.kernel.component import Component, TaskTimer
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(msgspec.Struct, frozen=True):
     """How busy an agent was between two looks; see `pancakes.migration.cost.HostLoad` for what is counted in what."""
 
     agent_share: float

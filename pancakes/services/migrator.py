@@ -7,12 +7,15 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import reliable
 from pancakes.migration.capability import Capability
 from pancakes.migration.cost import Cost, HostLoad, cost_of, cost_text
+from pancakes.migration.effect import HandedOver
+from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import (
     Abort,
     Activated,
@@ -129,24 +132,69 @@ class TaskMigrator(Task):
             self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
         self._conclude(request.task_id, outcome)
 
-    def attempt_failed(self, task_id: TaskId, peer: str, reason: str) -> None:
-        """The hand-off to a bidder came to nothing: the next one's turn. In this actor."""
+    def attempt_failed(
+        self, service: DurableService, task_id: TaskId, peer: str, reason: str, ledger: Ledger | None
+    ) -> None:
+        """The hand-off to a bidder came to nothing: the next one's turn. In this actor.
+
+        Args:
+            service: whose task it is.
+            task_id: the task.
+            peer: the bidder.
+            reason: why.
+            ledger: the account, for where this migrator does not know of the negotiation: the other bids are forgotten.
+        """
         found = self._negotiations.get(task_id)
         if found is not None:
             self.event("handoff_failed", task=task_id.name, to=peer, reason=reason)
             self._conclude(task_id, found[0].failed(peer, reason, self.kernel.host.now()))
+        elif ledger is not None:
+            self.account(service, task_id, ledger.stayed("", reason), reason, reason)
 
-    def moved(self, task_id: TaskId, peer: str) -> None:
-        """The task has a new owner. In this actor."""
+    def moved(
+        self, service: DurableService, task_id: TaskId, effect: HandedOver, ledger: Ledger | None, note: str
+    ) -> None:
+        """The task has a new owner. In this actor.
+
+        Args:
+            service: whose task it was.
+            task_id: the task.
+            effect: the new owner, and its epoch.
+            ledger: the account, for where this migrator does not know of the negotiation.
+            note: what had come between, in that case.
+        """
         found = self._negotiations.get(task_id)
         if found is not None:
-            found[0].moved(peer, self.kernel.host.now())
-            self._finish(task_id, "")
+            found[0].moved(effect.peer, self.kernel.host.now())
+            self._finish(task_id, "", str(effect.epoch))
+        elif ledger is not None:
+            self.account(service, task_id, ledger.moved(str(effect.epoch)), note, "")
 
-    def abandon(self, task_id: TaskId, reason: str) -> None:
-        """The task cannot be handed over at all just now. In this actor."""
+    def abandon(self, service: DurableService, task_id: TaskId, reason: str, ledger: Ledger | None = None) -> None:
+        """The task cannot be handed over at all just now. In this actor; arguments as in `attempt_failed`."""
         if task_id in self._negotiations:
             self._finish(task_id, reason)
+        elif ledger is not None:
+            self.account(service, task_id, ledger, reason, reason)
+
+    def account(self, service: DurableService, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+        """Keeps the account of a move that is over, publishes it, and tells the service. In this actor.
+
+        Args:
+            service: whose task it is.
+            task_id: the task.
+            ledger: the account.
+            note: why it came to nothing, or what had come between; kept with the account.
+            why_not: what to tell whoever asked for it; empty: it has moved.
+        """
+        self._negotiations.pop(task_id, None)  # of a service that has been started anew since
+        self._ledgers.add(ledger, note, self.now())
+        self._tell(service, task_id, ledger, why_not)
+
+    def _tell(self, service: DurableService, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+        plain = msgspec.to_builtins(ledger)
+        self.event("migration", task=task_id.name, **plain)
+        service.call(lambda: service.move_ended(task_id, why_not, plain))
 
     def service_began(self, service: DurableService) -> None:
         """A service has started anew, and knows of no move that its predecessor asked for. In this actor."""
@@ -192,18 +240,18 @@ class TaskMigrator(Task):
             return
         negotiation, service = found
         if isinstance(outcome, Awarded):
-            service.call(lambda: service.award(task_id, outcome.peer, negotiation.request))
+            ledger = negotiation.ledger(self.kernel.host.now())
+            service.call(lambda: service.award(task_id, outcome.peer, negotiation.request, ledger))
         elif isinstance(outcome, Exhausted):
             self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
 
-    def _finish(self, task_id: TaskId, reason: str) -> None:
+    def _finish(self, task_id: TaskId, reason: str, offer: str = "") -> None:
         negotiation, service = self._negotiations.pop(task_id)
-        ledger = negotiation.ledger(self.kernel.host.now())
-        plain = msgspec.to_builtins(ledger)
-        if not negotiation.dry_run:
-            self._ledgers.add(ledger, reason, self.now())
-        self.event("migration", task=task_id.name, **plain)
-        service.call(lambda: service.move_ended(task_id, reason, plain))
+        ledger = replace(negotiation.ledger(self.kernel.host.now()), offer=offer)
+        if negotiation.dry_run:
+            self._tell(service, task_id, ledger, reason)
+        else:
+            self.account(service, task_id, ledger, reason, reason)
 
     @on(NETWORK, Bid, keep=KEEP)
     def on_bid(self, packet: Packet) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 from msgspec import Meta
 from msgspec.structs import replace
 
-from pancakes.control import Follow, Unfollow
+from pancakes.control import Follow, Stop, Unfollow
 from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
 from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
@@ -130,6 +130,12 @@ class NetworkService(Service):
         if isinstance(migrator, TaskMigrator):
             return migrator.refuse_stop()
         return ""
+
+    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
+        """Stops a task. Without the Network Client no answer leaves, so only a task of this agent may stop that."""
+        if slot.name == "NetworkClient" and agent_of(request.by) != self.agent:
+            raise ControlRefused(f"{slot.address} cannot be stopped from elsewhere: nobody could start it again")
+        super().stop_asked(slot, body, request)
 
     def links(self) -> list[dict[str, Any]]:
         """Returns what is to be known about the links to other agents, as plain values. Any thread."""

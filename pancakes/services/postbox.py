@@ -14,7 +14,7 @@ from pancakes.migration.event import Arrived, PacketId
 from pancakes.migration.messages import Moved
 from pancakes.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.migration.record import TaskId
-from pancakes.packet import Packet, agent_of, join
+from pancakes.packet import Packet, join
 from pancakes.slot import Slot, TaskState
 
 if TYPE_CHECKING:
@@ -25,11 +25,45 @@ if TYPE_CHECKING:
 COURIER: Final = "kernel/Courier"
 """Where on each agent the courier is."""
 
+KEPT: Final = 1024
+"""Most letters of one task that are acknowledged before they are on disk, ..."""
+KEPT_BYTES: Final = 4 * 1024 * 1024
+"""... and most bytes of them; with more, the task is written down at once, and only then are they acknowledged."""
+
 _Key = tuple[TaskId, str, int]
+
+
+class _Kept:
+    """What a task has handled and its sender has forgotten, and what is not on disk: its letters, in order."""
+
+    def __init__(self) -> None:
+        self.letters: dict[tuple[str, int], tuple[Letter, Packet | None]] = {}
+        self.asked = False  # for a checkpoint, because there is no more room
+        self._bytes = 0
+
+    def add(self, letter: Letter, packet: Packet | None) -> bool:
+        """Keeps a letter; returns False where there is no room for it."""
+        key = (letter.stream, letter.seq)
+        if key not in self.letters:
+            if len(self.letters) >= KEPT or self._bytes >= KEPT_BYTES:
+                return False
+            self.letters[key] = (letter, packet)
+            self._bytes += len(letter.packet)
+        return True
+
+    def drop(self, stream: str, upto: int) -> None:
+        """Forgets the letters of a stream up to a number: they are on disk."""
+        for key in [key for key in self.letters if key[0] == stream and key[1] <= upto]:
+            self._bytes -= len(self.letters.pop(key)[0].packet)
+            self.asked = False
 
 
 class Postbox:
     """Gives letters to the tasks of one service. All in that service's actor.
+
+    With `durability = "each"` a letter is acknowledged once its effect is on disk. With `"lazy"` that runs ahead of the
+    disk: the letter is kept here until it is written down, and given again to a task that failed and begins anew from
+    its checkpoint. So only a crash of the whole agent, or a failure of the service itself, loses what was acknowledged.
 
     Args:
         service: whose tasks they are.
@@ -37,7 +71,9 @@ class Postbox:
 
     def __init__(self, service: RecordedService) -> None:
         self._service = service
-        self._owed: dict[TaskId, dict[str, int]] = {}  # handled, and to be acknowledged once that is on disk
+        # Handled, and not known to be on disk: up to which number, and which agent wants to hear of it, by stream.
+        self._owed: dict[TaskId, dict[str, tuple[int, str]]] = {}
+        self._kept: dict[TaskId, _Kept] = {}  # acknowledged before that
         self._failures: dict[_Key, int] = {}
 
     def arrived(self, letter: Letter, packet: Packet | None) -> None:
@@ -52,7 +88,7 @@ class Postbox:
         hand_off = service.hand_offs.get(task_id)
         if hand_off is None:
             return
-        sender = agent_of(letter.stream)
+        sender = letter.sender
         # Asked past the queue of events: it changes nothing, and what is being written now is no reason to wait.
         for effect in handle(service.agent, hand_off.record, hand_off.volatile, Arrived(sender)):
             match effect:
@@ -87,7 +123,7 @@ class Postbox:
                 self._service.call(lambda: self._failed(key, slot.address, packet))
                 raise
             if took:
-                self._service.call(lambda: self._took(slot, task, key))
+                self._service.call(lambda: self._took(slot, task, letter, packet))
 
         task.call(give)
 
@@ -99,38 +135,68 @@ class Postbox:
                 f"{address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
             )
 
-    def _took(self, slot: Slot, task: Task, key: _Key) -> None:
-        task_id, stream, seq = key
-        self._failures.pop(key, None)
-        if slot.spec.durability != "each":
-            self.acknowledge(task_id, PacketId(stream, seq))
-        elif slot.task is task:
-            # Also where it was handled before: what the task remembers need not be on disk yet.
-            owed = self._owed.setdefault(task_id, {})
-            owed[stream] = max(seq, owed.get(stream, 0))
+    def _took(self, slot: Slot, task: Task, letter: Letter, packet: Packet | None) -> None:
+        task_id = TaskId.parse(letter.task_id)
+        self._failures.pop((task_id, letter.stream, letter.seq), None)
+        if slot.task is not task:
+            return  # the actor that took it has ended; its sender, who has not been told so, sends it again
+        # Also where it was handled before: what the task remembers need not be on disk yet.
+        owed = self._owed.setdefault(task_id, {})
+        seq, _ = owed.get(letter.stream, (0, ""))
+        owed[letter.stream] = (max(letter.seq, seq), letter.sender)
+        if slot.spec.durability == "each":
+            return
+        kept = self._kept.setdefault(task_id, _Kept())
+        if kept.add(letter, packet):
+            self._acknowledge(task_id, PacketId(letter.stream, letter.seq), letter.sender)
+        elif not kept.asked:
+            kept.asked = True
+            self._service.checkpoint(slot, task)
+
+    def again(self, slot: Slot) -> None:
+        """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
+        task_id = self._service.id_of(slot)
+        kept = self._kept.get(task_id)
+        if kept is not None:
+            for letter, packet in list(kept.letters.values()):
+                self._deliver(task_id, letter, packet)
+
+    def forget(self, task_id: TaskId) -> None:
+        """The task was given away, with all that it has handled."""
+        self._owed.pop(task_id, None)
+        self._kept.pop(task_id, None)
 
     def owes(self, task_id: TaskId) -> bool:
         """Returns whether something that the task has handled waits for the disk."""
         return bool(self._owed.get(task_id))
 
     def consumed(self, task_id: TaskId, heard: Mapping[str, int]) -> tuple[PacketId, ...]:
-        """Returns what may be acknowledged once a task is on disk that has `heard` so much, and forgets it."""
-        owed = self._owed.get(task_id)
-        if not owed:
-            return ()
-        ready = tuple(PacketId(stream, seq) for stream, seq in owed.items() if seq <= heard.get(stream, 0))
-        for packet in ready:
-            del owed[packet.stream]
-        return ready
+        """Returns what is on disk once a task is that has `heard` so much."""
+        owed = self._owed.get(task_id, {})
+        return tuple(PacketId(stream, seq) for stream, (seq, _) in owed.items() if seq <= heard.get(stream, 0))
 
-    def acknowledge(self, task_id: TaskId, packet: PacketId) -> None:
+    def on_disk(self, task_id: TaskId, packet: PacketId) -> None:
+        """A letter, and all before it in its stream, have had their effect for good."""
+        if task_id in self._kept:
+            self._kept[task_id].drop(packet.stream, packet.seq)
+        owed = self._owed.get(task_id, {})
+        if packet.stream not in owed:
+            return  # it was given away meanwhile, or its sender has been told
+        seq, sender = owed[packet.stream]
+        if seq <= packet.seq:
+            del owed[packet.stream]
+        self._acknowledge(task_id, packet, sender)
+
+    def _acknowledge(self, task_id: TaskId, packet: PacketId, sender: str) -> None:
         """Tells the sender of a letter that it, and all before it, have had their effect."""
         epoch_n = self._service.hand_off(task_id).record.epoch.n
-        self._say(agent_of(packet.stream), Receipt(str(task_id), packet.stream, packet.seq, epoch_n))
+        self._say(sender, Receipt(str(task_id), packet.stream, packet.seq, epoch_n))
 
     def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
-        courier: Courier | None = self._service.kernel.registry.get(  # type: ignore[assignment]
-            join(self._service.agent, COURIER)
-        )
+        courier = self.courier()
         if courier is not None:
             courier.call(lambda: courier.say(peer, body))
+
+    def courier(self) -> Courier | None:
+        """Returns this agent's courier; None while it is being started anew."""
+        return self._service.kernel.registry.get(join(self._service.agent, COURIER))  # type: ignore[return-value]

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Protocol
 
 import msgspec
 
+from pancakes.control import Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.migration.effect import (
     Ack,
@@ -24,8 +25,8 @@ from pancakes.migration.handoff import HandOff
 from pancakes.migration.post import Letter
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 from pancakes.migration.rule import MigrationRule
-from pancakes.migration.snapshot import Heard, Snapshot, TimerPhase
-from pancakes.packet import Fence, Packet
+from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
+from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
@@ -74,6 +75,10 @@ class RecordedService(Service):
         self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
         self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
         self._residents: set[str] = set()
+        self._told_to_stop: set[str] = set()  # tasks whose own end was asked for, and has not come yet
+        self._fresh: set[str] = set()  # tasks that are to begin as their configuration says
+        self._stopped: dict[TaskId, list[Callable[[str], None]]] = {}  # who waits for a stop to be on disk
+        self._writing = 0  # how many records wait for the disk
         self._when_written: Callable[[], None] | None = None
         self._postbox = Postbox(self)
 
@@ -103,6 +108,9 @@ class RecordedService(Service):
         self.after_host(CHECKPOINT_S, self._checkpoint_all)
 
     def _is_ours(self, record: Record) -> bool:
+        if record.service:
+            return record.service == self.name
+        # Written before records said whose they are.
         if record.snapshot:
             try:
                 return Snapshot.decode(record.snapshot).service == self.name
@@ -130,6 +138,9 @@ class RecordedService(Service):
         self._ids.setdefault(record.task_id.name, []).append(record.task_id)
         return hand_off
 
+    def _place_of(self, task_id: TaskId) -> str:
+        return join(self.address, task_id.name)
+
     def _slot_of(self, task_id: TaskId) -> Slot | None:
         slot = self.slots.get(task_id.name)
         return slot if slot is not None and self.id_of(slot) == task_id else None
@@ -149,7 +160,7 @@ class RecordedService(Service):
             rule=rule,
         )
 
-    def _snapshot(self, slot: Slot, carried: Carried | None) -> bytes:
+    def _snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         spec = slot.spec
         carried = carried or Carried(spec.settings, {})
         now_s = self.now()
@@ -165,6 +176,7 @@ class RecordedService(Service):
             timers=tuple(
                 TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
             ),
+            posted=posted,
             heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
             sent={slot.address: self.kernel.seq_of(slot.address).value - 1},
             restart=asdict(spec.restart),
@@ -182,10 +194,24 @@ class RecordedService(Service):
         record = hand_off.record
         return record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING
 
+    def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
+        # What a task carries is in its record.
+        if kept is None:
+            self._fresh.add(slot.name)
+
     def start_configured(self, slot: Slot) -> None:
         hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is None:
+        if hand_off is not None and slot.name in self._fresh and hand_off.record.phase is Phase.OWNER:
+            self.drop_state(slot)
             self.begin(slot, lambda reason: self._report(slot, reason))
+            return
+        if hand_off is None:
+            reason = self.admit(slot)
+            if reason:
+                self._report(slot, reason)
+            else:
+                # Born even where another has its actuators just now: it is wanted, and follows once these are free.
+                self._begin(slot, lambda reason: self._report(slot, reason))
             return
         runs = hand_off.record.phase in (Phase.OWNER, Phase.FROZEN)
         if runs:
@@ -203,13 +229,19 @@ class RecordedService(Service):
 
     def begin(self, slot: Slot, then: Callable[[str], None]) -> None:
         """Starts a task as its record allows; `then` is told an empty string, or the reason why not."""
-        reason = self.admit(slot) or self._held_by_another(slot)
+        # Its actuators are kept for it from now on: of two tasks that are to start at once, the second is refused here,
+        # before its record says that it is wanted.
+        reason = self.admit(slot) or self.kernel.registry.reserve(slot.address, slot.spec.cls.requires)
         if reason:
             then(reason)
-            return
+        else:
+            self._begin(slot, then)
+
+    def _begin(self, slot: Slot, then: Callable[[str], None]) -> None:
         hand_off = self.hand_off(self.id_of(slot))
         lost = self._records.lost(hand_off.record.task_id)
         if lost and hand_off.record.phase is Phase.ABSENT:
+            self.kernel.registry.unreserve(slot.address)
             then(f"it may run elsewhere, and what this agent knew of it is lost: {lost}")
             return
         self._starting.setdefault(hand_off.record.task_id, []).append(then)
@@ -222,18 +254,16 @@ class RecordedService(Service):
                 hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
             hand_off.feed(StartAgain())
 
-    def _held_by_another(self, slot: Slot) -> str:
-        registry = self.kernel.registry
-        for device in registry.devices():
-            if device.actuator and device.type in slot.spec.cls.requires:
-                reason = registry.taken(device.name, slot.address)
-                if reason:
-                    return reason
-        return ""
-
     def relaunch(self, slot: Slot) -> None:
         slot.state = TaskState.STARTING
         self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
+
+    def refuse_start(self, slot: Slot) -> str:
+        record = self.hand_off(self.id_of(slot)).record
+        lost = self._records.lost(record.task_id)
+        if lost and record.phase is Phase.ABSENT:
+            return f"it may run elsewhere, and what this agent knew of it is lost: {lost}"
+        return super().refuse_start(slot)
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.hand_off(self.id_of(slot)).record
@@ -249,6 +279,8 @@ class RecordedService(Service):
         self.begin(slot, then)
 
     def task_ended(self, slot: Slot) -> None:
+        told_to_stop = slot.name in self._told_to_stop
+        self._told_to_stop.discard(slot.name)
         if slot.name in self._leaving:
             self._leaving.discard(slot.name)
             self._forget(slot)
@@ -257,13 +289,16 @@ class RecordedService(Service):
         if hand_off is None or hand_off.record.phase is not Phase.OWNER:
             return
         snapshot = self._snapshot(slot, slot.carried) if slot.carried is not None else b""
-        if self.closing:
+        if self.closing and not told_to_stop:
             # Nobody asked for an end of the task itself: it goes on when its service comes back.
             if snapshot:
                 hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
             return
         wanted = Wanted.FAILED if slot.state is TaskState.FAILED else Wanted.STOPPED
         hand_off.feed(Ended(wanted, snapshot))
+
+    def task_running(self, slot: Slot) -> None:
+        self._postbox.again(slot)
 
     def _forget(self, slot: Slot) -> None:
         """A task was given away: what is left of it here is the tombstone in the journal."""
@@ -281,22 +316,32 @@ class RecordedService(Service):
 
     def _look_written(self) -> None:
         then = self._when_written
-        if then is not None and not any(hand_off.writing for hand_off in self.hand_offs.values()):
+        if then is not None and not self._writing:
             self._when_written = None
             then()
 
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
-        self._saved.pop(hand_off.record.task_id, None)
+        task_id = hand_off.record.task_id
+        self._saved.pop(task_id, None)
         hand_off.failed(reason)
+        for then in self._stopped.pop(task_id, []):
+            then(f"{task_id} is stopped, but the journal could not write that, and tries again: {reason}")
 
-    def _written(self, done: Callable[[], None]) -> None:
+    def _written(self, hand_off: HandOff, done: Callable[[], None]) -> None:
+        self._writing -= 1
         done()
+        self._tell_stopped(hand_off)
         self._look_written()
         late, self._late = list(self._late), {}
         for name in late:
             slot = self.slots.get(name)
-            if slot is not None and slot.spec.durability == "each":
+            if slot is not None and (slot.spec.durability == "each" or self._postbox.owes(self.id_of(slot))):
                 self._checkpoint_some([name])
+
+    def _tell_stopped(self, hand_off: HandOff) -> None:
+        if hand_off.idle:
+            for then in self._stopped.pop(hand_off.record.task_id, []):
+                then("")
 
     # Checkpoints -----------------------------------------------------------------------------------------------
 
@@ -317,21 +362,34 @@ class RecordedService(Service):
             slot = self._slot_of(task_id)
             if slot is None or slot.state is not TaskState.STOPPED:
                 del self._owed[task_id]
-            elif not slot.busy and not (self.admit(slot) or self._held_by_another(slot)):
+            elif not slot.busy and not self.refuse_start(slot):
                 self.begin(slot, lambda reason, slot=slot: self._report(slot, reason))  # type: ignore[misc]
 
-    def stop_asked(self, slot: Slot, request: Request) -> None:
+    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
         task_id = self.id_of(slot)
         record = self.hand_off(task_id).record
         if record.phase is Phase.RELEASED:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
         if task_id not in self._owed or slot.state is not TaskState.STOPPED:
-            super().stop_asked(slot, request)
+            super().stop_asked(slot, body, request)
+            if slot.state is TaskState.STOPPING:
+                self._told_to_stop.add(slot.name)
+            return
+        if body.dry_run:
+            self.reply(request)
             return
         del self._owed[task_id]
         self.tell_asked("stop", slot, request)
         self.hand_off(task_id).feed(Ended(Wanted.STOPPED))
-        self.reply(request)
+        self.when_stopped(slot, lambda reason: self.reply(request, reason))
+
+    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
+        task_id = self.id_of(slot)
+        if self.hand_off(task_id).idle:
+            then("")
+        else:
+            # Who was told that it is stopped may rely on that, also where this agent is killed the moment after.
+            self._stopped.setdefault(task_id, []).append(then)
 
     def _checkpoint_some(self, names: Sequence[str]) -> None:
         for name in names:
@@ -345,8 +403,19 @@ class RecordedService(Service):
             return arguments
         return {**arguments, "handled": lambda task: self._handled(slot, task)}
 
+    def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
+        """Makes a change in a running task's own actor; it outlives a failure of that task the moment after."""
+
+        def changed(task: Task) -> dict[str, Any]:
+            told = change(task)
+            if kind:
+                self._handled(slot, task)
+            return told
+
+        super().in_task(slot, request, kind, changed)
+
     def _handled(self, slot: Slot, task: Task) -> None:
-        """A task with `durability = "each"` has handled something (in its own turn)."""
+        """A task with `durability = "each"` has handled something, or any task was changed (in its own turn)."""
         if task.actor_stopped.is_set() or task.actor_inbox.paused:
             return
         try:
@@ -404,14 +473,18 @@ class RecordedService(Service):
         match effect:
             case Persist():
                 hand_off = self.hand_offs[task_id]
+                self._writing += 1
                 self._records.persist(
                     effect.record,
-                    lambda: self.call(lambda: self._written(done)),
-                    lambda reason: self.call(lambda: self._written(lambda: self._not_written(hand_off, reason))),
+                    self.name,
+                    lambda: self.call(lambda: self._written(hand_off, done)),
+                    lambda reason: self.call(
+                        lambda: self._written(hand_off, lambda: self._not_written(hand_off, reason))
+                    ),
                 )
                 return
             case StartTask():
-                self._start_task(task_id, effect, done)
+                self._start_task(task_id, effect, lambda: self._begun(task_id, done))
                 return
             case After():
                 event = effect.event
@@ -419,10 +492,16 @@ class RecordedService(Service):
             case Warn():
                 self.log("warning", effect.text)
             case Ack():
-                self._postbox.acknowledge(task_id, effect.packet)
+                self._postbox.on_disk(task_id, effect.packet)
             case _:
                 self.carry_out_move(task_id, slot, effect)
         done()
+
+    def _begun(self, task_id: TaskId, done: Callable[[], None]) -> None:
+        # It holds its actuators now; where it could not be started they are not kept for it for ever.
+        self.kernel.registry.unreserve(self._place_of(task_id))
+        done()
+        self._tell_stopped(self.hand_offs[task_id])
 
     def carry_out_move(self, task_id: TaskId, slot: Slot | None, effect: Effect) -> None:
         """For subclasses: carries out an effect that has to do with another agent."""
@@ -451,6 +530,9 @@ class RecordedService(Service):
         slot.incarnation = effect.incarnation
         for seq in snapshot.sent.values():
             self.kernel.continue_seq(slot.address, seq + 1)
+        courier = self._postbox.courier()
+        if courier is not None:
+            courier.arrive(task_id, snapshot.posted, effect.fresh)
         arrived = task_id in self._arriving
         if arrived:
             peer = self._arriving.pop(task_id)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from msgspec.structs import replace
+
 from pancakes.errors import MigrationError
 from pancakes.journal import Entry, Journal, RecordStore
 from pancakes.migration.record import Record, TaskId
@@ -43,14 +45,16 @@ class Records:
         """
         return self._aside.get(str(task_id), "")
 
-    def persist(self, record: Record, then: Callable[[], None], failed: Callable[[str], None]) -> None:
+    def persist(self, record: Record, service: str, then: Callable[[], None], failed: Callable[[str], None]) -> None:
         """Writes a record.
 
         Args:
             record: what to write.
+            service: the name of the service that keeps it.
             then: called, in the store's thread, when it is on disk for good.
             failed: called instead, with the reason, where it could not be written.
         """
+        record = replace(record, service=service)
 
         def written() -> None:
             self._records[record.task_id] = record

@@ -11,9 +11,11 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
 
 from pancakes.control import (
     CONTROLS,
@@ -38,7 +40,7 @@ from pancakes.control import (
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component, describe
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
-from pancakes.service import Service, ServiceSpec
+from pancakes.service import WAITING, Service, ServiceSpec
 from pancakes.services.network import NetworkService
 from pancakes.slot import Request, Slot
 from pancakes.suggestion import suggestion
@@ -130,7 +132,7 @@ class Root(Component):
 
     def on_start(self) -> None:
         for body in CONTROLS:
-            self.subscribe(SYSCTRL, body, self.on_control)
+            self.subscribe(SYSCTRL, body, self.on_control, keep=WAITING)
         self._start_next(list(self.places.values()))
 
     def _start_next(self, places: list[ServicePlace]) -> None:
@@ -174,8 +176,14 @@ class Root(Component):
         assert isinstance(service, Service)
         place.service = service
 
-    def halt(self, place: ServicePlace, then: Callable[[], None]) -> None:
-        """Stops a service and all of its tasks; `then` is called once it has ended."""
+    def halt(self, place: ServicePlace, then: Callable[[], None], request: Request | None = None) -> None:
+        """Stops a service and all of its tasks; `then` is called once it has ended.
+
+        Args:
+            place: the service's place.
+            then: called in this actor.
+            request: who asked for it: what was asked for before is begun before; None: it stops at once.
+        """
         if place.state in (ServiceState.STOPPED, ServiceState.FAILED):
             then()
             return
@@ -188,6 +196,12 @@ class Root(Component):
             return
         place.state = ServiceState.STOPPING
         service = place.service
+        if request is not None:
+            try:
+                self.publish(SYSCTRL, Command(request.number, request.cause, ""), to=place.address)
+                return
+            except PancakesError as error:
+                self.log("warning", f"{place.address} ends before it did all that it was asked: {error}")
         service.call(lambda: service.close(lambda: None))
 
     def close(self, then: Callable[[], None]) -> None:
@@ -217,6 +231,9 @@ class Root(Component):
         if place.service is not service:
             return
         self.kernel.stream.unsubscribe(place.address)
+        assert isinstance(service, Service)
+        for request in service.unheard():
+            self.reply(request, f"{place.address} ended before it came to that")
         if error is None and place.service is not None:
             place.kept = place.service.keep()
         place.service = None
@@ -277,6 +294,11 @@ class Root(Component):
             text = f"what {packet.source} asked for failed: {describe(error)}"
             self.log("error", text)
             self.reply(request, text)
+
+    def refuse(self, packet: Packet, reason: str) -> None:
+        """Answers a control packet that found no room here; it has its place in the order like any other."""
+        self._number += 1
+        self.reply(Request(packet.source, (packet.source, packet.seq), self._number), reason)
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
@@ -406,7 +428,7 @@ class Root(Component):
                 if place.service is not None:
                     place.service.stopped_for_s = 0.0
             answer = self._occupy(place, request, answered=network)
-            self.halt(place, lambda: self.launch(place, answer))
+            self.halt(place, lambda: self.launch(place, answer), request)
 
     def _begin_command(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         try:
@@ -454,7 +476,7 @@ class Root(Component):
             # The answer has to leave before the way out is closed.
             self.reply(request)
         answer = self._occupy(place, request, answered=network)
-        self.halt(place, lambda: answer(""))
+        self.halt(place, lambda: answer(""), request)
         if body.for_s is not None:
             place.alarm = self.after(body.for_s, lambda: self._wake(place))
 

@@ -19,8 +19,8 @@ def registry():
 def test_what_is_kept_obeys_nobody_and_goes_to_nobody_else(registry):
     assert registry.reserve(CIRCLE, ("motors", "ir")) == ""
     assert registry.holder("wheels") == ""
-    assert registry.hold(HOME, ("motors",)) == f"wheels is kept for {CIRCLE}, which is arriving"
-    assert registry.reserve(HOME, ("arm", "motors")) == f"wheels is kept for {CIRCLE}, which is arriving"
+    assert registry.hold(HOME, ("motors",)) == f"wheels is kept for {CIRCLE}, which is about to start"
+    assert registry.reserve(HOME, ("arm", "motors")) == f"wheels is kept for {CIRCLE}, which is about to start"
     assert registry.claim("wheels", REMOTE) == CIRCLE
     assert registry.holder("wheels") == ""
     assert registry.hold(HOME, ("arm",)) == ""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from pancakes.migration.capability import Capability, compatible
 from pancakes.migration.cost import ActiveTasks, HostLoad

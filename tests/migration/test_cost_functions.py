@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from importlib.metadata import entry_points
 
 import pytest
+from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
 from pancakes.migration.capability import Capability

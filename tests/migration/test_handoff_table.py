@@ -32,6 +32,7 @@ from pancakes.migration.event import (
     Award,
     Born,
     Checkpoint,
+    Concluded,
     Ended,
     FreezeFailed,
     Frozen,
@@ -210,6 +211,32 @@ class TestSource:
             HandedOver("agent2", OFFER),
         ]
 
+    def test_what_is_to_follow_lies_in_the_record_until_it_has_been_done(self) -> None:
+        persist, *_ = at_source(OWNER, FREEZING, Frozen(OFFER, b"as it stopped", b"then"))
+        assert isinstance(persist, Persist) and persist.record == replace(FROZEN, sequel=b"then")
+        persist, *_ = at_source(replace(FROZEN, sequel=b"then"), REST, from_agent2(Prepared(SCAN, OFFER)))
+        assert persist == Persist(replace(COMMITTED, sequel=b"then"))
+        released = replace(RELEASED, sequel=b"then")
+        assert at_source(replace(COMMITTED, sequel=b"then"), REST, from_agent2(Activated(SCAN, OFFER))) == [
+            Persist(released),
+            HandedOver("agent2", OFFER),
+        ]
+        # Where the agent is started anew before it was done, it is told again.
+        assert recover(released) == [HandedOver("agent2", OFFER)]
+        assert at_source(released, REST, Concluded()) == [Persist(RELEASED)]
+
+    def test_nothing_follows_a_hand_over_that_came_to_nothing(self) -> None:
+        persist, *_ = at_source(replace(FROZEN, sequel=b"then"), REST, GiveUp(OFFER, "the link broke"))
+        assert persist == Persist(TAKEN_BACK)
+        persist, *_ = recover(replace(FROZEN, sequel=b"then"))
+        assert persist == Persist(TAKEN_BACK)
+        adopted, *_ = at_source(replace(COMMITTED, sequel=b"then"), REST, Adopt())
+        assert isinstance(adopted, Persist) and adopted.record.sequel == b""
+
+    @pytest.mark.parametrize("record", [OWNER, FROZEN, COMMITTED, RELEASED, PREPARED])
+    def test_nothing_is_concluded_where_nothing_was_to_follow(self, record: Record) -> None:
+        assert at_source(record, REST, Concluded()) == []
+
     def test_committed_repeats_the_commit_ever_more_slowly_and_for_ever(self) -> None:
         pauses_s = []
         for attempt in (0, 1, 2, 3, 4, 5, 1000):
@@ -308,7 +335,7 @@ class TestDestination:
         assert at_destination(PREPARED, from_agent1(Commit(SCAN, OFFER))) == [
             Persist(NEW_OWNER),
             Remember(RUNNING),
-            StartTask(OFFER, 0, b"as it stopped"),
+            StartTask(OFFER, 0, b"as it stopped", fresh=True),
             Send("agent1", Activated(SCAN, OFFER)),
         ]
 

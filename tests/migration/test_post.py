@@ -27,7 +27,7 @@ STREAM = "me/1"
 
 @pytest.fixture
 def out():
-    return Outgoing(STREAM)
+    return Outgoing(STREAM, "me")
 
 
 def post(out, count, now_s=0.0, task_id=SCAN):
@@ -139,7 +139,7 @@ class TestTheReceiver:
 
 
 def test_a_letter_does_not_wander_for_ever():
-    letter, hops = Letter("a/Scan", STREAM, 1, 1, b""), 0
+    letter, hops = Letter("a/Scan", STREAM, 1, 1, b"", "me"), 0
     while (further := onward(letter)) is not None:
         letter, hops = further, hops + 1
     assert hops == MOST_HOPS
@@ -149,7 +149,7 @@ def test_a_letter_does_not_wander_for_ever():
 def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effect_once_and_in_order(seed):
     """The receiver moves, with its filter; and at times it goes back to a checkpoint of all that it acknowledged."""
     source = random.Random(seed)
-    out, filter_, effects, checkpoint = Outgoing(STREAM), Incoming(), [], ([], {})
+    out, filter_, effects, checkpoint = Outgoing(STREAM, "me"), Incoming(), [], ([], {})
     host, epoch_n, posted, now_s = "a", 0, 0, 0.0
     wire = []
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 
 import msgpack
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.migration import messages
 from pancakes.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
 from pancakes.migration.pieces import PIECE_BYTES, Assembly, cut
 from pancakes.migration.record import Epoch, Phase, Record, TaskId, Wanted
-from pancakes.migration.snapshot import LIMIT_BYTES, Heard, HeldPacket, Snapshot, TimerPhase
+from pancakes.migration.snapshot import LIMIT_BYTES, Heard, Posted, PostedTo, Snapshot, TimerPhase
 from pancakes.packet import body_from_plain, known_types, type_name
 
 SCAN = TaskId("agent1", "ScanTarget")
@@ -28,7 +28,7 @@ SNAPSHOT = Snapshot(
     settings={"radius_m": 0.55},
     state={"centre_m": [0.0, 0.1], "revolutions": 1.5},
     timers=(TimerPhase("report", 0.5, 0.2),),
-    held=(HeldPacket("agent3/client/Scout", 8, b"packet"),),
+    posted=Posted("agent1/uuid.1/3", (PostedTo("agent3/Scout", "agent3", 2, 9, (b"packet",)),)),
     heard={"agent3/client/Scout": Heard(6, (8,))},
     sent={"ctrl": 41},
     restart={"policy": "permanent"},

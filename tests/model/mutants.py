@@ -108,7 +108,7 @@ MUTANTS = (
     Mutant(
         "offer number reused after a crash",
         "the offered epoch is not written down with the frozen task",
-        ((source, "seen=event.offer, ", ""),),
+        ((source, "        seen=event.offer,\n", ""),),
     ),
     Mutant(
         "late NAK believed",
@@ -166,7 +166,7 @@ MUTANTS = (
     Mutant(
         "freeze not durable",
         "the last checkpoint is sent instead of what the task was when it stopped",
-        ((source, ", snapshot=event.snapshot", ""),),
+        ((source, "        snapshot=event.snapshot,\n", ""),),
         Bounds(durability="lazy"),
     ),
     Mutant(

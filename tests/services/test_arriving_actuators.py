@@ -24,7 +24,7 @@ class Home(Circle):
 
 
 WHEELS = {"wheels": "null.motors"}
-KEPT = "wheels is kept for b/client/Circle, which is arriving"
+KEPT = "wheels is kept for b/client/Circle, which is about to start"
 
 
 @pytest.fixture

@@ -50,6 +50,15 @@ def test_the_weights_decide(fleet, cost, winner, text):
     assert (reply.result["winner"], reply.result["cost"]) == (winner, text)
 
 
+def test_a_task_that_asks_for_its_own_move_says_what_counts(fleet):
+    a = fleet.agents["a"]
+    rover = a.task("Rover")
+    rover.call(lambda: rover.migrate(cost={"tasks": 1.0, "battery": 3.0}))
+    account = a.wait_for_event("migration", winner="c")
+    assert account["cost"] == "1 tasks + 3 battery"
+    assert fleet.agents["c"].running() == ["Other", "Rover"]
+
+
 def test_the_ledger_has_every_term_weighted(fleet):
     reply = fleet.agents["a"].ask(Migrate("Rover", cost={"tasks": 1.0, "battery": 3.0}, dry_run=True))
     assert lines(reply)["b"]["terms"] == {"tasks: active tasks": 0.0, "battery: battery used": 1.5}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.control import Migrate, Restart
+from pancakes.control import Migrate, Restart, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Twist
 from pancakes.journal import Entry, MemoryJournal, VirtualStore
@@ -166,6 +166,35 @@ def test_a_source_that_wakes_up_after_a_long_stop_moves_no_wheel(fleet):
     assert "has passed, 2 has been seen" in a.events("command_refused", by="a/client/Circle")[0]["reason"]
     fleet.run_for(0.5)
     assert Wheels.told[-1] == ("a", 0.1)
+
+
+def test_a_source_that_wakes_up_late_moves_no_wheel_of_another_agent(fleet):
+    """What a virtual actuator sends bears the right of the task that commands it, so that the far one can tell."""
+    far = fleet.start("far", devices={"wheels": Wheels})
+    remote = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
+    a = fleet.start("a", devices={"wheels": remote}, tasks={"Circle": Circle})
+    b = fleet.start("b", devices={"wheels": remote})
+    fleet.connect()
+    fleet.run_for(0.5)
+    last = a.probe.packets(Twist, channel="ctrl", source="a/client/Circle")[-1]
+    assert Wheels.told[-1] == ("far", 0.1) and far.kernel.registry.holder("wheels") == "a/device/wheels"
+    assert a.ask(Migrate("Circle", to="b")).ok
+    fleet.run_for(0.5)
+    assert far.kernel.registry.holder("wheels") == "b/device/wheels"
+    # Its last command was under way all the time, and comes when nobody holds the wheels.
+    assert b.ask(Stop("Circle")).ok
+    fleet.run_for(1.0)
+    assert far.kernel.registry.holder("wheels") == ""
+    before = list(Wheels.told)
+    late = a.component("device/wheels")
+    a.kernel.registry.hold("a/client/Circle", ("motors",))  # its own agent does not know better
+    late.call(lambda: late.command(last))
+    fleet.run_for(0.2)
+    assert Wheels.told == before
+    (refused,) = far.events("command_refused", by="a/device/wheels")
+    assert refused["reason"] == "epoch 0 of a/Circle has passed, 1 has been seen"
+    # And it did not even get hold of them.
+    assert far.kernel.registry.holder("wheels") == ""
 
 
 WORLD = """

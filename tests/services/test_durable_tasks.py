@@ -51,6 +51,16 @@ def records(fleet, name="a"):
     return found
 
 
+def test_a_change_outlives_a_failure_the_moment_after(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(2.55)  # the next checkpoint is half a second away
+    assert agent.ask(Configure("Count", {"step": 2})).ok
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(0.01)
+
+    assert agent.task("Count").settings.step == 2
+
+
 def test_a_stopped_agent_goes_on_where_it_was(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
     fleet.run_for(2.55)
@@ -116,6 +126,30 @@ def test_so_does_an_operators_start(fleet, how):
     agent = fleet.restart("a")
     assert agent.running() == ["Count"]
     assert agent.task("Count").settings.step == 7
+
+
+def test_a_stop_is_answered_once_it_is_on_disk(fleet):
+    """Whoever was told that it is stopped may rely on that, whatever dies the moment after."""
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(1.05)
+    assert agent.ask(Stop("Count")).ok
+    fleet.crash("a")
+    assert fleet.restart("a").running() == []
+
+
+def test_a_stop_that_cannot_be_written_down_says_so_and_is_written_later(fleet):
+    agent = fleet.start("a", tasks={"Count": Count})
+    fleet.run_for(1.05)
+    store = agent.agent.records._store
+    persist = store.persist
+    store.persist = lambda entry, then, failed: failed("the disk is full")
+    reply = agent.ask(Stop("Count"))
+    assert reply.reason == "a/Count is stopped, but the journal could not write that, and tries again: the disk is full"
+    assert agent.running() == []
+    store.persist = persist
+    fleet.run_for(2.0)
+    fleet.crash("a")
+    assert fleet.restart("a").running() == []
 
 
 def test_a_stop_while_a_task_is_being_restarted_outlives_a_reboot(fleet):

@@ -45,6 +45,18 @@ class Picky(Sink):
             raise RuntimeError("not a three")
 
 
+class Moody(Sink):
+    """Fails on a number that a test chooses."""
+
+    bad = 0
+
+    @on("system", Numbered)
+    def take(self, packet):
+        if packet.body.n == self.bad:
+            raise RuntimeError("not now")
+        self.state.numbers.append(packet.body.n)
+
+
 class Source(Task):
     """Sends one number after the other."""
 
@@ -136,7 +148,7 @@ class TestOnOneAgent:
         assert numbers(fleet) == [1, 2, 4, 5]
         assert agent.kernel.letters.count == 1
         assert [line for line in agent.lines("warning") if "dead letter" in line and "3 times" in line]
-        assert not agent.agent._outgoing.waiting()
+        assert not agent.agent._outbox.waiting()
 
     def test_what_a_task_without_its_state_has_heard_is_not_told_again(self, fleet):
         agent = fleet.start("a", tasks={"Sink": Sink})
@@ -156,7 +168,7 @@ class TestOnOneAgent:
         if keep_state is not None:
             assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
         courier = agent.component("kernel/Courier")
-        again = Letter("a/Sink", agent.agent._outgoing._stream, 3, 3, Encoder().packet(last))
+        again = Letter("a/Sink", agent.agent._outbox._name, 3, 3, Encoder().packet(last), "a")
         courier.call(lambda: courier.say("a", again))
         fleet.run_for(0.1)
         assert numbers(fleet) == ([] if keep_state is False else upto(3))
@@ -181,7 +193,7 @@ class TestOnOneAgent:
             for n in upto(200):
                 agent.publish("system", Numbered(n), to=SINK)
             sink = agent.task("Sink")
-            while agent.agent._outgoing.waiting():
+            while agent.agent._outbox.waiting():
                 agent.ask(Describe())
             assert sink.state.numbers == upto(200)
 
@@ -192,7 +204,7 @@ class TestAcknowledgement:
         for n in upto(50):
             agent.publish("system", Numbered(n), to=SINK)
             fleet.run_for(0.0004 * (n % 7))
-        acknowledged = 50 - agent.agent._outgoing.waiting().get("a/Sink", 0)
+        acknowledged = 50 - agent.agent._outbox.waiting().get("a/Sink", 0)
         fleet.crash("a")
         fleet.restart("a")
         assert len(numbers(fleet)) >= acknowledged
@@ -202,12 +214,118 @@ class TestAcknowledgement:
         fleet.run_for(0.2)
         agent.publish("system", Numbered(1), to=SINK)
         fleet.run_for(0.01)
-        assert agent.agent._outgoing.waiting() == {}
+        assert agent.agent._outbox.waiting() == {}
         fleet.crash("a")
         agent = fleet.restart("a")
         agent.publish("system", Numbered(2), to=SINK)
         fleet.run_for(0.5)
         assert numbers(fleet) == [2]
+
+    def test_what_was_acknowledged_is_not_lost_where_a_lazy_task_fails(self, fleet):
+        """It begins anew from its checkpoint, and is given again what has come since, before all that follows."""
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        fleet.run_for(1.01)
+        for n in upto(5):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(0.01)
+        assert agent.agent._outbox.waiting() == {}
+        agent.task("Sink").call(fails)
+        agent.publish("system", Numbered(6), to=SINK)
+        fleet.run_for(0.01)
+        assert len(agent.events("task_failed")) == 1
+        agent.publish("system", Numbered(7), to=SINK)
+        fleet.run_for(1.0)
+        assert numbers(fleet) == upto(7)
+        # Now it is on disk.
+        agent.task("Sink").call(fails)
+        fleet.run_for(0.5)
+        assert numbers(fleet) == upto(7)
+
+    def test_a_lazy_task_acknowledges_no_more_ahead_than_can_be_kept(self, fleet, monkeypatch):
+        monkeypatch.setattr("pancakes.services.postbox.KEPT", 10)
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        fleet.run_for(1.01)
+        for n in upto(200):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(0.5)
+        # Written down more often than once a second, so that all could be acknowledged.
+        assert agent.agent._outbox.waiting() == {}
+        fleet.crash("a")
+        fleet.restart("a")
+        assert len(numbers(fleet)) >= 190
+
+    def test_a_lazy_task_that_fails_on_a_packet_each_time_it_is_given_again_gives_it_up(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": {"type": Moody, "restart": {"policy": "permanent", "at_most": 100}}})
+        fleet.run_for(1.01)
+        for n in upto(4):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(0.01)
+        Moody.bad = 2
+        agent.task("Sink").call(fails)
+        fleet.run_for(3.0)
+        Moody.bad = 0
+        assert numbers(fleet) == [1, 3, 4]
+        assert [line for line in agent.lines("warning") if "dead letter" in line and "3 times" in line]
+
+
+class TestASenderThatMoves:
+    """The source was born on s, and goes to t; the sink is on a."""
+
+    def pair(self, fleet, **others):
+        fleet.start("a", tasks={"Sink": Sink})
+        s = fleet.start("s", tasks={"Source": {"type": Source, **others}})
+        t = fleet.start("t")
+        fleet.connect()
+        return s, t
+
+    def test_takes_along_what_was_not_acknowledged(self, fleet):
+        """Its old host is cut off from the sink, and then killed: nothing of it is needed any more."""
+        s, t = self.pair(fleet)
+        fleet.network.set_quality("s", "a", Quality(latency_s=100.0))
+        fleet.run_for(1.0)
+        assert s.agent._outbox.waiting()["a/Sink"] > 40
+        assert s.ask(Migrate("Source", to="t")).ok
+        assert s.agent._outbox.waiting() == {}
+        fleet.crash("s")
+        fleet.run_for(5.0)
+        n = t.task("Source").state.n
+        assert n > 200 and numbers(fleet) == upto(n)
+
+    def test_goes_on_where_it_was_when_it_stays_after_all(self, fleet):
+        s, t = self.pair(fleet)
+        fleet.run_for(1.0)
+        t.component("client")._cannot_build = lambda message: "it does not like it"
+        assert "it does not like it" in s.ask(Migrate("Source", to="t")).reason
+        fleet.run_for(1.0)
+        assert numbers(fleet) == upto(s.task("Source").state.n)
+        assert list(fleet.agents["a"].task("Sink").carry().heard) == [s.agent._outbox._name + "/1"]
+
+    def test_begins_a_new_stream_where_its_agent_is_killed(self, fleet):
+        """Numbers may have been given out that its disk knows nothing of; they are not given out twice."""
+        s, t = self.pair(fleet)
+        fleet.run_for(1.0)
+        assert s.ask(Migrate("Source", to="t")).ok
+        fleet.crash("t")
+        t = fleet.restart("t")
+        fleet.connect()
+        fleet.run_for(5.0)
+        heard = fleet.agents["a"].task("Sink").carry().heard
+        assert list(heard) == [s.agent._outbox._name + "/1", t.agent._outbox._name + "/1"]
+        got = numbers(fleet)
+        assert got[-1] == t.task("Source").state.n
+        assert got == sorted(got)
+
+    def test_that_has_sent_more_than_may_travel_stays_and_says_so(self, fleet, monkeypatch):
+        monkeypatch.setattr("pancakes.migration.snapshot.LIMIT_BYTES", 2000)
+        s, _ = self.pair(fleet)
+        fleet.network.set_quality("s", "a", Quality(latency_s=100.0))
+        fleet.run_for(1.0)
+        reply = s.ask(Migrate("Source", to="t"))
+        assert "the snapshot of s/Source has" in reply.reason and "2000 may travel" in reply.reason
+        monkeypatch.undo()
+        fleet.network.set_quality("s", "a", Quality())
+        fleet.run_for(10.0)
+        assert numbers(fleet) == upto(s.task("Source").state.n)
 
 
 class TestFinding:
@@ -246,12 +364,16 @@ class TestFinding:
         moved.agents["s"].publish("system", Numbered(1), to=SINK)
         moved.agents["s"].publish("system", Numbered(2), to=SINK)
         assert moved.run_until(lambda: numbers(moved) == [1, 2], 6.0)
-        assert moved.run_until(lambda: not moved.agents["s"].agent._outgoing.waiting(), 0.1)
+        assert moved.run_until(lambda: not moved.agents["s"].agent._outbox.waiting(), 0.1)
 
     def test_a_task_that_came_here_is_found_here(self, moved):
         moved.crash("a")
         moved.agents["b"].publish("system", Numbered(1), to=SINK)
         assert moved.run_until(lambda: numbers(moved) == [1], 0.05)
+
+
+def fails():
+    raise RuntimeError("a fault")
 
 
 class Voyage:
@@ -260,9 +382,14 @@ class Voyage:
     def __init__(self, seed, durability):
         self.random = random.Random(f"voyage/{seed}")
         latency_s = self.random.choice([0.0005, 0.01, 0.08])
-        self.fleet = FleetInTest(seed, quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05))
+        self.fleet = FleetInTest(
+            seed,
+            classes={"test.Source": Source},
+            quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05),
+        )
         for name in HOSTS:
-            self.fleet.start(name, tasks={"Sink": {"type": Sink, "durability": durability}} if name == "a" else {})
+            sink = {"type": Sink, "durability": durability, "restart": {"policy": "permanent", "at_most": 1000}}
+            self.fleet.start(name, tasks={"Sink": sink} if name == "a" else {})
         self.sender = self.fleet.start("s", tasks={"Source": Source})
         self.fleet.connect()
 
@@ -271,6 +398,13 @@ class Voyage:
             agent = self.fleet.agents.get(name)
             if agent is not None and agent.component("client/Sink") is not None:
                 agent.publish(SYSCTRL, Migrate("client/Sink", to=self.random.choice(HOSTS)))
+
+    def fail(self):
+        for name in HOSTS:
+            agent = self.fleet.agents.get(name)
+            task = agent.component("client/Sink") if agent is not None else None
+            if task is not None:
+                task.call(fails)
 
     def break_link(self):
         one, other = self.random.sample([*HOSTS, "s"], 2)
@@ -307,8 +441,43 @@ class Voyage:
         self.sender.ask(Stop("client/Source"))
         sent = self.sender.slot("Source").carried.state["n"] if self.sender.slot("Source").carried else 0
         self.fleet.run_for(15.0)
-        assert self.sender.agent._outgoing.waiting() == {}
+        assert self.sender.agent._outbox.waiting() == {}
         return sent, numbers(self.fleet)
+
+
+class Nomads(Voyage):
+    """The same, and the source moves about too."""
+
+    def __init__(self, seed, durability):
+        super().__init__(seed, durability)
+        assert self.sender.ask(Migrate("Source", to=self.random.choice(HOSTS))).ok
+
+    def migrate(self):
+        super().migrate()
+        for agent in self.fleet.agents.values():
+            if agent.component("client/Source") is not None:
+                agent.publish(SYSCTRL, Migrate("client/Source"))
+
+    def arrive(self):
+        self.fleet.network.heal()
+        self.fleet.run_for(25.0)
+        (host,) = [agent for agent in self.fleet.agents.values() if "Source" in agent.running()]
+        assert host.ask(Stop("client/Source")).ok
+        sent = host.slot("Source").carried.state["n"]
+        self.fleet.run_for(15.0)
+        assert [agent.agent._outbox.waiting() for agent in self.fleet.agents.values()] == [{}] * 4
+        moves = host.slot("Source").fence.epoch[0]
+        return sent, numbers(self.fleet), moves
+
+
+@pytest.mark.parametrize("durability", ["lazy", "each"])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_a_task_sends_from_its_new_host_comes_after_what_it_sent_from_the_old_one(seed, durability):
+    nomads = Nomads(4000 + seed, durability)
+    nomads.sail([nomads.break_link, nomads.part, nomads.migrate, nomads.fail])
+    sent, got, moves = nomads.arrive()
+    assert moves > 2 and sent > 500 and got == upto(sent)
+    nomads.fleet.close()
 
 
 @pytest.mark.parametrize("durability", ["lazy", "each"])
@@ -316,6 +485,16 @@ class Voyage:
 def test_each_number_has_its_effect_once_and_in_order_over_bad_links(seed, durability):
     voyage = Voyage(seed, durability)
     voyage.sail([voyage.break_link, voyage.part, voyage.migrate])
+    sent, got = voyage.arrive()
+    assert sent > 500 and got == upto(sent)
+    voyage.fleet.close()
+
+
+@pytest.mark.parametrize("durability", ["lazy", "each"])
+@pytest.mark.parametrize("seed", range(8))
+def test_so_it_has_while_the_task_fails_again_and_again(seed, durability):
+    voyage = Voyage(3000 + seed, durability)
+    voyage.sail([voyage.fail, voyage.fail, voyage.fail, voyage.break_link, voyage.part])
     sent, got = voyage.arrive()
     assert sent > 500 and got == upto(sent)
     voyage.fleet.close()

@@ -1,0 +1,42 @@
+"""What is to be done on the source once a task has gone: it lies in the task's record, so that no crash forgets it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.errors import MigrationError
+from pancakes.migration.ledger import Ledger
+
+
+class Sequel(msgspec.Struct, frozen=True):
+    """What follows a hand-over, for the service that the task has left. The core carries it, and does not look in.
+
+    Attributes:
+        then: a task to start; empty: none.
+        ledger: the account of the move as it stood when the task was stopped for it; None where there is none.
+    """
+
+    then: str = ""
+    ledger: Ledger | None = None
+
+    def encode(self) -> bytes:
+        """Returns it as msgpack bytes, for the record."""
+        return _ENCODER.encode(self)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Sequel:
+        """Reads what `encode` wrote; nothing at all is a sequel in which nothing follows.
+
+        Raises:
+            MigrationError: the bytes are no sequel.
+        """
+        if not data:
+            return cls()
+        try:
+            return _DECODER.decode(data)
+        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+            raise MigrationError(f"these {len(data)} bytes do not say what follows a hand-over: {error}") from None
+
+
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(Sequel)

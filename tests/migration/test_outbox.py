@@ -1,0 +1,106 @@
+"""The streams of one agent: one for each task that sends, which takes it along when it moves."""
+
+import pytest
+
+from pancakes.migration.outbox import Outbox
+from pancakes.migration.post import ForwardTo, Receipt
+from pancakes.migration.record import TaskId
+
+SINK = TaskId("a", "Sink")
+ME = "s/Source"
+
+
+@pytest.fixture
+def box():
+    return Outbox("s/uuid.1", "s")
+
+
+def post(box, *packets, sender=ME, now_s=0.0):
+    return [sent.letter for packet in packets for sent in box.post(sender, SINK, packet, "a", now_s)]
+
+
+def numbered(letters):
+    return [(letter.stream, letter.seq, letter.sender) for letter in letters]
+
+
+def test_each_task_that_sends_has_a_stream_and_all_others_have_one():
+    box = Outbox("s/uuid.1", "s")
+    assert numbered(post(box, b"1", b"2")) == [("s/uuid.1/1", 1, "s"), ("s/uuid.1/1", 2, "s")]
+    assert numbered(post(box, b"1", sender="s/Other")) == [("s/uuid.1/2", 1, "s")]
+    assert numbered(post(box, b"1", sender="")) == [("s/uuid.1", 1, "s")]
+    assert box.waiting() == {"a/Sink": 4}
+
+
+def test_a_new_stream_begins_where_the_others_know_the_task_to_be(box):
+    assert box.host_of(ME, SINK) == ""
+    post(box, b"1")
+    box.forwarded(ForwardTo("a/Sink", "b", 3), 0.0)
+    assert box.host_of("s/Other", SINK) == "b"
+
+
+def test_a_task_goes_on_in_its_stream_on_its_new_host(box):
+    post(box, b"1", b"2", b"3")
+    box.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    posted = box.leave(ME)
+    there = Outbox("t/uuid.1", "t")
+    there.arrive(ME, posted, fresh=True)
+    # What was not acknowledged is sent again from there, and wants its acknowledgement there.
+    again = [sent.letter for sent in there.due(0.0)]
+    assert numbered(again) == [("s/uuid.1/1", 2, "t"), ("s/uuid.1/1", 3, "t")]
+    assert [letter.first for letter in again] == [2, 2]
+    assert numbered(post(there, b"4")) == [("s/uuid.1/1", 4, "t")]
+    box.gone(ME)
+    assert box.waiting() == {} and box.due(100.0) == []
+
+
+def test_numbers_go_on_where_all_was_acknowledged(box):
+    post(box, b"1")
+    box.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    there = Outbox("t/uuid.1", "t")
+    there.arrive(ME, box.leave(ME), fresh=True)
+    assert numbered(post(there, b"2")) == [("s/uuid.1/1", 2, "t")]
+
+
+def test_while_it_stands_still_nobody_adds_to_its_stream(box):
+    """A thread of the task's own, or its `on_stop`: what they send has a stream of its own."""
+    post(box, b"1")
+    box.leave(ME)
+    assert numbered(post(box, b"2")) == [("s/uuid.1/2", 1, "s")]
+    box.gone(ME)
+    assert box.waiting() == {"a/Sink": 1}
+
+
+def test_a_task_that_stays_goes_on_with_its_stream(box):
+    post(box, b"1")
+    box.leave(ME)
+    box.stay(ME)
+    assert numbered(post(box, b"2")) == [("s/uuid.1/1", 2, "s")]
+
+
+def test_where_it_may_have_run_since_what_is_in_the_snapshot_comes_and_a_new_stream_begins(box):
+    post(box, b"1", b"2")
+    posted = box.leave(ME)
+    there = Outbox("t/uuid.2", "t")
+    there.arrive(ME, posted, fresh=False)
+    assert numbered(sent.letter for sent in there.due(0.0)) == [("s/uuid.1/1", 1, "t"), ("s/uuid.1/1", 2, "t")]
+    assert numbered(post(there, b"other")) == [("t/uuid.2/1", 1, "t")]
+    there.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 2, 1), "a", 0.0)
+    assert there.waiting() == {"a/Sink": 1}
+
+
+def test_a_task_that_fails_and_begins_anew_keeps_its_stream(box):
+    posted = box.leave(ME)
+    there = Outbox("t/uuid.1", "t")
+    there.arrive(ME, posted, fresh=True)
+    post(there, b"1", b"2")
+    there.arrive(ME, posted, fresh=False)
+    assert numbered(post(there, b"3")) == [("t/uuid.1/1", 3, "t")]
+
+
+def test_a_stream_that_nobody_adds_to_is_forgotten_once_all_is_acknowledged(box):
+    post(box, b"1")
+    posted = box.leave(ME)
+    there = Outbox("t/uuid.2", "t")
+    there.arrive(ME, posted, fresh=False)
+    there.acknowledged(Receipt("a/Sink", "s/uuid.1/1", 1, 0), "a", 0.0)
+    assert there.host_of("", SINK) == ""

@@ -1,0 +1,82 @@
+"""A command that waits for the one before it is answered too where its service ends first: nobody waits for ever."""
+
+import pytest
+
+from pancakes.control import Describe, Reply, Restart, Start, Stop
+from pancakes.devices.types import Pose
+from pancakes.kernel.handlers import on
+from pancakes.services.client import ClientService
+from pancakes.task import Task
+from pancakes.testing import AgentInTest, FleetInTest
+
+
+class Count(Task):
+    """Does nothing; it is only started and stopped."""
+
+
+class Fragile(ClientService):
+    """A service that fails when it sees a pose."""
+
+    @on("system", Pose)
+    def pose(self, packet):
+        raise RuntimeError("no map")
+
+
+def replies(agent: AgentInTest, *bodies: object) -> list[str]:
+    """Asks for several things at once; returns what each was refused for, an empty string where it was done."""
+    asked = [agent.publish("sysctrl", body) for body in bodies]
+    return [agent.reply_to(packet).reason for packet in asked]
+
+
+def test_where_their_service_is_stopped():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Count": Count})
+
+        reasons = replies(agent, Stop("Count"), Start("Count"), Restart("Count"), Stop("client/"))
+
+        assert reasons[0] == reasons[3] == ""
+        assert all("its service stops" in reason or "was stopped before it" in reason for reason in reasons[1:3])
+        assert agent.ask(Start("client/")).ok
+        assert agent.running() == []
+        assert agent.ask(Start("Count")).ok
+
+
+@pytest.mark.parametrize(
+    ("heard", "reason"),
+    [
+        (True, "a/fragile failed before it had done that: RuntimeError: no map"),
+        (False, "a/fragile ended before it came to that"),
+    ],
+)
+def test_where_their_service_fails(heard: bool, reason: str):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", services={"fragile": Fragile}, tasks={"Count": {"type": Count, "service": "fragile"}})
+        asked = [agent.publish("sysctrl", body) for body in (Stop("Count"), Start("Count"))]
+        if heard:
+            agent.wait_for_event("asked", what="stop")
+        agent.publish("system", Pose(0.0, 0.0, 0.0))
+
+        reasons = [agent.reply_to(packet).reason for packet in asked]
+
+        assert reasons[1].startswith(reason)
+        agent.wait_for_event("service_started", service="fragile")
+        assert agent.ask(Restart("Count")).ok
+
+
+def test_more_than_there_is_room_for_is_refused_and_not_forgotten():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Count": Count})
+        other = fleet.start("b")
+        fleet.connect()
+        asked = [other.publish("sysctrl", Describe("Count"), to="a") for _ in range(3000)]
+
+        replies = [other.reply_to(packet) for packet in asked[::100]]
+        fleet.run_until(lambda: len(other.probe.packets(Reply)) >= len(asked))
+
+        found = [packet.body for packet in other.probe.packets(Reply)]
+        assert len(found) == len(asked)
+        assert len({reply.number for reply in found}) == len(asked)
+        refused = [reply.reason for reply in found if not reply.ok]
+        assert all("has no room for" in reason for reason in refused)
+        assert any(reply.ok for reply in replies)
+        assert agent.ask(Describe("Count")).ok
