@@ -71,6 +71,14 @@ class ControlRefused(PancakesError):
     """A control packet was understood and refused. The message is the reason."""
 
 
+class Unreachable(PancakesError):
+    """An agent that was asked for something did not answer."""
+
+
+class NoAnswer(Unreachable):
+    """An agent was asked for something, and whether it does it is not known."""
+
+
 class MigrationError(PancakesError):
     """A task could not be moved. It goes on where it is."""
 

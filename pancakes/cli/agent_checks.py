@@ -44,15 +44,21 @@ def is_suspended(pid: int) -> bool:
         return False
 
 
-def check_fleet(agents: Sequence[dict[str, Any]], silent: Sequence[str], ask: Ask) -> Iterator[Finding]:
+def check_fleet(
+    agents: Sequence[dict[str, Any]], silent: Sequence[str], ask: Ask, asleep: Sequence[str] = ()
+) -> Iterator[Finding]:
     """Looks at what agents say of themselves.
 
     Args:
         agents: the result of `Describe` of each.
         silent: a sentence for each that said nothing.
         ask: asks for more.
+        asleep: those of the sentences whose agent had said that its network would sleep, which is as it should be.
     """
     for sentence in silent:
+        if sentence in asleep:
+            yield Finding("ok", "agents", sentence)
+            continue
         advice = "see whether it runs, and whether its process is suspended or its computer is away"
         yield Finding("error", "agents", sentence, advice)
     versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
@@ -65,7 +71,7 @@ def check_fleet(agents: Sequence[dict[str, Any]], silent: Sequence[str], ask: As
         if not findings:
             running = sum(task["state"] == "running" for task in agent["tasks"])
             connected = len(agent["neighbours"])
-            text = f"is ready, with {running} tasks that run and {connected} neighbours"
+            text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
             yield Finding("ok", agent["agent"], text)
 
 
@@ -81,7 +87,7 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
             advice = f"mend that, then: pancakes service start {name}/{service['service']}"
             yield Finding("error", f"{name}/{service['service']}", f"was given up: {service['reason']}", advice)
     if agent["dead_letters"]:
-        text = f"{agent['dead_letters']} packets made their readers fail, and were given up"
+        text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
         yield Finding("warning", name, text, f"see who and why: pancakes log --from {name} --level warning")
 
 
@@ -99,7 +105,7 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
         lost = sum(peer["dropped"].values())
         if lost and peer["role"] != "client":
             channels = ", ".join(f"{count} of {channel}" for channel, count in peer["dropped"].items())
-            text = f"dropped {lost} packets to {peer['name']}, which is too slow for them: {channels}"
+            text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
             yield Finding("warning", name, text, "send less often, or look at the network between them")
 
 
@@ -129,5 +135,9 @@ def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:
     """Who keeps only the newest packet wants it so."""
     for read in described["reads"] if described is not None else ():
         if read["dropped"] and read["limit"] > 1:
-            text = f"lost {read['dropped']} packets on {read['channel']}: it reads more slowly than they come"
+            text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
             yield Finding("warning", about, text, f"see who publishes: pancakes channel hz {agent}/{read['channel']}")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

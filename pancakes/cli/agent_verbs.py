@@ -7,11 +7,11 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import survey
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents, the_agent
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json, show_sections
+from pancakes.client import Client
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from pancakes.cli.client import Client
 from pancakes.cli.names import TaskName
+from pancakes.client import Client
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
@@ -99,5 +99,7 @@ def placed(client: Client, name: TaskName) -> TaskName:
         raise ControlRefused(f"{agent} has several tasks {name.task!r}: say {choices}")
     if name.task in [row["service"] for row in described["services"]]:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
+    if any(row["state"] != "running" for row in described["services"]):
+        order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
     meant = suggestion(name.task, [row["task"] for row in described["tasks"]])
     raise ControlRefused(f"{agent} has no task {name.task!r}" + (f", did you mean {meant!r}?" if meant else ""))

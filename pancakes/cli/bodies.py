@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from inspect import get_annotations
 from typing import Any
 
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.packet import body_class, known_types
+from pancakes.packet import body_class, field_names, known_types
 from pancakes.suggestion import suggestion
 
 
@@ -32,7 +33,7 @@ def body_of(kind: str, text: str) -> Any:
     try:
         given = msgspec.json.decode(text)
     except msgspec.DecodeError as error:
-        raise BadBody(f"the body is no JSON: {_lower(str(error))}") from None
+        raise BadBody(f"the body is no JSON: {_lower(str(error).removeprefix('JSON is malformed: '))}") from None
     if not isinstance(given, Mapping):
         raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:
@@ -62,8 +63,9 @@ def _lower(text: str) -> str:
 
 def _fields(cls: type) -> str:
     """Returns the fields of a body, each with the type that it must be of."""
-    hints = {name: getattr(it, "type", "") for name, it in getattr(cls, "__dataclass_fields__", {}).items()}
-    return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in hints.items()) or "none"
+    kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
+    named = ((name, kinds.get(name, "")) for name in field_names(cls))
+    return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in named) or "none"
 
 
 def _list(names: list[str]) -> str:

@@ -85,7 +85,7 @@ def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[C
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
     """Returns what the agents (or only those named) say of themselves; nothing where nobody answers in time."""
-    from pancakes.cli.client import Client
+    from pancakes.client import Client
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
@@ -96,7 +96,7 @@ def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
 
 def answer(ctx: click.Context, agent: str, body: Any) -> Any:
     """Returns the result that an agent answers a control packet with; None where it gives none in time."""
-    from pancakes.cli.client import Client
+    from pancakes.client import Client
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:

@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pancakes.cli.demo_page import DemoPage
 from pancakes.cli.errors import sentences
+from pancakes.cli.options import FiniteRange
+from pancakes.cli.view import port_option
 from pancakes.plugins import Plugins, UnknownPlugin
 
 if TYPE_CHECKING:
@@ -44,10 +47,10 @@ class DemoNames(click.ParamType):
     "--speed",
     default=5.0,
     show_default=True,
-    type=click.FloatRange(0.01, 1000.0),
-    help="Mission seconds a second (live).",
+    type=FiniteRange(0.01, 1000.0),
+    help="Mission seconds a second (live, or with --view).",
 )
-@click.option("--duration", type=click.FloatRange(1.0), help="Mission seconds; the demo's own length if left out.")
+@click.option("--duration", type=FiniteRange(1.0), help="Mission seconds; the demo's own length if left out.")
 @click.option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
@@ -67,6 +70,9 @@ class DemoNames(click.ParamType):
 )
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
+@click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
+@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
+@port_option
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
 @sentences
 def demo(
@@ -81,6 +87,9 @@ def demo(
     sets: tuple[str, ...],
     headless: bool,
     record: bool,
+    view_: bool,
+    control: bool,
+    port: int | None,
     faults: bool,
 ) -> None:
     """Run a demo and judge it: exit code 0 only where the verdict is PASS.
@@ -89,6 +98,7 @@ def demo(
     Example:
         pancakes demo encirclement
         pancakes demo encirclement --virtual --seed 7 --out runs/seven
+        pancakes demo encirclement --view
     """
     plugins = Plugins()
     if list_ or name is None:
@@ -96,8 +106,22 @@ def demo(
         return
     if faults and not virtual:
         raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
+    if not view_ and (control or port is not None):
+        raise click.UsageError("--control and --port are about the page: they need --view")
+    if control and virtual:
+        raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
     options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
-    sys.exit(_run(plugins, name, out, options))
+    interrupted = threading.Event()
+    _on_signal(interrupted)
+    page = DemoPage(control, port, speed, interrupted) if view_ else None
+    try:
+        code = _run(plugins, name, out, options, interrupted, page)
+        if page is not None and code != INTERRUPTED:
+            page.stay()
+    finally:
+        if page is not None:
+            page.close()
+    sys.exit(code)
 
 
 def _list(plugins: Plugins) -> None:
@@ -120,7 +144,14 @@ class _Options:
     faults: bool
 
 
-def _run(plugins: Plugins, name: str, out: Path | None, options: _Options) -> int:
+def _run(
+    plugins: Plugins,
+    name: str,
+    out: Path | None,
+    options: _Options,
+    interrupted: threading.Event,
+    page: DemoPage | None,
+) -> int:
     from pancakes.demo import Comparison
 
     try:
@@ -128,11 +159,9 @@ def _run(plugins: Plugins, name: str, out: Path | None, options: _Options) -> in
     except UnknownPlugin as error:
         raise click.BadParameter(str(error), param_hint="NAME") from None
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
-    interrupted = threading.Event()
-    _on_signal(interrupted)
     if isinstance(found, Comparison):
-        return _compare(plugins, found, out, options, interrupted)
-    flown = _fly(plugins, found, name, out, options, interrupted)
+        return _compare(plugins, found, out, options, interrupted, page)
+    flown = _fly(plugins, found, name, out, options, interrupted, page)
     if flown is None:
         return INTERRUPTED
     run, summary, timing = flown
@@ -143,7 +172,13 @@ def _run(plugins: Plugins, name: str, out: Path | None, options: _Options) -> in
 
 
 def _fly(
-    plugins: Plugins, found: Demo, folder: str, out: Path, options: _Options, interrupted: threading.Event
+    plugins: Plugins,
+    found: Demo,
+    folder: str,
+    out: Path,
+    options: _Options,
+    interrupted: threading.Event,
+    page: DemoPage | None,
 ) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
@@ -164,17 +199,30 @@ def _fly(
     click.echo(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
     with PlainView(found, mission) if plain else LiveView(found, mission):
         if virtual:
-            timing = run_virtual(plan, mission, interrupted, Faults(seed) if options.faults else None)
+            onlooker = page.beside_virtual(found.title) if page is not None else None
+            timing = run_virtual(plan, mission, interrupted, Faults(seed) if options.faults else None, onlooker)
         else:
+            if page is not None:
+                page.beside_live(plan, mission)
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
         click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
         return None
     run = run_of(plan, mission)
-    return run, judge(plan, run, timing), timing
+    summary = judge(plan, run, timing)
+    if page is not None:
+        page.end(f"the mission is over: {summary['verdict']}")
+    return run, summary, timing
 
 
-def _compare(plugins: Plugins, found: Comparison, out: Path, options: _Options, interrupted: threading.Event) -> int:
+def _compare(
+    plugins: Plugins,
+    found: Comparison,
+    out: Path,
+    options: _Options,
+    interrupted: threading.Event,
+    page: DemoPage | None,
+) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
     from pancakes.demo.launcher import fresh, write_results
 
@@ -186,7 +234,7 @@ def _compare(plugins: Plugins, found: Comparison, out: Path, options: _Options, 
         mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
         # What the command line says comes last, and so goes before what is different by itself.
         own = replace(options, sets=(*variant.sets, *options.sets))
-        flown = _fly(plugins, mission, found.name, out / variant.name, own, interrupted)
+        flown = _fly(plugins, mission, found.name, out / variant.name, own, interrupted, page)
         if flown is None:
             return INTERRUPTED
         runs[variant.name], summaries[variant.name], timings[variant.name] = flown

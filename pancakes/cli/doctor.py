@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, Unreachable, sentences
+from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json
+from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
     from pancakes.cli.finding import Finding
@@ -45,7 +46,7 @@ def doctor(no_machine: bool, format_: str, at: tuple[str, ...], timeout: float) 
         show_json([{column: getattr(finding, column) for column in columns} for finding in found])
     else:
         count = Counter(finding.level for finding in found)
-        click.echo(f"{count['error']} errors, {count['warning']} warnings, {count['ok']} things are in order")
+        click.echo(f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}")
     sys.exit(REFUSED if any(finding.level == "error" for finding in found) else OK)
 
 
@@ -67,8 +68,8 @@ def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Findin
 
 def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
     from pancakes.cli.agent_checks import check_entries, check_fleet
-    from pancakes.cli.client import Client
     from pancakes.cli.finding import Finding
+    from pancakes.client import Client
     from pancakes.control import Describe
     from pancakes.errors import PancakesError
     from pancakes.runtime_dir import entries
@@ -97,4 +98,4 @@ def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
             except PancakesError:
                 return None
 
-        yield from check_fleet(found.agents, found.silent, ask)
+        yield from check_fleet(found.agents, found.silent, ask, found.asleep)

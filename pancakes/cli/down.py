@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pancakes.cli.client import Client
-from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, NoAnswer, Unreachable, sentences
+from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
+from pancakes.client import Client
 from pancakes.control import Shutdown
+from pancakes.errors import NoAnswer, Unreachable
 from pancakes.runtime_dir import Entry, entries
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
-from pancakes.cli.following import Following, Heard
 from pancakes.cli.listening import doubt_types, from_any, listen, telling_losses
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.streaming import Printer, count_option, for_option, one_line, plain, say, until_ended
+from pancakes.client import Client
+from pancakes.client.following import Following, Heard
 
 WIDE: Final = 100
 """A list or mapping that takes more characters than this is shown on several lines."""
@@ -111,7 +111,7 @@ def _lines(key: str, value: Any, indent: str) -> list[str]:
             f"{indent}{key}:",
             *(line for name, it in value.items() for line in _lines(_key(name), it, indent + "  ")),
         ]
-    if not isinstance(value, list) or len(short) <= WIDE:
+    if not isinstance(value, list | tuple) or len(short) <= WIDE:
         return [f"{indent}{key}: {short}"]
     return [f"{indent}{key}:", *(f"{indent}  - {_scalar(item)}" for item in value)]
 
@@ -169,7 +169,7 @@ def _at(record: Mapping[str, Any], path: str) -> tuple[Any, ...]:
     for step in steps:
         if isinstance(value, Mapping) and step in value:
             value = value[step]
-        elif isinstance(value, list) and step.lstrip("-").isdecimal() and -len(value) <= int(step) < len(value):
+        elif isinstance(value, list | tuple) and step.lstrip("-").isdecimal() and -len(value) <= int(step) < len(value):
             value = value[int(step)]
         else:
             return ()

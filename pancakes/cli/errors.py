@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
 import sys
@@ -10,7 +11,7 @@ from typing import Final, NoReturn, ParamSpec, TypeVar
 
 import click
 
-from pancakes.errors import ConfigError, PancakesError
+from pancakes.errors import ConfigError, PancakesError, Unreachable
 
 OK: Final = 0
 REFUSED: Final = 1
@@ -24,16 +25,11 @@ BAD_CONFIGURATION: Final = 4
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
 """The environment variable with which a defect shows its traceback, for whoever mends it."""
 
+UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""What says that output cannot be written because of where it goes to: a full disk, for example."""
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
-
-
-class Unreachable(PancakesError):
-    """An agent that was asked for something did not answer."""
-
-
-class NoAnswer(Unreachable):
-    """An agent was asked for something, and whether it does it is not known."""
 
 
 def exit_code(error: PancakesError) -> int:
@@ -50,6 +46,9 @@ def fail(error: Exception) -> NoReturn:
     if isinstance(error, PancakesError):
         click.echo(str(error), err=True)
         sys.exit(exit_code(error))
+    if isinstance(error, OSError) and error.errno in UNWRITABLE:
+        click.echo(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
+        sys.exit(REFUSED)
     if os.environ.get(TRACEBACK):
         raise error
     text = " ".join(str(error).split())

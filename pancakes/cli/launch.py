@@ -120,7 +120,7 @@ def let_begin(pids: Mapping[str, int]) -> list[str]:
     Returns:
         A sentence for each that could not be told.
     """
-    from pancakes.cli.client import Client
+    from pancakes.client import Client
     from pancakes.clock import MonotonicClock
     from pancakes.control import Begin
     from pancakes.errors import PancakesError

@@ -6,11 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from pancakes.cli.client import Client
-from pancakes.cli.errors import Unreachable
-from pancakes.cli.following import Following, Heard
 from pancakes.cli.streaming import say
-from pancakes.errors import PancakesError
+from pancakes.client import Client
+from pancakes.client.following import Following, Heard
+from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
 from pancakes.suggestion import suggestion
 

@@ -11,13 +11,13 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import order
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
-from pancakes.cli.following import Following
 from pancakes.cli.listening import from_any, listen, telling_losses
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.streaming import Printer, say, until_ended
+from pancakes.client import Client
+from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import LEVELS
@@ -185,7 +185,7 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
     when it comes back. What is in both is left out once.
     """
     anew: list[str] = []
-    known: dict[str, _Known] = {}
+    known: dict[str, Known] = {}
     began_s = client.now()
     with (
         Following(client, LOG, agents=agents, say=say, followed_anew=anew.append) as following,
@@ -198,7 +198,7 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
             records = _merged(client, described, back_s)
             for agent in described:
                 of_agent = [record for record in records if record["agent"] == agent["agent"]]
-                known.setdefault(agent["agent"], _Known()).ask(of_agent)
+                known.setdefault(agent["agent"], Known()).ask(of_agent)
             return (record for record in records if known[record["agent"]].is_new(record))
 
         yield from remembered(client.survey(*agents).agents)
@@ -210,11 +210,11 @@ def _followed(client: Client, agents: Sequence[str], since_s: float | None) -> I
                     say(str(error))
             if heard is not None:
                 record = record_of(heard.packet)
-                if known.setdefault(heard.agent, _Known()).comes(record):
+                if known.setdefault(heard.agent, Known()).comes(record):
                     yield record
 
 
-class _Known:
+class Known:
     """Which records of one agent have been shown, so that none is shown twice where it comes in two ways."""
 
     def __init__(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from typing import Final
 
 import click
@@ -23,6 +24,10 @@ COMMANDS = {
     "param": Later("pancakes.cli.param_verbs:param", "Settings of tasks."),
     "log": Later("pancakes.cli.log:log", "What agents say and do."),
     "record": Later("pancakes.cli.record:record", "Recordings of what agents say."),
+    "replay": Later("pancakes.cli.replay:replay", "Feed a recording into a fleet."),
+    "rerun": Later("pancakes.cli.rerun:rerun", "Run a recorded task through its present code."),
+    "view": Later("pancakes.cli.view:view", "A page that shows what a fleet does."),
+    "report": Later("pancakes.cli.report:report", "A recording as a page, and as pictures for a paper."),
     "top": Later("pancakes.cli.top:top", "Watch agents and tasks: rates, lateness, load."),
     "launch": Later("pancakes.cli.launch:launch", "Run a fleet from its files."),
     "down": Later("pancakes.cli.down:down", "End agents in order."),
@@ -50,6 +55,9 @@ def pancakes() -> None:
 @sentences
 def main() -> None:
     """The console script."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the shell (>&-)
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - it stays open to the end
     if VARIABLE in os.environ:
         from pancakes.cli.completion import answer_shell
 

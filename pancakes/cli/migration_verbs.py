@@ -8,14 +8,14 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, ask_each
-from pancakes.cli.client import Client
 from pancakes.cli.completing import costs, tasks_beside
-from pancakes.cli.errors import NoAnswer, sentences
+from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
 from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
+from pancakes.client import Client
 from pancakes.control import Adopt, Migrate, Migrations
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefused, NoAnswer
 
 LINES = ("neighbour", "answer", "cost", "terms", "fate", "reason")
 MOVES = (

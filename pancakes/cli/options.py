@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
@@ -46,6 +47,18 @@ class Duration(click.ParamType):
         return float(found[1]) * self._UNITS_S[found[2]]
 
 
+class FiniteRange(click.FloatRange):
+    """A number within bounds; unlike click's own, it takes neither NaN nor infinity."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number", param, ctx)
+        return number
+
+
 format_option = click.option(
     "--format",
     "format_",
@@ -75,7 +88,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
         click.option(
             "--timeout",
             metavar="SECONDS",
-            type=click.FloatRange(min=0.0, min_open=True, max=3600.0),
+            type=FiniteRange(min=0.0, min_open=True, max=3600.0),
             default=timeout_s,
             show_default=True,
             help="How long to wait for answers.",

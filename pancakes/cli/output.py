@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -17,8 +18,8 @@ DRY_RUN: Final = "dry run"
 
 
 def show_json(value: Any) -> None:
-    """Prints a plain value to standard output, as JSON."""
-    click.echo(json.dumps(value, indent=2, ensure_ascii=False))
+    """Prints a plain value to standard output, as JSON; numbers that JSON does not know (NaN, infinity) become null."""
+    click.echo(json.dumps(_known(value), indent=2, ensure_ascii=False))
 
 
 def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str) -> None:
@@ -62,8 +63,8 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
     from rich.text import Text
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for column in columns:
-        table.add_column(column, justify="right" if _numeric(rows, column) else "left")
+    for column in columns:  # in a narrow terminal a name is folded, because one that is cut off is of no use
+        table.add_column(column, justify="right" if _numeric(rows, column) else "left", overflow="fold")
     for row in rows:
         table.add_row(*(Text(_text(row[column])) for column in columns))
     return table
@@ -76,6 +77,16 @@ def _print(*things: Any) -> None:
     console = Console(width=None if sys.stdout.isatty() else 1000)
     for thing in things:
         console.print(thing)
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {key: _known(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_known(item) for item in value]
+    return value
 
 
 def _numeric(rows: Sequence[Mapping[str, Any]], column: str) -> bool:

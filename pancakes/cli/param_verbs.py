@@ -10,12 +10,12 @@ import click
 
 from pancakes.cli import param_file
 from pancakes.cli.asking import accepted, order, placed
-from pancakes.cli.client import Client
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.names import TaskName, a_task
 from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
 from pancakes.cli.param_names import AgentOrTask, ParamName, a_task_or_agent
+from pancakes.client import Client
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion

@@ -10,14 +10,14 @@ import click
 
 from pancakes.cli.asking import order
 from pancakes.cli.bodies import BadBody, body_of
-from pancakes.cli.client import Client
-from pancakes.cli.errors import Unreachable, sentences
+from pancakes.cli.errors import sentences
 from pancakes.cli.names import ChannelName, a_channel
-from pancakes.cli.options import dry_run_option, orders_agents
+from pancakes.cli.options import FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import show
 from pancakes.cli.streaming import say, until_ended
+from pancakes.client import Client
 from pancakes.control import CONTROLS, Channels, Describe
-from pancakes.errors import PeerLost
+from pancakes.errors import PeerLost, Unreachable
 from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
 
 COLUMNS: Final = ("agent", "channel", "type", "to", "packets", "subscribers")
@@ -34,7 +34,7 @@ RATE_HZ: Final = 1.0
     "--rate",
     "rate_hz",
     metavar="HZ",
-    type=click.FloatRange(min=0.0, min_open=True, max=1000.0),
+    type=FiniteRange(min=0.0, min_open=True, max=1000.0),
     help="So many a second, until Ctrl-C or --count; without, one.",
 )
 @click.option("--count", "most", metavar="N", type=click.IntRange(min=1), help="N packets, at --rate or one a second.")

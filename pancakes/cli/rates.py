@@ -7,15 +7,15 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
-from pancakes.cli.following import Following
 from pancakes.cli.listening import doubt_types, from_any, listen, telling_losses
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import count_option, for_option, one_line, say, until_ended
 from pancakes.cli.throughput import WINDOW, Throughput, size_of
+from pancakes.client import Client
+from pancakes.client.following import Following
 
 EVERY_S: Final = 1.0
 """How often there is a report."""

@@ -11,7 +11,7 @@ import click
 from pancakes.cli.asking import accepted
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents
-from pancakes.cli.options import asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
@@ -36,8 +36,8 @@ def record() -> None:
 @click.option("--channel", "channels", metavar="NAME", multiple=True, help="Only this channel. Repeatable.")
 @click.option("--type", "types", metavar="TYPE", multiple=True, help="Only this packet type. Repeatable.")
 @click.option("--task", metavar="ID", default="", help="Only what this task (BIRTHPLACE/NAME) reads and publishes.")
-@click.option("--limit-mib", type=click.FloatRange(min=0.0), default=None, help="How large it may become.")
-@click.option("--split-mib", type=click.FloatRange(min=0.0, min_open=True), help="A new file begins at this size.")
+@click.option("--limit-mib", type=FiniteRange(min=0.0), default=None, help="How large it may become.")
+@click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
 @dry_run_option
 @orders_agents
 @sentences

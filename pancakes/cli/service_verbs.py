@@ -7,11 +7,11 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, survey
-from pancakes.cli.client import Client
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import ServiceName, a_service, agents
 from pancakes.cli.options import Duration, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.client import Client
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
@@ -19,6 +19,8 @@ from pancakes.suggestion import suggestion
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 DONE = ("agent", "service", "done", "number")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
+STATES = ("stopped", "starting", "running", "stopping", "failed")
+"""The values of `pancakes.services.root.ServiceState`, which is not imported for them: a command has to be quick."""
 
 
 @click.group()
@@ -28,10 +30,10 @@ def service() -> None:
 
 @service.command("list")
 @agents
-@click.option("--state", metavar="STATE", default="", help="Only those in this state: running, stopped, failed, ...")
+@click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
 @asks_agents
 @sentences
-def list_(agents: tuple[str, ...], state: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(agents: tuple[str, ...], state: str | None, format_: str, at: tuple[str, ...], timeout: float) -> None:
     """List the services of all agents, or of those that are named.
 
     Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
@@ -42,7 +44,7 @@ def list_(agents: tuple[str, ...], state: str, format_: str, at: tuple[str, ...]
         pancakes service list agent1 --state failed --format json
     """
     found = survey(at, timeout, *agents)
-    rows = [row for agent in found for row in agent["services"] if state in ("", row["state"])]
+    rows = [row for agent in found for row in agent["services"] if state in (None, row["state"])]
     show(rows, COLUMNS, format_)
 
 

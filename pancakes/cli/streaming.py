@@ -21,7 +21,7 @@ STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else 
 
 
 def plain(value: Any) -> Any:
-    """Returns a value, such as a packet's body, as JSON knows it: mappings, lists, strings, numbers."""
+    """Returns a value, such as a packet's body, as JSON knows it: mappings, lists (or tuples), strings, numbers."""
     return msgspec.to_builtins(value, enc_hook=_plain_array, str_keys=True)
 
 

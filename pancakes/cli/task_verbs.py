@@ -9,18 +9,20 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, order, placed, survey
-from pancakes.cli.client import Client
 from pancakes.cli.completing import timers
 from pancakes.cli.errors import sentences
 from pancakes.cli.migration_verbs import adopt, migrate, migrations
 from pancakes.cli.names import TaskName, a_task, agents
-from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
+from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.client import Client
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
 DONE = ("agent", "service", "task", "done", "number")
+STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
+"""The values of `pancakes.slot.TaskState`, which is not imported for them: a command has to be quick."""
 
 
 @click.group()
@@ -37,7 +39,7 @@ task.add_command(adopt)
 @agents
 @click.option("--service", metavar="NAME", default="", help="Only tasks of the service of this name.")
 @click.option("--type", "type_", metavar="PATTERN", default="*", help="Only tasks of these types: sim.*")
-@click.option("--state", metavar="STATE", default="", help="Only tasks in this state: running, stopped, failed, ...")
+@click.option("--state", type=click.Choice(STATES), help="Only tasks in this state.")
 @click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
 @asks_agents
 @sentences
@@ -45,7 +47,7 @@ def list_(
     agents: tuple[str, ...],
     service: str,
     type_: str,
-    state: str,
+    state: str | None,
     long: bool,
     format_: str,
     at: tuple[str, ...],
@@ -65,7 +67,7 @@ def list_(
         row
         for found in survey(at, timeout, *agents)
         for row in found["tasks"]
-        if service in ("", row["service"]) and state in ("", row["state"]) and fnmatchcase(row["type"], type_)
+        if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
     ]
     show(rows, LONG if long else COLUMNS, format_)
 
@@ -164,7 +166,7 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: t
 
 @task.command()
 @a_task
-@click.argument("rate_hz", metavar="HZ", type=click.FloatRange(min=0.0))
+@click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
 @click.option(
     "--timer",
     metavar="METHOD",

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.client import Client
-from pancakes.cli.errors import Unreachable, sentences
-from pancakes.cli.looks import Looks
+from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.output import show_json
 from pancakes.cli.streaming import one_line, say, until_ended
+from pancakes.client import Client
+from pancakes.client.looks import Looks
+from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
     from rich.console import Console, Group

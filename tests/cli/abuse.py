@@ -10,7 +10,7 @@ from typing import Any
 
 from processes import PATIENCE_S, Rig, Running
 
-from pancakes.cli.door import Answer, Door
+from pancakes.client.door import Answer, Door
 from pancakes.clock import MonotonicClock
 from pancakes.control import Follow, Reply
 from pancakes.events import Event

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -120,16 +121,21 @@ def on_a_terminal(rig: Rig, height: int, width: int, *arguments: str, until: byt
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,
-        env={**rig.environment, "TERM": "xterm-256color"},
+        env={key: value for key, value in rig.environment.items() if key not in ("LINES", "COLUMNS", "NO_COLOR")}
+        | {"TERM": "xterm-256color"},
         cwd=rig.directory,
         start_new_session=True,
     )
     os.close(theirs)
+    until_s = time.monotonic() + PATIENCE_S
     shown = b""
     interrupted = False
     try:
         while True:
-            assert select.select([ours], [], [], PATIENCE_S)[0], f"{until!r} was never shown, but:\n{shown.decode()}"
+            left_s = until_s - time.monotonic()
+            assert left_s > 0 and select.select([ours], [], [], left_s)[0], (
+                f"{until!r} was not shown:\n{shown.decode()}"
+            )
             try:
                 data = os.read(ours, 65_536)
             except OSError:  # its side is closed

@@ -65,6 +65,12 @@ class Running:
             self._next(PATIENCE_S)
         return "\n".join(self.said)
 
+    def so_far(self) -> list[str]:
+        """Returns what it has said so far, without waiting for more."""
+        while not self._silent and not self._lines.empty():
+            self._next(0.0)
+        return self.said
+
     def ended(self) -> int:
         """Waits for its end, and returns its exit code."""
         code = self.process.wait(PATIENCE_S)

@@ -154,6 +154,9 @@ def test_fields_are_picked_and_packets_without_them_left_out(rig: Rig, agent: Ru
         "packets of the type pose are left out: they have no ranges_m.1, only x_m, y_m, theta_rad\n"
     )
     assert rows_of(rig, "echo", "a/pond", "--type", "pose", "--field", "x_m", "--count", "1") == [{"x_m": 1.0}]
+    # With --type the class is known here, and its fields are tuples instead of lists.
+    of_a_type = rows_of(rig, "echo", "a/pond", "--type", "sonar", "--field", "ranges_m.1", "--count", "1")
+    assert of_a_type == [{"ranges_m.1": 0.75}]
 
 
 def test_only_packets_from_an_address_are_shown(rig: Rig, agent: Running, start: Start):
@@ -342,6 +345,7 @@ def test_packets_are_published_at_a_rate(rig: Rig, agent: Running, start: Start)
 
     pub = start("channel", "pub", "a/pond", "battery", FULL, "--rate", "20", "--format", "json")
     agent.hear("saw level=0.75")
+    agent.hear("saw level=0.75")  # so the first of them is counted by now
     assert pub.interrupt() == 0
     (row,) = json.loads("\n".join(pub.printed))
     assert row["packets"] >= 1
@@ -398,6 +402,7 @@ def test_pub_to_a_channel_or_an_agent_that_is_not_there(rig: Rig, agent: Running
         ("battery", '{"voltage_v": 1, "level": 1, "livel": 2}', "battery has no field 'livel', did you mean 'level'?"),
         ("battery", "[1, 2]", "the body must be a JSON object"),
         ("battery", '{"level": ', "the body is no JSON: input data was truncated"),
+        ("battery", "{level: 1}", "the body is no JSON: object keys must be strings"),
     ],
 )
 def test_a_body_that_does_not_fit_is_never_sent(rig: Rig, kind: str, body: str, said: str):

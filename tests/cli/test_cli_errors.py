@@ -1,9 +1,12 @@
 """Errors become sentences and exit codes, in one place."""
 
+import errno
+import os
+
 import pytest
 
-from pancakes.cli.errors import Unreachable, sentences
-from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError
+from pancakes.cli.errors import sentences
+from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, Unreachable
 
 
 @pytest.mark.parametrize(
@@ -46,3 +49,14 @@ def test_a_defect_is_a_sentence_too(capsys: pytest.CaptureFixture[str], monkeypa
     monkeypatch.setenv("PANCAKES_TRACEBACK", "1")
     with pytest.raises(KeyError):
         command()
+
+
+def test_a_full_disk_is_no_defect(capsys: pytest.CaptureFixture[str]):
+    @sentences
+    def command() -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "runs/summary.json")
+
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "cannot write runs/summary.json: No space left on device\n"

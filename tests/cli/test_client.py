@@ -5,10 +5,10 @@ from collections.abc import Callable
 import pytest
 from processes import Rig, Running
 
-from pancakes.cli.client import Client
-from pancakes.cli.door import Door
-from pancakes.cli.errors import Unreachable
+from pancakes.client import Client
+from pancakes.client.door import Door
 from pancakes.control import Describe, Reschedule, Stop
+from pancakes.errors import Unreachable
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 

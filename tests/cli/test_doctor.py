@@ -53,7 +53,7 @@ def test_what_it_prints_for_people(rig: Rig):
 
     lines = result.stdout.splitlines()
     assert any(line.startswith("ok       loopback: ") for line in lines)
-    assert lines[-1].startswith("0 errors, ")
+    assert lines[-1].startswith("errors: 0, ")
 
 
 def test_a_suspended_agent_is_found(rig: Rig, freeze: Callable[[Running], None]):
@@ -272,7 +272,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3}
             "a/camera",
             "was given up: no light",
         ),
-        ({"dead_letters": 2}, "warning", "a", "2 packets made their readers fail"),
+        ({"dead_letters": 2}, "warning", "a", "readers failed at 2 packets"),
         (
             {"process": {"version": "0.0.1"}},
             "warning",
@@ -326,6 +326,26 @@ def test_packets_are_lost_only_by_those_that_want_all_of_them():
 
 def test_who_says_nothing_is_an_error():
     assert levels(check_fleet([], ["b did not answer"], lambda name, target: None)) == [("error", "agents")]
+
+
+def test_who_has_said_that_its_network_sleeps_is_no_error():
+    sentences = ["b did not answer: its network sleeps for 8.0 s", "c did not answer"]
+
+    found = list(check_fleet([], sentences, lambda name, target: None, asleep=sentences[:1]))
+
+    assert [(finding.level, finding.text) for finding in found] == [("ok", sentences[0]), ("error", sentences[1])]
+
+
+def test_a_network_that_sleeps_is_told_and_no_error(rig: Rig):
+    rig.ready("a")
+    rig.ready("b")
+    assert rig.pancakes("service", "stop", "a/network", "--for", "1min").returncode == 0
+
+    code, found = diagnosis(rig, "--no-machine")
+
+    assert code == 0
+    assert [(level, about) for level, about, *_ in found] == [("ok", "agents"), ("ok", "b")]
+    assert "its network sleeps" in found[0][2]
 
 
 def test_names_that_are_borne_twice():

@@ -8,6 +8,10 @@ from typing import Any
 import pytest
 from processes import Rig, Running
 
+from pancakes.cli import service_verbs, task_verbs
+from pancakes.services.root import ServiceState
+from pancakes.slot import TaskState
+
 SOURCE = """
 from dataclasses import dataclass
 from pancakes.devices.types import Pose
@@ -131,6 +135,7 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
 def test_an_agent_that_is_not_there_or_silent(rig: Rig, agent: Running, freeze: Callable[[Running], None]):
     assert failed(rig, "agent", "info", "c") == (3, "there is no agent 'c', only a")
     assert rig.pancakes("agent", "info").returncode == 2
+    assert rig.pancakes("task", "list", "--state", "runing").returncode == 2
     assert rig.pancakes("agent", "info", "a/client").returncode == 2
     freeze(agent)
     code, sentence = failed(rig, "agent", "info", "a", "--timeout", "0.5")
@@ -278,6 +283,11 @@ def test_a_service_that_is_not_there(rig: Rig, agent: Running):
         "a has no service 'x', only log, device, network, client",
     )
     assert failed(rig, "service", "info", "b/client")[0] == 3
+
+
+def test_the_states_that_can_be_asked_for_are_those_that_there_are():
+    assert list(task_verbs.STATES) == [state.value for state in TaskState]
+    assert list(service_verbs.STATES) == [state.value for state in ServiceState]
 
 
 @pytest.mark.parametrize(

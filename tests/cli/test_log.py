@@ -8,7 +8,7 @@ import pytest
 from live_output import LiveOutput, on_a_terminal
 from processes import Rig, Running
 
-from pancakes.cli.log import Asks, words_of
+from pancakes.cli.log import Asks, Known, words_of
 
 SOURCE = """
 from pancakes.task import Task, every
@@ -134,11 +134,9 @@ def test_agents_are_merged_by_when_it_was_said(rig: Rig, agent: Running):
 
     found = records(rig)
 
-    sources = [record["agent"] for record in found]
-    assert set(sources) == {"a", "b"}
-    before, _, after = "".join(sources).partition("b")
-    assert before.count("a") > 3
-    assert after.rstrip("a").count("b") > 3
+    told = [f"{record['agent']} {words_of(record)}" for record in found]
+    assert told.index("a word 3") < told.index("b ready") < len(told) - 1  # it was said before b was there,
+    assert [line for line in told[told.index("b spoke word=hello") :] if line.startswith("a word")]  # and goes on since
     assert {record["agent"] for record in records(rig, "b")} == {"b"}
 
 
@@ -221,3 +219,22 @@ def test_an_event_counts_as_info_and_reads_as_a_line():
     assert words_of(record) == "moved to=b cost=0"
     assert Asks("info", (), None).wants(record)
     assert not Asks("warning", (), None).wants(record)
+
+
+def test_what_comes_in_two_ways_is_shown_once():
+    def line(n: int) -> dict[str, Any]:
+        return {"t_s": float(n), "agent": "a", "source": "a/client", "kind": "line", "level": "info", "text": str(n)}
+
+    known = Known()
+    known.ask([line(1), line(2)])
+    assert [known.is_new(line(n)) for n in (1, 2)] == [True, True]
+    assert not known.comes(line(2))  # it was said after it was followed and before it was asked for
+    assert known.comes(line(3))
+
+    # It was away, has said 4 and 5 meanwhile, and 5 has come since.
+    known.ask([line(n) for n in (1, 2, 3, 4, 5)])
+    assert [known.is_new(line(n)) for n in (1, 2, 3, 4, 5)] == [False, False, False, True, True]
+    assert not known.comes(line(5))
+    assert known.comes(line(6))
+    # The same again is something else.
+    assert known.comes(line(6))

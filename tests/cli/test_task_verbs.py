@@ -121,6 +121,8 @@ def test_a_service_is_stopped_for_a_time_and_started(rig: Rig, agent: Running):
     assert row == {"agent": "a", "service": "client", "done": "stopped", "for_s": None}
     assert agent.hear("asked what=stop").endswith(f" number={number}")
     assert refused(rig, "service", "stop", "a/client") == "a/client is stopped, not running"
+    assert refused(rig, "task", "start", "a/Count") == "a/client is stopped, and Count with it"
+    assert refused(rig, "task", "start", "a/Nothing").startswith("a has no task")
     assert done(rig, "service", "start", "a/client")["done"] == "started"
     assert listed(rig, "Count")[0] == "running"
 
@@ -184,6 +186,8 @@ def test_who_is_not_there_is_told(rig: Rig, agent: Running):
         ("task", "stop", "a/"),
         ("task", "rate", "a/Count", "fast"),
         ("task", "rate", "a/Count", "-1"),
+        ("task", "rate", "a/Count", "nan"),
+        ("task", "list", "--timeout", "nan"),
         ("service", "stop", "a"),
         ("service", "stop", "a/client/Count"),
         ("service", "stop", "a/client", "--for", "soon"),

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from pancakes.cli.client import LOOK_S, Client
-from pancakes.cli.door import Door
-from pancakes.cli.errors import Unreachable
+from pancakes.client.client import LOOK_S, Client
+from pancakes.client.door import Door
 from pancakes.control import Follow, Reply
-from pancakes.errors import ControlRefused
+from pancakes.errors import ControlRefused, Unreachable
 from pancakes.packet import Packet
 
 SEARCH_S: Final = 0.5
@@ -87,6 +86,7 @@ class Following:
         types: only packets of these types; none: all.
         foreign: whether packets count that came to the channel from other agents.
         agents: the agents' names; none: all, those too that come later.
+        fleet: only agents of this fleet; empty: of any.
         say: takes a sentence about agents that go and come back.
         followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
 
@@ -108,11 +108,13 @@ class Following:
         agents: Sequence[str] = (),
         say: Callable[[str], None] = lambda text: None,
         followed_anew: Callable[[str], None] = lambda agent: None,
+        fleet: str = "",
     ) -> None:
         self._client = client
         self.channel = channel
         self._request = Follow(channel, tuple(types), foreign)
         self._names = tuple(agents)
+        self._fleet = fleet
         self._say = say
         self._followed: dict[tuple[str, str], _Followed] = {}
         self._waiting: deque[Heard] = deque()
@@ -182,6 +184,8 @@ class Following:
         """Takes up agents that are connected and not yet known; returns them."""
         new = []
         for door in self._client.doors():
+            if self._fleet not in ("", door.fleet):
+                continue
             for hello in door.agents():
                 key = (door.fleet, hello.name)
                 if key in self._followed or (self._names and hello.name not in self._names):

@@ -125,7 +125,19 @@ class Door:
             PancakesError: it cannot travel, or the agent is not connected any more.
         """
         self._seq += 1
-        self._mesh.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, self._seq, body))
+        self.send(Packet(channel, type_name(body), self.name, destination or agent, stamp, self._seq, body))
+
+    def send(self, packet: Packet) -> None:
+        """Sends a packet as it is to the connected agent that its destination names.
+
+        Raises:
+            PancakesError: as `publish`.
+        """
+        self._mesh.send(packet)
+
+    def waiting(self, agent: str) -> int:
+        """Returns how many packets wait here because an agent, or the way to it, is too slow for them."""
+        return sum(sum(peer["waiting"].values()) for peer in self._mesh.describe()["peers"] if peer["name"] == agent)
 
     def close(self) -> None:
         """Says goodbye. The transport is closed by whoever made it."""

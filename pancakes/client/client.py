@@ -12,12 +12,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from pancakes.cli.door import Door
-from pancakes.cli.errors import NoAnswer, Unreachable
-from pancakes.cli.greeting import Greeting
+from pancakes.client.door import Door
+from pancakes.client.greeting import Greeting
 from pancakes.clock import MonotonicClock
 from pancakes.control import Describe, Reply
-from pancakes.errors import ControlRefused, PluginError
+from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
 from pancakes.net.transport import Transport
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries, runtime_dir
@@ -58,10 +57,12 @@ class Survey:
     Attributes:
         agents: the result of `Describe` of each that answered, by fleet and name.
         silent: a sentence for each that did not.
+        asleep: those of these sentences whose agent had said that its network would sleep.
     """
 
     agents: list[dict[str, Any]] = field(default_factory=list)
     silent: list[str] = field(default_factory=list)
+    asleep: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -164,7 +165,11 @@ class Client:
             ControlRefused: agents of two fleets bear a name.
         """
         replies, silent = self._gather(None, agents, timeout_s)
-        return Survey([reply.result for _, reply in replies], silent)
+        return Survey(
+            [reply.result for _, reply in replies],
+            [sentence for sentence, _ in silent],
+            [sentence for sentence, asleep in silent if asleep],
+        )
 
     def ask_each(self, body: Any, *agents: str, timeout_s: float | None = None) -> Replies:
         """Asks all agents the same, all at once; the arguments and errors are those of `survey`.
@@ -174,7 +179,8 @@ class Client:
             agents: see `survey`.
             timeout_s: see `survey`.
         """
-        return Replies(*self._gather(body, agents, timeout_s))
+        replies, silent = self._gather(body, agents, timeout_s)
+        return Replies(replies, [sentence for sentence, _ in silent])
 
     # For what goes on ------------------------------------------------------------------------------------------
 
@@ -269,8 +275,12 @@ class Client:
 
     def _gather(
         self, body: Any, agents: Sequence[str], timeout_s: float | None
-    ) -> tuple[list[tuple[str, Reply]], list[str]]:
-        """See `survey`; body: what else to ask them for, None: only to describe themselves."""
+    ) -> tuple[list[tuple[str, Reply]], list[tuple[str, bool]]]:
+        """See `survey`; body: what else to ask them for, None: only to describe themselves.
+
+        Returns:
+            The replies, and for each that was silent a sentence, and whether its network sleeps.
+        """
         wanted = [name for name in dict.fromkeys(agents) if name]
 
         def enough(answers: Answers) -> bool:
@@ -287,10 +297,15 @@ class Client:
                         raise Unreachable(self._nobody(name, sorted({other for _, other in answers}), silent))
                 answers = {key: reply for key, reply in answers.items() if key[1] in wanted}
                 silent = [(lead, why) for lead, why in silent if lead.name in wanted]
-            sentences = [f"{lead} did not answer: {why or self._late(timeout_s)}" for lead, why in silent]
+            asleep = {(door.fleet, name) for door in self._doors.values() for name in door.asleep()}
+            sentences = [
+                (f"{lead} did not answer: {why or self._late(timeout_s)}", (lead.fleet, lead.name) in asleep)
+                for lead, why in silent
+            ]
             if not answers:
                 raise Unreachable(
-                    "\n".join(sentences) or f"no agent runs {self._where}: start one, or name one with --at"
+                    "\n".join(sentence for sentence, _ in sentences)
+                    or f"no agent runs {self._where}: start one, or name one with --at"
                 )
             return [(key[1], answers[key]) for key in sorted(answers)], sentences
 

@@ -1,0 +1,218 @@
+"""`pancakes rerun`: runs one task of a recording through its present code, and shows what it does otherwise now."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.cli import param_file
+from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.options import Duration
+from pancakes.cli.output import show, show_json
+from pancakes.cli.streaming import one_line, say
+
+if TYPE_CHECKING:
+    from pancakes.replay.comparison import Comparison, Difference, StreamKey
+    from pancakes.replay.rerun import Outcome
+    from pancakes.replay.script import Script
+    from pancakes.replay.stays import Stay
+
+SHOWN: Final = 10
+LONGEST: Final = 100
+"""So many characters of a packet's body are shown in a line."""
+
+
+@click.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.argument("task", metavar="TASK")
+@click.option("--stay", "number", metavar="N", type=click.IntRange(min=1), help="Only the task's Nth stay, from 1.")
+@click.option("--agent", metavar="AGENT", default="", help="Only its stays on this agent.")
+@click.option("--set", "sets", metavar="NAME=VALUE", multiple=True, help="Run it with another setting. Repeatable.")
+@click.option(
+    "--tolerance",
+    metavar="SHARE",
+    type=click.FloatRange(min=0.0),
+    default=1e-6,
+    show_default=True,
+    help="Numbers are equal that differ by less, as a share of themselves, or from 0.",
+)
+@click.option(
+    "--time-tolerance",
+    "time_s",
+    metavar="TIME",
+    type=Duration(),
+    default="50ms",
+    show_default=True,
+    help="Packets are compared that were published no further apart, in mission time.",
+)
+@click.option(
+    "--show", "most", metavar="N", type=click.IntRange(min=0), default=SHOWN, show_default=True,
+    help="How many differences of each stay are shown.",
+)  # fmt: skip
+@click.option(
+    "--format",
+    "format_",
+    type=click.Choice(["table", "json"]),
+    default="table",
+    show_default=True,
+    help="How to print the answer.",
+)
+@sentences
+def rerun(
+    path: Path,
+    task: str,
+    number: int | None,
+    agent: str,
+    sets: tuple[str, ...],
+    tolerance: float,
+    time_s: float,
+    most: int,
+    format_: str,
+) -> None:
+    """Run a recorded task through its present code, and show where its packets differ from the recorded ones.
+
+    TASK is the task's identity for life, BIRTHPLACE/NAME, or its name where only one task bears it. It is run in
+    virtual time, alone: it gets the packets that it got then, at their times, its timers tick as they did, and what was
+    changed while it ran is changed again. Each of its stays on an agent is run by itself. Exit code 0 where all that it
+    publishes is as it was, 1 where not.
+
+    \b
+    Example:
+        pancakes rerun runs/encirclement-1-virtual/recording ScanTarget
+        pancakes rerun recordings agent1/ScanTarget --stay 1 --set radius_m=0.8
+    """
+    from pancakes.plugins import Plugins
+    from pancakes.recording.reader import RecordingReader
+    from pancakes.replay.comparison import Tolerance, compare
+    from pancakes.replay.rerun import Rerun, class_of
+    from pancakes.replay.script import read_script
+    from pancakes.replay.stays import choose_stays, find_stays
+
+    plugins = Plugins()
+    for fault in plugins.load_packets():
+        say(str(fault))
+    reader = RecordingReader(path)
+    stays = find_stays(reader.entries())
+    for note in reader.notes():
+        say(note)
+    speeds = {reading.about.get("agent", ""): float(reading.about.get("speed", 1.0)) for reading in reader.readings}
+    changes = dict(_change(text) for text in sets)
+    rows = []
+    for stay in choose_stays(stays, task, agent, number):
+        cls = class_of(stay, plugins)
+        settings = param_file.changes_of(stay.task.settings, changes)
+        script = read_script(RecordingReader(path).entries(), stay, cls, speeds.get(stay.agent, 1.0))
+        outcome = Rerun(stay, script, cls, settings).run()
+        comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
+        row = _row(stay, script, outcome, comparison, most)
+        rows.append(row)
+        if format_ == "table":
+            _print(stay, row, comparison, most)
+    if format_ == "json":
+        show_json(rows)
+    sys.exit(OK if all(row["agrees"] for row in rows) else REFUSED)
+
+
+def _change(text: str) -> tuple[tuple[str, ...], Any]:
+    found = param_file.parse_change(text)
+    if found is None:
+        raise click.BadParameter(f"{text!r} is no setting: write it as NAME=VALUE", param_hint="--set")
+    return found
+
+
+def _row(stay: Stay, script: Script, outcome: Outcome, comparison: Comparison, most: int) -> dict[str, Any]:
+    from pancakes.replay.script import Given
+    from pancakes.replay.stays import FAILED
+
+    inputs = sum(isinstance(step, Given) for step in script.steps)
+    failed_then = stay.reason if stay.end == FAILED else None
+    return {
+        "task_id": stay.task_id,
+        "agent": stay.agent,
+        "address": stay.task.address,
+        "type": stay.task.type,
+        "from_s": round(stay.begins_s, 6),
+        "to_s": round(script.end_s, 6),
+        "whole": stay.whole,
+        "inputs": inputs,
+        "superseded": script.superseded,
+        "changes": len(script.steps) - inputs,
+        "agrees": comparison.agrees and bool(failed_then) == bool(outcome.failed),
+        "failed_then": failed_then,
+        "failed_now": outcome.failed or None,
+        "failed_now_s": outcome.failed_s if outcome.failed else None,
+        "notes": [*_notes(stay), *outcome.notes],
+        "streams": [
+            {"channel": key.channel, "type": key.type, "to": key.to, **vars(counts)}
+            for key, counts in comparison.streams.items()
+        ],
+        "differences": [_plain(difference) for difference in comparison.differences[:most]],
+        "differences_left_out": max(0, len(comparison.differences) - most),
+    }
+
+
+def _notes(stay: Stay) -> list[str]:
+    if stay.whole:
+        return []
+    return [
+        "the recording begins while the task ran already: what it kept outside of its state is not known, nor where"
+        " its random numbers were"
+    ]
+
+
+def _plain(difference: Difference) -> dict[str, Any]:
+    from pancakes.replay.comparison import DIFFERENT, key_of, plain
+
+    packet = difference.packet
+    return {
+        "kind": difference.kind,
+        "time_s": packet.stamp,
+        **key_of(packet)._asdict(),
+        "seq": packet.seq,
+        "cause": list(packet.cause) if packet.cause is not None else None,
+        "fields": [it._asdict() for it in difference.fields],
+        "body": None if difference.kind == DIFFERENT else plain(packet.body),
+    }
+
+
+def _print(stay: Stay, row: dict[str, Any], comparison: Comparison, most: int) -> None:
+    click.echo(
+        f"{stay.task_id} ({stay.task.type}) on {stay.agent}, {row['from_s']:.3f} to {row['to_s']:.3f} s:"
+        f" {row['inputs']} packets in, {sum(it['recorded'] for it in row['streams'])} out"
+    )
+    for note in row["notes"]:
+        click.echo(f"note: {note}")
+    if row["streams"]:
+        show(row["streams"], list(row["streams"][0]), "table")
+    for difference in comparison.differences[:most]:
+        for line in _lines(difference):
+            click.echo(line)
+    if row["differences_left_out"]:
+        click.echo(f"... and {row['differences_left_out']} more (--show)")
+    if row["failed_now"] and not row["failed_then"]:
+        click.echo(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
+    elif row["failed_then"] and not row["failed_now"]:
+        click.echo(f"it failed then, and does not now: {row['failed_then']}")
+    click.echo("it agrees with the recording" if row["agrees"] else "it differs from the recording")
+
+
+def _lines(difference: Difference) -> list[str]:
+    from pancakes.replay.comparison import DIFFERENT, key_of, plain
+
+    packet = difference.packet
+    head = f"{packet.stamp:9.3f} s  {_named(key_of(packet))}"
+    if difference.kind != DIFFERENT:
+        return [f"{head}: {difference.kind}: {_short(plain(packet.body))}"]
+    return [f"{head}: {it.field} was {_short(it.recorded)}, is {_short(it.now)}" for it in difference.fields]
+
+
+def _named(key: StreamKey) -> str:
+    return f"{key.channel} {key.type}" + (f" to {key.to}" if key.to else "")
+
+
+def _short(value: Any) -> str:
+    text = one_line(value)
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

@@ -1,0 +1,81 @@
+"""`pancakes view`: a page that shows what a fleet does."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import click
+
+from pancakes.cli.errors import sentences
+from pancakes.cli.options import asks_agents
+from pancakes.cli.output import show_json
+from pancakes.cli.streaming import until_ended
+
+port_option = click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    help="The page's port on this machine. [default: 7480, or a free one where that is taken]",
+)
+"""The option `--port` of every verb that shows a page."""
+
+
+@click.command()
+@click.option("--fleet", metavar="NAME", default="", help="The fleet to show, where there are several.")
+@click.option(
+    "--control", is_flag=True, help="Let the page move, stop and start tasks and change rates; else it only looks."
+)
+@port_option
+@click.option("--open", "open_", is_flag=True, help="Open the page in the browser as well.")
+@asks_agents
+@sentences
+def view(
+    fleet: str,
+    control: bool,
+    port: int | None,
+    open_: bool,
+    format_: str,
+    at: tuple[str, ...],
+    timeout: float,
+) -> None:
+    """Show a fleet on a page in the browser, until Ctrl-C.
+
+    It shows the arena with its robots (or the mesh, where there are no poses), the agents with their tasks, what
+    happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
+    another machine: ssh -L 7480:127.0.0.1:7480 HOST. With --control the address that is printed has a token in it;
+    whoever has that may change what the agents do.
+
+    \b
+    Example:
+        pancakes view
+        pancakes view --control --at 127.0.0.1:7401
+    """
+    from pancakes.client import Client
+    from pancakes.web.feed import Feed
+    from pancakes.web.page import Shown, open_page
+    from pancakes.web.watch import Watch, fleet_among
+
+    with Client(at, timeout) as client:
+        fleet = fleet_among(client.survey().agents, fleet)
+    began_s = time.monotonic()
+    feed = Feed(lambda: time.monotonic() - began_s)
+    watch = Watch(feed, at, fleet, timeout)
+    server = open_page(Shown(feed, watch.explain, watch.order if control else None), port)
+    try:
+        watch.start()
+        tell_address(server.address, control, format_)
+        if open_:
+            click.launch(server.address)
+        with until_ended():
+            threading.Event().wait()
+    finally:
+        server.close()
+        watch.close()
+
+
+def tell_address(address: str, control: bool, format_: str = "table") -> None:
+    """Says where the page is."""
+    if format_ == "json":
+        show_json([{"address": address, "control": control}])
+    else:
+        click.echo(f"the page is at {address}")

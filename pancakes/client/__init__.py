@@ -1,0 +1,5 @@
+"""How programs that are no agents reach agents: the command line, the page, a script of one's own."""
+
+from pancakes.client.client import Client
+
+__all__ = ["Client"]

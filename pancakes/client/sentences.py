@@ -1,0 +1,71 @@
+"""What agents say on `log`, as short sentences for people. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+QUIET: Final = (
+    "peer_up",
+    "peer_down",
+    "service_started",
+    "service_stopped",
+    "ready",
+    "roster",
+    "task_frozen",
+    "safe_hold",
+)
+"""Kinds of events that a person need not see."""
+_ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
+
+
+def is_quiet(record: Mapping[str, Any]) -> bool:
+    """Returns whether a person need not see a record of a log (`pancakes.services.log.record_of`)."""
+    kind = record["kind"]
+    if kind == "line":
+        return record["level"] not in ("warning", "error")
+    return kind in QUIET or record.get("service") in ("device", "network", "log")
+
+
+def sentence_of(record: Mapping[str, Any]) -> str:
+    """Returns a record of a log as a short line."""
+    kind = record["kind"]
+    who = str(record["agent"])
+    make = _SENTENCES.get(kind)
+    if make is not None:
+        try:
+            return make(who, record)
+        except (KeyError, TypeError, ValueError):
+            pass  # an event of somebody's own that bears the same name
+    rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
+    return f"{who}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
+
+
+def _migration(who: str, record: Mapping[str, Any]) -> str:
+    return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "")
+
+
+_SENTENCES: Final = {
+    "line": lambda who, it: f"{who}: {it['text']}",
+    "task_started": lambda who, it: f"{who} runs {it['task']}",
+    "task_stopped": lambda who, it: f"{who} stopped {it['task']}: {it['reason']}",
+    "migration_asked": lambda who, it: f"{who} asks all neighbours to take {it['task']}",
+    "migration_bid": lambda who, it: f"{who} bids {it['cost']:g} for {it['task']}",
+    "migration_refused": lambda who, it: f"{who} refuses {it['task']}: {it['reason']}",
+    "migration": _migration,
+    "task_arrived": lambda who, it: f"{who} took {it['task']} from {it['source_agent']} with its state",
+    "task_handed_over": lambda who, it: f"{who} handed {it['task']} over to {it['to']}",
+    "rate_changed": lambda who, it: f"{who} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
+    "collision": lambda who, it: f"collision: {' and '.join(it['names'])}",
+}
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_short(it)}" for name, it in value.items())
+    if isinstance(value, list | tuple):
+        return f"({', '.join(_short(it) for it in value)})"
+    if isinstance(value, float):
+        # What is next to nothing is nothing to a person.
+        return f"{round(value, 6) + 0.0:.3g}" if abs(value) >= 0.001 else "0"
+    return str(value)

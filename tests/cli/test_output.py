@@ -1,0 +1,27 @@
+"""How the verbs print what they have found."""
+
+import json
+
+import pytest
+from rich.console import Console
+
+from pancakes.cli.output import _table, show_json
+
+
+def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
+    show_json([{"radius_m": float("inf"), "levels": (float("nan"), 0.5)}])
+
+    def refuse(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    assert json.loads(capsys.readouterr().out, parse_constant=refuse) == [{"radius_m": None, "levels": [None, 0.5]}]
+
+
+def test_nothing_is_cut_off_in_a_narrow_terminal():
+    console = Console(width=30)
+    with console.capture() as capture:
+        console.print(_table([{"agent": "gateway", "task": "BatteryWatchdog" * 2}], ("agent", "task")))
+    text = "".join(capture.get().split())
+
+    assert "…" not in text
+    assert text.count("W") == 2
