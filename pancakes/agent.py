@@ -6,7 +6,7 @@ import random
 import threading
 import uuid
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +48,7 @@ CLOSE_S = 1.5
 """How long, in host time, an agent waits for its tasks to end before it stops all the same."""
 
 
-@dataclass(frozen=True, slots=True)
-class Virtual:
+class Virtual(msgspec.Struct, frozen=True):
     """What an agent in virtual time shares with the others of its fleet.
 
     Attributes:

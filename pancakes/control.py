@@ -10,15 +10,15 @@ name of a service, `service/` means the service.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
+
+import msgspec
 
 from pancakes.packet import Cause, packet_type
 
 
 @packet_type("start")
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(msgspec.Struct, frozen=True):
     """Starts a task or a service that stands still.
 
     Attributes:
@@ -33,8 +33,7 @@ class Start:
 
 
 @packet_type("stop")
-@dataclass(frozen=True, slots=True)
-class Stop:
+class Stop(msgspec.Struct, frozen=True):
     """Stops a task or a service, once the message in hand is finished.
 
     Attributes:
@@ -49,8 +48,7 @@ class Stop:
 
 
 @packet_type("restart")
-@dataclass(frozen=True, slots=True)
-class Restart:
+class Restart(msgspec.Struct, frozen=True):
     """Stops a task or a service and starts it anew.
 
     Attributes:
@@ -66,8 +64,7 @@ class Restart:
 
 
 @packet_type("reschedule")
-@dataclass(frozen=True, slots=True)
-class Reschedule:
+class Reschedule(msgspec.Struct, frozen=True):
     """Changes the rate of a time-driven task, from its next tick on.
 
     Attributes:
@@ -84,8 +81,7 @@ class Reschedule:
 
 
 @packet_type("configure")
-@dataclass(frozen=True, slots=True)
-class Configure:
+class Configure(msgspec.Struct, frozen=True):
     """Changes some of the settings of a running task; all of them are good, or nothing changes.
 
     Attributes:
@@ -100,8 +96,7 @@ class Configure:
 
 
 @packet_type("migrate")
-@dataclass(frozen=True, slots=True)
-class Migrate:
+class Migrate(msgspec.Struct, frozen=True):
     """Moves a running task to the neighbour that takes it for the lowest cost.
 
     Attributes:
@@ -120,8 +115,7 @@ class Migrate:
 
 
 @packet_type("adopt")
-@dataclass(frozen=True, slots=True)
-class Adopt:
+class Adopt(msgspec.Struct, frozen=True):
     """Runs a task here whose hand-off stands in doubt, on a person's word that the other agent is gone for good.
 
     The one request that can make two of a task, namely where that person is wrong.
@@ -140,8 +134,7 @@ class Adopt:
 
 
 @packet_type("migrations")
-@dataclass(frozen=True, slots=True)
-class Migrations:
+class Migrations(msgspec.Struct, frozen=True):
     """Asks an agent for the newest accounts of moves from it, those of earlier boots too.
 
     The reply's `result` is a list of plain mappings, oldest first: the fields of `Ledger`, and `number`, `boot`,
@@ -150,15 +143,15 @@ class Migrations:
 
 
 @packet_type("describe")
-@dataclass(frozen=True, slots=True)
-class Describe:
+class Describe(msgspec.Struct, frozen=True):
     """Asks what an agent is and runs; the reply's `result` is plain.
 
     Attributes:
         target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
             among it), a service (a list with a row for each of its tasks); empty: the agent (a mapping with a row for
             each service and task).
-        state: of a task that runs: its state as well (`state`), as it is between two of its turns.
+        state: of a task that runs: its state as well (`state`), as it is between two of its turns, when that was
+            (`mission_s`, and `host_s` on its agent's own clock), and when it began and what it carried then (`began`).
     """
 
     target: str = ""
@@ -166,8 +159,7 @@ class Describe:
 
 
 @packet_type("channels")
-@dataclass(frozen=True, slots=True)
-class Channels:
+class Channels(msgspec.Struct, frozen=True):
     """Asks which channels an agent has; the reply's `result` is a list of plain mappings, core channels first.
 
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
@@ -182,8 +174,7 @@ class Channels:
 
 
 @packet_type("history")
-@dataclass(frozen=True, slots=True)
-class History:
+class History(msgspec.Struct, frozen=True):
     """Asks the Log Service what was said on `log`; the `result` is a list of records, oldest first.
 
     A record is what a line of the service's file holds: `t_s` (mission time), `agent`, `source`, `kind`, and what
@@ -201,8 +192,7 @@ class History:
 
 
 @packet_type("shutdown")
-@dataclass(frozen=True, slots=True)
-class Shutdown:
+class Shutdown(msgspec.Struct, frozen=True):
     """Ends an agent in order: its tasks stop, its actuators hold, its peers are told. The answer comes before that.
 
     Attributes:
@@ -213,8 +203,7 @@ class Shutdown:
 
 
 @packet_type("begin")
-@dataclass(frozen=True, slots=True)
-class Begin:
+class Begin(msgspec.Struct, frozen=True):
     """Lets a mission that is held at 0 begin.
 
     Attributes:
@@ -225,32 +214,36 @@ class Begin:
 
 
 @packet_type("follow")
-@dataclass(frozen=True, slots=True)
-class Follow:
+class Follow(msgspec.Struct, frozen=True):
     """Asks an agent to send the asker what is published on one of its channels.
 
     Attributes:
         channel: the channel.
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
+        most_hz: at most so many packets a second of host time of each source and type, for who only wants to see how
+            things stand; 0: all.
     """
 
     channel: str
     types: tuple[str, ...] = ()
     foreign: bool = False
+    most_hz: float = 0.0
 
 
 @packet_type("unfollow")
-@dataclass(frozen=True, slots=True)
-class Unfollow:
-    """Ends what `Follow` began."""
+class Unfollow(msgspec.Struct, frozen=True):
+    """Ends what `Follow` began.
+
+    Attributes:
+        channel: the channel.
+    """
 
     channel: str
 
 
 @packet_type("reply")
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(msgspec.Struct, frozen=True):
     """The answer to a control packet; its packet's `cause` says to which.
 
     Attributes:
@@ -268,9 +261,12 @@ class Reply:
 
 
 @packet_type("hold")
-@dataclass(frozen=True, slots=True)
-class Hold:
-    """Tells an actuator, on `ctrl`, to go to its safe hold at once; only its holder's service says so."""
+class Hold(msgspec.Struct, frozen=True):
+    """Tells an actuator, on `ctrl`, to go to its safe hold at once; only its holder's service says so.
+
+    Attributes:
+        reason: why, for the log.
+    """
 
     reason: str
 
@@ -296,8 +292,7 @@ CONTROLS: tuple[type, ...] = (
 
 
 @packet_type("command")
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(msgspec.Struct, frozen=True):
     """A control packet as the kernel hands it to the service that it concerns.
 
     All control packets to an agent pass one place, which numbers them: so contradictory ones are applied
@@ -307,10 +302,10 @@ class Command:
         number: its place in that order, from 1.
         request: source and number of the packet that asked.
         task: the name of the task that it is about; empty where it is about the service.
-        body: the control packet's body.
+        body: the control packet's body; None: the service is to end, now that it has begun all it was asked before.
     """
 
     number: int
     request: Cause
     task: str
-    body: Any = field(default=None)
+    body: Any = msgspec.field(default=None)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
+
+import msgspec
 
 from pancakes.packet import packet_type
 
@@ -12,8 +13,7 @@ LEVELS: Final = ("debug", "info", "warning", "error")
 
 
 @packet_type("event")
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(msgspec.Struct, frozen=True):
     """Something that happened, in a form that programs read.
 
     Attributes:
@@ -22,13 +22,17 @@ class Event:
     """
 
     kind: str
-    fields: Mapping[str, Any] = field(default_factory=dict)
+    fields: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
 @packet_type("line")
-@dataclass(frozen=True, slots=True)
-class LogLine:
-    """A line for people; `level` is one of `LEVELS`."""
+class LogLine(msgspec.Struct, frozen=True):
+    """A line for people.
+
+    Attributes:
+        level: one of `LEVELS`.
+        text: the line.
+    """
 
     level: str
     text: str

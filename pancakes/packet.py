@@ -14,7 +14,7 @@ Addresses read `agent/service/task`. A destination may be
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -88,14 +88,14 @@ _NAMES: dict[type, str] = {}
 
 
 def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
-    """Registers a frozen dataclass as the body of packets of the type `name`.
+    """Registers a frozen dataclass, or a frozen `msgspec.Struct`, as the body of packets of the type `name`.
 
     Raises:
-        LocalProtocolError: another class bears this name already, or the class is no dataclass.
+        LocalProtocolError: another class bears this name already, or the class is neither of these.
     """
 
     def register(cls: type[_T]) -> type[_T]:
-        if not is_dataclass(cls):
+        if not has_fields(cls):
             raise LocalProtocolError(f"the packet type {name!r} needs a dataclass, {cls.__qualname__} is none")
         known = _CLASSES.get(name)
         if known is not None and f"{known.__module__}.{known.__qualname__}" != f"{cls.__module__}.{cls.__qualname__}":
@@ -108,6 +108,23 @@ def packet_type(name: str) -> Callable[[type[_T]], type[_T]]:
         return cls
 
     return register
+
+
+def has_fields(cls: type) -> bool:
+    """Returns whether a class may be the body of a packet: a dataclass, or a `msgspec.Struct` that travels as a map."""
+    if is_dataclass(cls):
+        return True
+    if not issubclass(cls, msgspec.Struct):
+        return False
+    config = cls.__struct_config__
+    return not config.array_like and config.tag is None and cls.__struct_encode_fields__ == cls.__struct_fields__
+
+
+def field_names(cls: type) -> tuple[str, ...]:
+    """Returns the names of the fields of a body's class, in order."""
+    if is_dataclass(cls):
+        return tuple(field.name for field in fields(cls))
+    return cls.__struct_fields__ if issubclass(cls, msgspec.Struct) else ()
 
 
 def type_name(body: Any) -> str:

@@ -11,10 +11,13 @@ Nothing is imported until it is asked for, and one bad plug-in is named and harm
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
+from pancakes import entry_points
 from pancakes.errors import PluginError
 from pancakes.suggestion import suggestion
 
@@ -65,8 +68,7 @@ class Offered(NamedTuple):
     version: Version
 
 
-@dataclass(frozen=True, slots=True)
-class _Offer:
+class _Offer(msgspec.Struct, frozen=True):
     """One entry point of one distribution; `load` imports it."""
 
     version: Version
@@ -211,32 +213,26 @@ def _line(error: BaseException) -> str:
 
 def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
     """Reads what all installed distributions offer to us."""
-    from importlib.metadata import distributions  # late: it is slow to import
-
     groups: dict[str, _Offers] = {group: {} for group in GROUPS}
     unreadable = []
     seen = []
-    for distribution in distributions():
+    for place, read in entry_points.distributions():
         try:
-            if "pancakes." not in (distribution.read_text("entry_points.txt") or ""):
+            text = read("entry_points.txt") or ""
+            if "pancakes." not in text:
                 continue  # the commonest case, and much quicker than to parse its metadata
-            version = Version(distribution.metadata["Name"], distribution.version)
-            if version.distribution in seen:
-                continue  # found again further down sys.path, as an editable install is from its own directory
-            seen.append(version.distribution)
-            offers = list(_offers_of(distribution, version))
+            version = Version(entry_points.header(read, "Name"), entry_points.header(read, "Version"))
         except Exception as error:  # foreign files: whatever is wrong with them is theirs
-            place = getattr(distribution, "_path", "a distribution")
             unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
             continue
-        for group, name, offer in offers:
+        if version.distribution in seen:
+            continue  # found again further down sys.path, as an editable install is from its own directory
+        seen.append(version.distribution)
+        for group, name, value in entry_points.points(text):
+            if group not in GROUPS:
+                continue
+            offer = _Offer(version, value, partial(entry_points.load, value))
             same = groups[group].setdefault(name, [])
             if all(other.version != offer.version or other.value != offer.value for other in same):
                 same.append(offer)
     return groups, unreadable
-
-
-def _offers_of(distribution: Any, version: Version) -> Iterator[tuple[str, str, _Offer]]:
-    for point in distribution.entry_points:
-        if point.group in GROUPS:
-            yield point.group, point.name, _Offer(version, point.value, point.load)

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import os
 import stat
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -25,8 +23,7 @@ _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True):
     """One agent that runs on this machine.
 
     Attributes:
@@ -87,7 +84,7 @@ def register(entry: Entry) -> Registration:
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.write(handle, json.dumps(asdict(entry)).encode())
+            os.write(handle, msgspec.json.encode(entry))
             os.replace(temporary, path)
         except BaseException:
             os.close(handle)

@@ -81,7 +81,7 @@ def dataclasses_of(cls: type) -> dict[str, type]:
 
 def _dataclasses_in(info: Any, top: bool = False) -> list[type]:
     """Returns the dataclasses right inside a type that msgspec has looked at."""
-    if isinstance(info, msgspec.inspect.DataclassType) and not top:
+    if isinstance(info, (msgspec.inspect.DataclassType, msgspec.inspect.StructType)) and not top:
         return [info.cls]
     inside: list[type] = []
     for name in info.__struct_fields__:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from pancakes.control import Command, Configure, Describe, Reply, Reschedule, Restart, Start, Stop
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import describe
 from pancakes.kernel.handlers import on
@@ -19,8 +21,7 @@ from pancakes.supervisor import Supervisor
 from pancakes.task import Task, TaskSpec
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceSpec:
+class ServiceSpec(msgspec.Struct, frozen=True):
     """All that the kernel's root needs to start a service, as data.
 
     Attributes:
@@ -34,10 +35,10 @@ class ServiceSpec:
 
     name: str
     cls: type[Service]
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
     tasks: tuple[TaskSpec, ...] = ()
     restart: RestartSpec = RestartSpec()
-    arguments: Mapping[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
 WAITING: Final = reliable(1024)
@@ -157,6 +158,8 @@ class Service(Supervisor):
             self.configure_asked(slot, body, request)
         elif isinstance(body, Describe):
             self._describe_asked(slot, body, request)
+        elif isinstance(body, (Migrate, Adopt)):
+            raise ControlRefused(f"{slot.address} cannot move: what {self.address} looks after stays with its agent")
         else:
             raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
 

@@ -13,8 +13,7 @@ import math
 import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -22,6 +21,8 @@ from pancakes.errors import PancakesError
 from pancakes.suggestion import suggestion
 
 _T = TypeVar("_T")
+
+UNKNOWN_KEY: Final = "unknown key"
 
 _WORDS = {
     "str": "a string",
@@ -34,8 +35,7 @@ _WORDS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Problem:
+class Problem(msgspec.Struct, frozen=True):
     """One mistake in settings.
 
     Attributes:
@@ -119,8 +119,24 @@ def change_settings(settings: _T, changes: Mapping[str, Any]) -> _T:
     Raises:
         SettingsError: the changes do not fit; it names every mistake.
     """
-    plain = msgspec.to_builtins(settings)
-    return make_settings(type(settings), {**plain, **changes})
+    return change_plain(type(settings), msgspec.to_builtins(settings), changes)
+
+
+def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, Any]) -> _T:
+    """Makes settings from plain values, with some keys changed; see `change_settings`."""
+    merged = {**plain, **changes}
+    problems = [_hinted(problem, cls, changes) for problem in check_settings(cls, merged)]
+    if problems:
+        raise SettingsError(_owner(cls), problems)
+    return msgspec.convert(merged, cls)
+
+
+def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
+    """Suggests a key that is set already: whoever changes settings means one of those."""
+    if problem.text != UNKNOWN_KEY or problem.suggestion or len(problem.path) != 1:
+        return problem
+    keys = [field.name for field in dataclasses.fields(cls) if field.init and field.name not in changes]
+    return msgspec.structs.replace(problem, suggestion=suggestion(str(problem.path[0]), keys))
 
 
 def required_keys(cls: type) -> list[str]:
@@ -197,7 +213,7 @@ def _fields(cls: type, value: Mapping[Any, Any], path: tuple[str | int, ...]) ->
         if key in known:
             yield from _walk(hints[key], item, (*path, key))
         else:
-            yield Problem((*path, str(key)), "unknown key", suggestion(str(key), [k for k in known if k not in value]))
+            yield Problem((*path, str(key)), UNKNOWN_KEY, suggestion(str(key), [k for k in known if k not in value]))
     for key in required_keys(cls):
         if key not in value:
             yield Problem((*path, key), "is missing")

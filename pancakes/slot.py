@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from enum import Enum
+
+import msgspec
 
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Cause, Fence
@@ -27,8 +28,7 @@ class TaskState(Enum):
     """It failed too often, and its service gave up on it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(msgspec.Struct, frozen=True):
     """Who asked for something, and which packet of theirs it was.
 
     Attributes:
@@ -42,8 +42,7 @@ class Request:
     number: int = 0
 
 
-@dataclass
-class Slot:
+class Slot(msgspec.Struct):
     """The place of one task in its service: it outlives the actors that fill it.
 
     Attributes:
@@ -59,19 +58,19 @@ class Slot:
     spec: TaskSpec
     address: str
     supervision: Supervision
-    mailbox: Mailbox = field(default_factory=Mailbox)
+    mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
     state: TaskState = TaskState.STOPPED
     task: Task | None = None
     carried: Carried | None = None
     fence: Fence | None = None
     incarnation: int = 0
     reason: str = ""
-    on_running: list[Callable[[str], None]] = field(default_factory=list)
-    on_ended: list[Callable[[], None]] = field(default_factory=list)
-    on_stuck: list[Callable[[str], None]] = field(default_factory=list)
-    on_lost: list[Callable[[str], None]] = field(default_factory=list)
+    on_running: list[Callable[[str], None]] = msgspec.field(default_factory=list)
+    on_ended: list[Callable[[], None]] = msgspec.field(default_factory=list)
+    on_stuck: list[Callable[[str], None]] = msgspec.field(default_factory=list)
+    on_lost: list[Callable[[str], None]] = msgspec.field(default_factory=list)
     busy: bool = False
-    commands: deque[Callable[[], None]] = field(default_factory=deque)
+    commands: deque[Callable[[], None]] = msgspec.field(default_factory=deque)
 
     @property
     def name(self) -> str:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
@@ -44,8 +44,7 @@ class Nothing:
     """Settings or state of a task that has none."""
 
 
-@dataclass(frozen=True, slots=True)
-class TaskSpec:
+class TaskSpec(msgspec.Struct, frozen=True):
     """All that a service needs to start a task, as data.
 
     Attributes:
@@ -66,17 +65,16 @@ class TaskSpec:
     cls: type[Task]
     type: str = ""
     version: str = ""
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
     rate_hz: float | None = None
     start: bool = True
     restart: RestartSpec = RestartSpec()
     durability: str = "lazy"
     rule: MigrationRule | None = None
-    arguments: Mapping[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class Carried:
+class Carried(msgspec.Struct, frozen=True):
     """What a task carries from one actor to the next, on this agent or on another.
 
     Attributes:
@@ -88,8 +86,8 @@ class Carried:
 
     settings: Mapping[str, Any]
     state: Mapping[str, Any]
-    periods_s: Mapping[str, float] = field(default_factory=dict)
-    heard: Mapping[str, int] = field(default_factory=dict)
+    periods_s: Mapping[str, float] = msgspec.field(default_factory=dict)
+    heard: Mapping[str, int] = msgspec.field(default_factory=dict)
 
 
 class Task(Component):
@@ -133,7 +131,8 @@ class Task(Component):
         self.__on_started = started
         self.__on_handled = handled
         # A copy: what the state has lists in may share them.
-        self.__carried = Carried(carried.settings, copy.deepcopy(carried.state), carried.periods_s, carried.heard)
+        self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
+        self.__carried = carried
         self.__began_s = (0.0, 0.0)
         self.last: Carried | None = None
 
@@ -177,7 +176,7 @@ class Task(Component):
             "host_s": host_s,
             "mission_s": mission_s,
             "settings": dict(carried.settings),
-            "state": dict(carried.state),
+            "state": dict(self.__carried_state),
             "periods_s": dict(carried.periods_s),
             "rate_hz": self.__rate_hz,
         }

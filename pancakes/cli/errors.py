@@ -22,6 +22,9 @@ UNREACHABLE: Final = 3
 """Nobody answered."""
 BAD_CONFIGURATION: Final = 4
 
+EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
+"""What is not installed with the core, by its module, and the extra that brings it."""
+
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
 """The environment variable with which a defect shows its traceback, for whoever mends it."""
 
@@ -48,6 +51,10 @@ def fail(error: Exception) -> NoReturn:
         sys.exit(exit_code(error))
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         click.echo(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
+        sys.exit(REFUSED)
+    missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if missing in EXTRAS:
+        click.echo(f"this needs {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'", err=True)
         sys.exit(REFUSED)
     if os.environ.get(TRACEBACK):
         raise error

@@ -26,7 +26,7 @@ _ABOUT: Final = {
     "driver": (
         "Begin a driver: a sensor whose readings stand in a file, with a packet type of its own.",
         "Begin a driver.",
-        "pancakes new driver wind-speed --into drivers",
+        "pancakes new driver wind-speed --into ..",
     ),
     "service": (
         "Begin a service: it counts who publishes how much, with a task and a channel of its own.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -98,13 +99,15 @@ def rerun(
     stays = find_stays(reader.entries())
     for note in reader.notes():
         say(note)
-    speeds = {reading.about.get("agent", ""): float(reading.about.get("speed", 1.0)) for reading in reader.readings}
+    about = {reading.about.get("agent", ""): reading.about for reading in reader.readings}
     changes = dict(_change(text) for text in sets)
     rows = []
     for stay in choose_stays(stays, task, agent, number):
         cls = class_of(stay, plugins)
         settings = param_file.changes_of(stay.task.settings, changes)
-        script = read_script(RecordingReader(path).entries(), stay, cls, speeds.get(stay.agent, 1.0))
+        told = about.get(stay.agent, {})
+        speed, virtual = float(told.get("speed", 1.0)), told.get("clock") == "mission time"
+        script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual)
         outcome = Rerun(stay, script, cls, settings).run()
         comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
         row = _row(stay, script, outcome, comparison, most)
@@ -124,8 +127,8 @@ def _change(text: str) -> tuple[tuple[str, ...], Any]:
 
 
 def _row(stay: Stay, script: Script, outcome: Outcome, comparison: Comparison, most: int) -> dict[str, Any]:
-    from pancakes.replay.script import Given
     from pancakes.replay.stays import FAILED
+    from pancakes.replay.steps import Given
 
     inputs = sum(isinstance(step, Given) for step in script.steps)
     failed_then = stay.reason if stay.end == FAILED else None
@@ -140,7 +143,7 @@ def _row(stay: Stay, script: Script, outcome: Outcome, comparison: Comparison, m
         "inputs": inputs,
         "superseded": script.superseded,
         "changes": len(script.steps) - inputs,
-        "agrees": comparison.agrees and bool(failed_then) == bool(outcome.failed),
+        "agrees": comparison.agrees and _error(failed_then or "") == _error(outcome.failed),
         "failed_then": failed_then,
         "failed_now": outcome.failed or None,
         "failed_now_s": outcome.failed_s if outcome.failed else None,
@@ -152,6 +155,11 @@ def _row(stay: Stay, script: Script, outcome: Outcome, comparison: Comparison, m
         "differences": [_plain(difference) for difference in comparison.differences[:most]],
         "differences_left_out": max(0, len(comparison.differences) - most),
     }
+
+
+def _error(text: str) -> str:
+    """Returns the sentence of a failure without its place in the code, which an edit moves."""
+    return re.sub(r" \([^()]+:\d+, in \S+\)$", "", text)
 
 
 def _notes(stay: Stay) -> list[str]:
@@ -192,10 +200,10 @@ def _print(stay: Stay, row: dict[str, Any], comparison: Comparison, most: int) -
             click.echo(line)
     if row["differences_left_out"]:
         click.echo(f"... and {row['differences_left_out']} more (--show)")
-    if row["failed_now"] and not row["failed_then"]:
+    if row["failed_now"]:
         click.echo(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
-    elif row["failed_then"] and not row["failed_now"]:
-        click.echo(f"it failed then, and does not now: {row['failed_then']}")
+    if row["failed_then"]:
+        click.echo(f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}")
     click.echo("it agrees with the recording" if row["agrees"] else "it differs from the recording")
 
 

@@ -185,7 +185,7 @@ def rate(
     \b
     Example:
         pancakes task rate agent1/ir 2
-        pancakes task rate agent1/ScanTarget 20 --timer steer
+        pancakes task rate agent1/Discovery 0.2 --timer announce
     """
     with Client(at, timeout) as client:
         name = placed(client, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 
@@ -10,7 +11,6 @@ import click
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json
-from pancakes.cli.streaming import until_ended
 
 port_option = click.option(
     "--port",
@@ -55,6 +55,9 @@ def view(
     from pancakes.web.page import Shown, open_page
     from pancakes.web.watch import Watch, fleet_among
 
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
     with Client(at, timeout) as client:
         fleet = fleet_among(client.survey().agents, fleet)
     began_s = time.monotonic()
@@ -66,8 +69,7 @@ def view(
         tell_address(server.address, control, format_)
         if open_:
             click.launch(server.address)
-        with until_ended():
-            threading.Event().wait()
+        ended.wait()
     finally:
         server.close()
         watch.close()

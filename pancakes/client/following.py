@@ -89,6 +89,7 @@ class Following:
         fleet: only agents of this fleet; empty: of any.
         say: takes a sentence about agents that go and come back.
         followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
+        most_hz: at most so many packets a second of each source and type; 0: all.
 
     Attributes:
         channel: the channel.
@@ -109,10 +110,11 @@ class Following:
         say: Callable[[str], None] = lambda text: None,
         followed_anew: Callable[[str], None] = lambda agent: None,
         fleet: str = "",
+        most_hz: float = 0.0,
     ) -> None:
         self._client = client
         self.channel = channel
-        self._request = Follow(channel, tuple(types), foreign)
+        self._request = Follow(channel, tuple(types), foreign, most_hz)
         self._names = tuple(agents)
         self._fleet = fleet
         self._say = say

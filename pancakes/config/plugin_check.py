@@ -4,7 +4,6 @@ need there?"""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, is_dataclass
 from typing import Any
 
 from pancakes.config.address import parse_address
@@ -13,7 +12,7 @@ from pancakes.config.places import Places
 from pancakes.config.scanner import KeyPath
 from pancakes.errors import Fault, PluginError
 from pancakes.migration.rule import MigrationRule
-from pancakes.packet import body_class, known_types
+from pancakes.packet import body_class, field_names, known_types
 from pancakes.plugins import Plugins, UnknownPlugin
 from pancakes.settings import check_settings
 from pancakes.suggestion import suggestion
@@ -161,7 +160,7 @@ class _Check:
             self._fault(
                 (*table, "when"), f"unknown type of packets {rule.when!r}", suggestion(rule.when, known_types())
             )
-        elif is_dataclass(body) and rule.field not in (known := [field.name for field in fields(body)]):
+        elif rule.field not in (known := field_names(body)):
             key = (*table, "field") if self._places.has(*table, "field") else table
             problem = f"a packet of the type {rule.when!r} has no field {rule.field!r}, but {', '.join(known)}"
             self._fault(key, problem, suggestion(rule.field, known))

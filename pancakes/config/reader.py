@@ -183,8 +183,8 @@ class _Reader:
         near = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:_LONGEST_NAME]
         self._fault(
             key,
-            f"{name!r} is no name: a name has letters, digits, '.', '_' and '-', begins with none of '.' and '-',"
-            f" and is at most {_LONGEST_NAME} long",
+            f"{name!r} is no name: a name has letters from a to z, digits, '.', '_' and '-', begins with none"
+            f" of '.' and '-', and is at most {_LONGEST_NAME} long",
             near if _NAME.fullmatch(near) else "",
         )
         return False

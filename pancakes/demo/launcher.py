@@ -9,11 +9,11 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.agent import Agent
 from pancakes.config import Config, parse
@@ -172,6 +172,9 @@ class Onlooker(Protocol):
     def pace(self) -> None:
         """Looks at what happened, and waits until it is time to go on."""
 
+    def end(self) -> None:
+        """Looks no more: the agents are about to stop."""
+
 
 def run_virtual(
     plan: Plan,
@@ -217,6 +220,8 @@ def run_virtual(
             _settle(mission)
         ended_s = time.monotonic()
     finally:
+        if onlooker is not None:
+            onlooker.end()
         fleet.close()
     return {
         "mode": "virtual",

@@ -7,14 +7,13 @@ Lengths are metres, angles radians counter-clockwise, times seconds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from pancakes.packet import packet_type
 
 
 @packet_type("pose")
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(msgspec.Struct, frozen=True):
     """Where a body is, in the frame of the world.
 
     Attributes:
@@ -29,8 +28,7 @@ class Pose:
 
 
 @packet_type("motors")
-@dataclass(frozen=True, slots=True)
-class Twist:
+class Twist(msgspec.Struct, frozen=True):
     """A command to a drive, in the frame of the body.
 
     Attributes:
@@ -43,8 +41,7 @@ class Twist:
 
 
 @packet_type("battery")
-@dataclass(frozen=True, slots=True)
-class Battery:
+class Battery(msgspec.Struct, frozen=True):
     """The state of a battery.
 
     Attributes:
@@ -57,8 +54,7 @@ class Battery:
 
 
 @packet_type("ir")
-@dataclass(frozen=True, slots=True)
-class Infrared:
+class Infrared(msgspec.Struct, frozen=True):
     """One sweep of a ring of infrared proximity sensors.
 
     Attributes:
@@ -75,8 +71,7 @@ class Infrared:
 
 
 @packet_type("sonar")
-@dataclass(frozen=True, slots=True)
-class Sonar:
+class Sonar(msgspec.Struct, frozen=True):
     """One sweep of a ring of sonars.
 
     Attributes:
@@ -91,8 +86,7 @@ class Sonar:
 
 
 @packet_type("motion")
-@dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(msgspec.Struct, frozen=True):
     """What a motion sensor says.
 
     Attributes:
@@ -108,8 +102,7 @@ class Motion:
 
 
 @packet_type("load")
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(msgspec.Struct, frozen=True):
     """How busy a computer is.
 
     Attributes:
@@ -120,8 +113,7 @@ class Load:
 
 
 @packet_type("memory")
-@dataclass(frozen=True, slots=True)
-class Memory:
+class Memory(msgspec.Struct, frozen=True):
     """The memory of a computer.
 
     Attributes:
@@ -134,8 +126,7 @@ class Memory:
 
 
 @packet_type("temperature")
-@dataclass(frozen=True, slots=True)
-class Temperature:
+class Temperature(msgspec.Struct, frozen=True):
     """A temperature.
 
     Attributes:

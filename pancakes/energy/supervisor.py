@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 
 from pancakes.energy.activity import Supervision, SupervisorSettings
 from pancakes.energy.rim import AdjustingTask
 from pancakes.errors import PancakesError
 from pancakes.kernel.mailbox import LATEST
-from pancakes.packet import Packet, agent_of, body_class, known_types
+from pancakes.packet import Packet, agent_of, body_class, field_names, known_types
 from pancakes.suggestion import suggestion
 from pancakes.task import Tick, every
 
@@ -97,6 +97,6 @@ def _check(settings: SupervisorSettings) -> None:
             near = suggestion(rule.when, known_types())
             hint = f", did you mean {near!r}?" if near else ""
             raise PancakesError(f"the rule {name} reads packets of the unknown type {rule.when!r}{hint}")
-        known = [field.name for field in fields(body)] if is_dataclass(body) else []
+        known = field_names(body)
         if known and rule.field not in known:
             raise PancakesError(f"the rule {name}: {rule.when} has no field {rule.field!r}, only {', '.join(known)}")

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass
 from typing import Final
 
 import msgspec
 
+from pancakes.digest import sha256
 from pancakes.errors import PancakesError
 
 _MAGIC: Final = b"PNCKJRN1"
@@ -32,8 +31,7 @@ class Entry(msgspec.Struct, frozen=True, array_like=True):
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class SetAside:
+class SetAside(msgspec.Struct, frozen=True):
     """An entry that was found, could not be believed, and was put aside under another name.
 
     Attributes:
@@ -66,7 +64,7 @@ class _Sealed(msgspec.Struct, frozen=True, array_like=True):
 def seal(journal: str, entry: Entry) -> bytes:
     """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum."""
     body = msgspec.msgpack.encode(_Sealed(journal, entry))
-    return _MAGIC + hashlib.sha256(body).digest() + body
+    return _MAGIC + sha256(body) + body
 
 
 def unseal(journal: str, sealed: bytes) -> Entry:
@@ -83,7 +81,7 @@ def unseal(journal: str, sealed: bytes) -> Entry:
         raise Unbelievable("is no file of a journal" if sealed else "is empty")
     head = len(_MAGIC) + _DIGEST_BYTES
     body = sealed[head:]
-    if hashlib.sha256(body).digest() != sealed[len(_MAGIC) : head]:
+    if sha256(body) != sealed[len(_MAGIC) : head]:
         raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
     try:
         contents = msgspec.msgpack.decode(body, type=_Sealed)

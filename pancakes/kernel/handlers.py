@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
 import msgspec
@@ -32,8 +31,7 @@ class Tick(msgspec.Struct, frozen=True):
     lateness_s: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Subscription:
+class Subscription(msgspec.Struct, frozen=True):
     """What a method listens to.
 
     Attributes:
@@ -49,8 +47,7 @@ class Subscription:
     addressed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Period:
+class Period(msgspec.Struct, frozen=True):
     """How often a method is called, in seconds of mission time; infinity: not before it is rescheduled."""
 
     period_s: float

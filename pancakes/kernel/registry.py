@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import msgspec
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceEntry:
+class DeviceEntry(msgspec.Struct, frozen=True):
     """A device that runs.
 
     Attributes:
@@ -106,7 +106,7 @@ class Registry:
             return reason
 
     def reserve(self, address: str, types: tuple[str, ...]) -> str:
-        """Keeps the actuators among the device types for a task that is about to arrive: all of them or none.
+        """Keeps the actuators among the device types for a task that arrives or is to start: all of them or none.
 
         It does not hold them yet, so that they obey nobody. `hold` for the same address takes them, `unreserve` gives
         them back.
@@ -143,7 +143,7 @@ class Registry:
         if holder != address:
             return f"{device} is held by {holder}"
         kept_for = self._reserved.get(device, address)
-        return "" if kept_for == address else f"{device} is kept for {kept_for}, which is arriving"
+        return "" if kept_for == address else f"{device} is kept for {kept_for}, which is about to start"
 
     def claim(self, device: str, address: str) -> str:
         """Grants one actuator that nobody holds or is about to; returns who holds it then, or is about to."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
@@ -26,13 +25,12 @@ class Due(msgspec.Struct, frozen=True, gc=False):
     missed: int
 
 
-@dataclass(slots=True)
-class _Group:
+class _Group(msgspec.Struct):
     """All targets that tick together: one entry in the heap however many there are."""
 
     period_s: float
     number: int
-    targets: dict[int, Any] = field(default_factory=dict)
+    targets: dict[int, Any] = msgspec.field(default_factory=dict)
 
     @property
     def deadline_s(self) -> float:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
 from typing import Any
+
+import msgspec
 
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
@@ -18,14 +19,13 @@ MOST_ROUTES = 4096
 """So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
 
 
-@dataclass(slots=True)
-class _Reader:
+class _Reader(msgspec.Struct):
     """One component that reads one channel."""
 
     address: str
     mailbox: Mailbox
-    bounds: dict[str | None, Keep] = field(default_factory=dict)
-    open_types: set[str | None] = field(default_factory=set)
+    bounds: dict[str | None, Keep] = msgspec.field(default_factory=dict)
+    open_types: set[str | None] = msgspec.field(default_factory=set)
     queue: ChannelQueue | None = None
 
     def reads(self, type_name: str, addressed: bool) -> bool:
@@ -53,8 +53,7 @@ class _Reader:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class _Route:
+class _Route(msgspec.Struct, frozen=True):
     """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock."""
 
     queues: tuple[ChannelQueue, ...]

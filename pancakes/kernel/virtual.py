@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import math
 import random
 from collections.abc import Callable
 from itertools import count
@@ -58,6 +59,12 @@ class VirtualDispatcher(Dispatcher):
         heapq.heappush(self._calls, (max(time_s, self.clock.now()), next(self._numbers), call))
         return call
 
+    def next_s(self) -> float:
+        """Returns when something happens next by itself; infinity where nothing ever will."""
+        while self._calls and self._calls[0][2].function is None:
+            heapq.heappop(self._calls)
+        return self._calls[0][0] if self._calls else math.inf
+
     def settle(self) -> None:
         """Lets everybody work until nobody has anything to do at the present time.
 
@@ -107,9 +114,7 @@ class VirtualDispatcher(Dispatcher):
         """
         self.settle()
         while condition():
-            while self._calls and self._calls[0][2].function is None:
-                heapq.heappop(self._calls)
-            if not self._calls or self._calls[0][0] > until_s:
+            if self.next_s() > until_s:
                 self.clock.advance_to(max(until_s, self.clock.now()))
                 return False
             self.step()

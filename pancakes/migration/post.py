@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.errors import MailboxFull
 from pancakes.migration.record import TaskId
@@ -34,8 +34,7 @@ MOST_HOPS: Final = 8
 
 
 @packet_type("post.letter")
-@dataclass(frozen=True, slots=True)
-class Letter:
+class Letter(msgspec.Struct, frozen=True):
     """A packet on its way to a task.
 
     Attributes:
@@ -58,8 +57,7 @@ class Letter:
 
 
 @packet_type("post.receipt")
-@dataclass(frozen=True, slots=True)
-class Receipt:
+class Receipt(msgspec.Struct, frozen=True):
     """Says that every letter of a stream up to `seq` has had its effect.
 
     Attributes:
@@ -76,8 +74,7 @@ class Receipt:
 
 
 @packet_type("post.forward_to")
-@dataclass(frozen=True, slots=True)
-class ForwardTo:
+class ForwardTo(msgspec.Struct, frozen=True):
     """Says that the task is not here, and who has it as far as is known here.
 
     Attributes:

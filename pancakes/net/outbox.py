@@ -14,8 +14,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Final
+
+import msgspec
 
 from pancakes.errors import MailboxFull
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
@@ -37,15 +38,14 @@ class PeerBusy(MailboxFull):
     """The window of a (peer, channel) is full: the packet was given to nobody, the publisher may try again."""
 
 
-@dataclass(slots=True)
-class Counters:
+class Counters(msgspec.Struct):
     """What went over the links with one peer since this agent was started."""
 
     packets_out: int = 0
     bytes_out: int = 0
     packets_in: int = 0
     bytes_in: int = 0
-    dropped: dict[str, int] = field(default_factory=dict)
+    dropped: dict[str, int] = msgspec.field(default_factory=dict)
     """Packets for this peer that were given up, for each channel."""
 
     def drop(self, channel: str, packets: int = 1) -> None:
@@ -53,8 +53,7 @@ class Counters:
         self.dropped[channel] = self.dropped.get(channel, 0) + packets
 
 
-@dataclass(slots=True)
-class Message:
+class Message(msgspec.Struct):
     """An encoded packet that waits.
 
     Attributes:

@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
+
+import msgspec
 
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Goodbye, Hello, Refusal
@@ -29,23 +30,20 @@ FORGET_AFTER: Final = 20
 """A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
 
 
-@dataclass(frozen=True, slots=True)
-class Dial:
+class Dial(msgspec.Struct, frozen=True):
     """Open a connection to `address`, and call it `link`."""
 
     address: str
     link: int
 
 
-@dataclass(frozen=True, slots=True)
-class Admit:
+class Admit(msgspec.Struct, frozen=True):
     """`link` is the one that stays: say so to the peer."""
 
     link: int
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(msgspec.Struct, frozen=True):
     """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
 
     link: int
@@ -56,8 +54,7 @@ class Turn:
 Decision = Dial | Admit | Turn
 
 
-@dataclass(slots=True)
-class _Address:
+class _Address(msgspec.Struct):
     """An address that can be dialled."""
 
     static: bool
@@ -68,8 +65,7 @@ class _Address:
     ours: bool = False  # it is this agent's own
 
 
-@dataclass(slots=True)
-class _Candidate:
+class _Candidate(msgspec.Struct):
     """A connection whose peer has said who it is; it is up or waits."""
 
     link: int

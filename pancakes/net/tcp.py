@@ -89,7 +89,7 @@ class TcpTransport(Transport):
         host, port = parse_address(address)
         sock: socket.socket | None = None
         try:
-            family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            family, place = _resolve(host, port)[0]
             sock = socket.socket(family, socket.SOCK_STREAM)
             if os.name == "posix":
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -254,8 +254,10 @@ class _Dial(_Socket):
             self.dispose(f"{self._address} cannot be reached: {why}")
 
 
-def _resolve(host: str, port: int, flags: int) -> list[_Place]:
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=flags)
+def _resolve(host: str, port: int, flags: int = 0) -> list[_Place]:
+    # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
+    name = host.encode() if host.isascii() else host
+    found = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM, flags=flags)
     return [(family, place) for family, _, _, _, place in found]
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from typing import Any, Final
+
+import msgspec
 
 from pancakes.packet import packet_type
 
@@ -13,8 +14,7 @@ CHANNEL: Final = "recording"
 
 
 @packet_type("task_description")
-@dataclass(frozen=True, slots=True)
-class TaskDescription:
+class TaskDescription(msgspec.Struct, frozen=True):
     """A task, as its agent described it to the recorder.
 
     Attributes:
@@ -22,12 +22,17 @@ class TaskDescription:
         address: its address then.
         type: the name of its class's entry point, or of its class.
         epoch: how often it had been handed over.
-        mission_s: mission time at its agent.
+        mission_s: mission time at its agent when it was as is said here.
         settings: its settings, as plain values.
         state: its state, as plain values.
         timers: its time-driven methods: `timer` and `rate_hz`.
         reads: what it subscribed to: `channel` and `types` (None: all).
         requires: the device types that it depends on.
+        time_ns: when it was as is said here, as the recording counts time (see `Entry`).
+        began: where the recording saw it start: when that was (`time_ns`, `mission_s`), and what it began with
+            (`settings` and `state`, both without what the class itself says; `periods_s` of its timers, `rate_hz` of
+            its configuration). None where it ran already.
+        seed: of the random numbers of its agent.
     """
 
     task_id: str
@@ -35,15 +40,24 @@ class TaskDescription:
     type: str
     epoch: int
     mission_s: float
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    state: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    state: Mapping[str, Any] = msgspec.field(default_factory=dict)
     timers: tuple[Mapping[str, Any], ...] = ()
     reads: tuple[Mapping[str, Any], ...] = ()
     requires: tuple[str, ...] = ()
+    time_ns: int = 0
+    began: Mapping[str, Any] | None = None
+    seed: int = 0
 
     @classmethod
-    def of(cls, told: Mapping[str, Any], mission_s: float) -> TaskDescription:
+    def of(cls, told: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
         """Makes it of what an agent answers to `Describe(target, state=True)`.
+
+        Args:
+            told: the answer.
+            time_ns: turns the agent's host time, in seconds, into the recording's.
+            seed: of the random numbers of the agent.
+            seen: whether the recording saw the task start.
 
         Raises:
             KeyError, TypeError: it is no such answer.
@@ -54,12 +68,15 @@ class TaskDescription:
             address=f"{told['agent']}/{told['service']}/{told['task']}",
             type=told["type"],
             epoch=fence["epoch"],
-            mission_s=mission_s,
+            mission_s=told["mission_s"],
             settings=told["settings"],
             state=told["state"],
             timers=tuple({"timer": timer["timer"], "rate_hz": timer["rate_hz"]} for timer in told["timers"]),
             reads=tuple({"channel": reads["channel"], "types": reads["types"]} for reads in told["reads"]),
             requires=tuple(told["requires"]),
+            time_ns=time_ns(told["host_s"]),
+            began=_began(told["began"], time_ns) if seen else None,
+            seed=seed,
         )
 
     def reads_packet(self, channel: str, type_name: str) -> bool:
@@ -68,3 +85,8 @@ class TaskDescription:
             reads["channel"] == channel and (reads["types"] is None or type_name in reads["types"])
             for reads in self.reads
         )
+
+
+def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str, Any]:
+    began = {key: value for key, value in told.items() if key != "host_s"}
+    return {**began, "time_ns": time_ns(told["host_s"])}

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import dataclass
 from typing import Any, Final
 
 import msgpack
 import msgspec
 
 from pancakes.errors import LocalProtocolError, PancakesError, RemoteProtocolError
-from pancakes.packet import Fence, Packet, body_class, body_from_plain
+from pancakes.packet import Fence, Packet, body_class, body_from_plain, has_fields
 from pancakes.schema import schema_of
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
@@ -23,8 +22,7 @@ class RecordingError(PancakesError):
     """A recording cannot be written or read; the message names the file."""
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+class Entry(msgspec.Struct, frozen=True):
     """One packet as it was seen.
 
     Attributes:
@@ -79,8 +77,9 @@ class EntryEncoder:
         self._inexact = False
         try:
             data = self._json.encode(row)
-            # JSON says null for what is no number; that there is a null for another reason costs a little space.
-            if self._inexact or data.count(b"null") > (packet.cause is None) + (packet.fence is None):
+            # JSON says null for what is no number, but most nulls are a None.
+            nulls = data.count(b"null") > (packet.cause is None) + (packet.fence is None)
+            if self._inexact or (nulls and not _holds_body(data, packet)):
                 row["exact"] = base64.b64encode(self._wire.packet(packet)).decode("ascii")
                 data = self._json.encode(row)
         except (TypeError, ValueError, OverflowError) as error:
@@ -94,6 +93,29 @@ class EntryEncoder:
         if hasattr(value, "tolist"):
             return value.tolist()
         raise TypeError(f"a {type(value).__name__} is no plain value")
+
+
+class _BodyAlone(msgspec.Struct):
+    """The data of a message, of which only the body is looked at."""
+
+    body: msgspec.Raw
+
+
+_BODY_ALONE: Final = msgspec.json.Decoder(_BodyAlone)
+_DECODERS: Final[dict[type, msgspec.json.Decoder[Any]]] = {}
+
+
+def _holds_body(data: bytes, packet: Packet) -> bool:
+    """Returns whether the data of a message says all about the body of its packet."""
+    raw = _BODY_ALONE.decode(data).body
+    try:
+        cls = type(packet.body)
+        decoder = _DECODERS.get(cls)
+        if decoder is None:
+            decoder = _DECODERS[cls] = msgspec.json.Decoder(cls if has_fields(cls) else Any)
+        return bool(decoder.decode(raw) == packet.body)
+    except (msgspec.MsgspecError, TypeError):  # a class that cannot be made of JSON
+        return False
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:

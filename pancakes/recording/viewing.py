@@ -11,11 +11,15 @@ import msgspec
 
 from pancakes.recording.entry import NANOSECONDS, Entry
 
+SHOWN: Final = ("pose", "world_state")
+"""Of packets of these types something is shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
 """So many poses make up a path."""
 TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
+SHOWN_NS: Final = NANOSECONDS // 10
+"""How often anything is shown at most: nobody sees more, and the packets themselves are all in the recording."""
 COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
 GREY: Final = (0.5, 0.5, 0.5)
 
@@ -36,14 +40,24 @@ class Viewer:
     def __init__(self) -> None:
         self._trails: dict[str, deque[dict[str, Any]]] = {}
         self._told_ns: dict[str, int] = {}
+        self._shown_ns: dict[str, int] = {}
 
     def messages(self, entry: Entry) -> Iterator[ViewerMessage]:
         """Gives what a viewer shows of a packet."""
         packet = entry.packet
         if packet.type == "pose" and packet.channel == "system" and packet.source.startswith(entry.agent + "/"):
-            yield from self._pose(entry)
-        elif packet.type == "world_state":
+            if self._is_due(entry):
+                yield from self._pose(entry)
+        elif packet.type == "world_state" and self._is_due(entry):
             yield _scene(entry)
+
+    def _is_due(self, entry: Entry) -> bool:
+        source, time_ns = entry.packet.source, entry.time_ns
+        # A tenth of tolerance: what comes ten times a second comes a little early now and then.
+        if time_ns - self._shown_ns.get(source, -SHOWN_NS) < SHOWN_NS * 9 // 10:
+            return False
+        self._shown_ns[source] = time_ns
+        return True
 
     def _pose(self, entry: Entry) -> Iterator[ViewerMessage]:
         body, device = entry.packet.body, entry.packet.source.rpartition("/")[2]

@@ -1,4 +1,4 @@
-"""Writes one MCAP file of a recording, in small chunks, so that a crash costs no more than the last of them."""
+"""Writes one MCAP file of a recording, of which a crash costs no more than what came after the last flush."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from mcap.writer import CompressionType, IndexType, Writer
-
 from pancakes import __version__
+from pancakes.recording.chunks import ChunkedFile
 from pancakes.recording.entry import SCHEMAS, Entry, EntryEncoder, schema_for
 
-CHUNK_BYTES: Final = 16 * 1024
-"""With mcap's own chunks of 1 MiB a recorder that was killed after 3 s left nothing."""
-PROFILE: Final = ""
+CHUNK_BYTES: Final = 128 * 1024
+"""Ending a chunk costs as much as a hundred messages. `flush` ends one too: a crash costs what came after that."""
 LIBRARY: Final = f"pancakes {__version__}"
 METADATA: Final = "pancakes"
 
@@ -39,13 +37,10 @@ class RecordingWriter:
         self.path = path
         self.messages = 0
         self._file = path.open("xb")
-        # Compression costs more processor time than it saves disk.
-        self._writer = Writer(
-            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, index_types=IndexType.ALL
-        )
-        self._writer.start(profile=PROFILE, library=LIBRARY)
-        self._writer.add_metadata(METADATA, dict(about))
+        self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
+        self._chunks.add_metadata(METADATA, about)
         self._encoder = EntryEncoder()
+        self._packet_channels: dict[tuple[str, str, str], int] = {}
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
 
@@ -56,10 +51,11 @@ class RecordingWriter:
             LocalProtocolError: it holds what no packet may hold; the file is as it was.
             OSError: the disk is full, ...
         """
-        data = self._encoder.data(entry.packet)
-        channel = self._channel(entry.topic, entry.packet.type)
+        packet = entry.packet
+        data = self._encoder.data(packet)
+        channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
         # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
-        self._writer.add_message(channel, entry.time_ns, data, entry.time_ns, entry.packet.seq & 0xFFFFFFFF)
+        self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
         self.messages += 1
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
@@ -70,14 +66,14 @@ class RecordingWriter:
         """
         key = (topic, schema_name)
         if key not in self._channels:
-            number = self._writer.register_schema(schema_name, "jsonschema", json.dumps(schema).encode())
-            self._channels[key] = self._writer.register_channel(topic, "json", number)
-        self._writer.add_message(self._channels[key], time_ns, data, time_ns)
+            number = self._chunks.add_schema(schema_name, json.dumps(schema).encode())
+            self._channels[key] = self._chunks.add_channel(topic, number)
+        self._chunks.add_message(self._channels[key], time_ns, data)
         self.messages += 1
 
     def size_bytes(self) -> int:
         """Returns how large the file is so far."""
-        return self._file.tell()
+        return self._chunks.size_bytes()
 
     def flush(self) -> None:
         """Brings all that was written to the disk; what comes before survives a crash.
@@ -85,26 +81,24 @@ class RecordingWriter:
         Raises:
             OSError: the disk is full, ...
         """
-        self._writer.flush()
+        self._chunks.end_chunk()
         self._file.flush()
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Writes the index and closes the file."""
         try:
-            self._writer.finish()
+            self._chunks.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
         finally:
             self._file.close()
 
-    def _channel(self, topic: str, type_name: str) -> int:
-        name = SCHEMAS + type_name
-        number = self._channels.get((topic, name))
-        if number is None:
-            if type_name not in self._schemas:
-                schema = json.dumps(schema_for(type_name)).encode()
-                self._schemas[type_name] = self._writer.register_schema(name, "jsonschema", schema)
-            number = self._writer.register_channel(topic, "json", self._schemas[type_name])
-            self._channels[topic, name] = number
+    def _channel(self, entry: Entry) -> int:
+        packet = entry.packet
+        if packet.type not in self._schemas:
+            schema = json.dumps(schema_for(packet.type)).encode()
+            self._schemas[packet.type] = self._chunks.add_schema(SCHEMAS + packet.type, schema)
+        number = self._chunks.add_channel(entry.topic, self._schemas[packet.type])
+        self._packet_channels[entry.agent, packet.channel, packet.type] = number
         return number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
@@ -10,6 +11,7 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from pancakes.control import Follow, Stop, Unfollow
+from pancakes.devices.pace import Pace
 from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
 from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
@@ -19,6 +21,33 @@ from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
+
+MOST_PACES = 4096
+"""So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
+
+
+class Thinning:
+    """Lets through so many packets a second of each source and type, for a follower that wants no more.
+
+    Args:
+        most_hz: how many; 0: all.
+    """
+
+    def __init__(self, most_hz: float) -> None:
+        self._most_hz = most_hz
+        self._paces: dict[tuple[str, str], Pace] = {}
+
+    def leaves_out(self, packet: Packet, now: Callable[[], float]) -> bool:
+        """Returns whether a packet is one too many. In the publishers' threads: a source has one at a time."""
+        if not self._most_hz:
+            return False
+        key = (packet.source, packet.type)
+        pace = self._paces.get(key)
+        if pace is None:
+            if len(self._paces) >= MOST_PACES:
+                self._paces = {}
+            pace = self._paces[key] = Pace(self._most_hz)
+        return not pace.due(now())
 
 
 class NetworkClient(Task):
@@ -173,11 +202,16 @@ class NetworkService(Service):
         if body.foreign and role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.
             raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
-        types, foreign = body.types, body.foreign
+        if not 0 <= body.most_hz < math.inf:
+            raise ControlRefused(f"most_hz is to be 0 (all) or more packets a second, not {body.most_hz}")
+        types, foreign, now = body.types, body.foreign, self.kernel.host.now
+        thinning = Thinning(body.most_hz)
 
         def forward(packet: Packet) -> None:
             # What came from elsewhere has been seen there; what follows itself would never end.
             if (types and packet.type not in types) or not (foreign or agent_of(packet.source) == self.agent):
+                return
+            if thinning.leaves_out(packet, now):
                 return
             try:
                 self._mesh.send(replace(packet, destination=destination), retry=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.control import Stop
 from pancakes.errors import ControlRefused, PancakesError
@@ -366,10 +367,8 @@ class RecordedService(Service):
                 self.begin(slot, lambda reason, slot=slot: self._report(slot, reason))  # type: ignore[misc]
 
     def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
+        self._refuse_if_moved(slot)
         task_id = self.id_of(slot)
-        record = self.hand_off(task_id).record
-        if record.phase is Phase.RELEASED:
-            raise ControlRefused(f"{slot.name} moved to {record.peer}")
         if task_id not in self._owed or slot.state is not TaskState.STOPPED:
             super().stop_asked(slot, body, request)
             if slot.state is TaskState.STOPPING:
@@ -382,6 +381,11 @@ class RecordedService(Service):
         self.tell_asked("stop", slot, request)
         self.hand_off(task_id).feed(Ended(Wanted.STOPPED))
         self.when_stopped(slot, lambda reason: self.reply(request, reason))
+
+    def _refuse_if_moved(self, slot: Slot) -> None:
+        record = self.hand_off(self.id_of(slot)).record
+        if record.phase is Phase.RELEASED:
+            raise ControlRefused(f"{slot.name} moved to {record.peer}")
 
     def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
         task_id = self.id_of(slot)
@@ -405,6 +409,7 @@ class RecordedService(Service):
 
     def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
         """Makes a change in a running task's own actor; it outlives a failure of that task the moment after."""
+        self._refuse_if_moved(slot)
 
         def changed(task: Task) -> dict[str, Any]:
             told = change(task)

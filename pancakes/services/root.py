@@ -11,10 +11,10 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import (
@@ -67,8 +67,7 @@ class ServiceState(Enum):
     FAILED = "failed"
 
 
-@dataclass
-class ServicePlace:
+class ServicePlace(msgspec.Struct):
     """The place of one service; it outlives the actors that fill it.
 
     Attributes:
@@ -85,12 +84,12 @@ class ServicePlace:
     state: ServiceState = ServiceState.STOPPED
     service: Service | None = None
     reason: str = ""
-    on_running: list[Callable[[str], None]] = field(default_factory=list)
-    on_ended: list[Callable[[], None]] = field(default_factory=list)
+    on_running: list[Callable[[str], None]] = msgspec.field(default_factory=list)
+    on_ended: list[Callable[[], None]] = msgspec.field(default_factory=list)
     busy: bool = False
-    commands: deque[Callable[[], None]] = field(default_factory=deque)
+    commands: deque[Callable[[], None]] = msgspec.field(default_factory=deque)
     alarm: OneShot | None = None
-    kept: Mapping[str, Carried] = field(default_factory=dict)
+    kept: Mapping[str, Carried] = msgspec.field(default_factory=dict)
     keep_state: bool = True
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from pancakes.packet import packet_type
 
 
-@dataclass(frozen=True, slots=True)
-class Spent:
+class Spent(msgspec.Struct, frozen=True):
     """What a battery has given since the world began, in joules.
 
     Attributes:
@@ -26,8 +25,7 @@ class Spent:
     sending_j: float
 
 
-@dataclass(frozen=True, slots=True)
-class BodyState:
+class BodyState(msgspec.Struct, frozen=True):
     """What one body does.
 
     Attributes:
@@ -56,8 +54,7 @@ class BodyState:
 
 
 @packet_type("world_state")
-@dataclass(frozen=True, slots=True)
-class WorldState:
+class WorldState(msgspec.Struct, frozen=True):
     """What all bodies do at one moment: robots first, then sensor nodes, then movers, as configured.
 
     Attributes:

@@ -9,7 +9,6 @@ one who publishes and never costs a link. The decoder has every limit checked be
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 import sys
@@ -20,7 +19,7 @@ import msgpack
 import msgspec
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
-from pancakes.packet import Fence, Packet, body_from_plain
+from pancakes.packet import Fence, Packet, body_from_plain, field_names, has_fields
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES
 from pancakes.wire.messages import LinkMessage
 
@@ -34,7 +33,7 @@ ARRAY_EXTENSION: Final = 1
 _BODY_DEPTH: Final = 3  # within the frame's array and the packet's
 _LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
 _STRINGS: Final = frozenset((str,))
-_FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the dataclasses that were sent: asking for them each time is slow
+_FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the classes that were sent: asking for them each time is slow
 _DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
 
 _Text = Annotated[str, msgspec.Meta(max_length=256)]
@@ -194,8 +193,8 @@ def _plain(value: Any, depth: int, where: str) -> Any:
 
 
 def _plain_object(value: Any, depth: int, where: str) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        _FIELDS[type(value)] = tuple(field.name for field in dataclasses.fields(value))
+    if has_fields(type(value)):
+        _FIELDS[type(value)] = field_names(type(value))
         return _plain(value, depth, where)
     if isinstance(value, msgspec.Struct):
         fields = {name: getattr(value, name) for name in value.__struct_fields__}

@@ -12,9 +12,10 @@ Who does the sending, and where the time comes from, is the caller's business.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Final
+
+import msgspec
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet
@@ -38,8 +39,7 @@ from pancakes.wire.messages import (
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
-@dataclass(frozen=True, slots=True)
-class LinkTimes:
+class LinkTimes(msgspec.Struct, frozen=True):
     """All times of links and membership, in seconds of the host clock.
 
     Attributes:
@@ -77,49 +77,42 @@ class State(Enum):
     OVER = "over"
 
 
-@dataclass(frozen=True, slots=True)
-class Send:
+class Send(msgspec.Struct, frozen=True):
     """Send this message, before any packet that waits."""
 
     message: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Met:
+class Met(msgspec.Struct, frozen=True):
     """The peer said who it is; answer with `Link.admit` (the lower name, once) or `Link.refuse`."""
 
     hello: Hello
 
 
-@dataclass(frozen=True, slots=True)
-class Up:
+class Up(msgspec.Struct, frozen=True):
     """The link stands: packets may flow."""
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
+class Received(msgspec.Struct, frozen=True):
     """Packets came in, in this order."""
 
     packets: list[Packet]
 
 
-@dataclass(frozen=True, slots=True)
-class ReceivedBlob:
+class ReceivedBlob(msgspec.Struct, frozen=True):
     """A blob is complete."""
 
     kind: str
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Learnt:
+class Learnt(msgspec.Struct, frozen=True):
     """The peer named addresses of agents that it is connected to."""
 
     addresses: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Over:
+class Over(msgspec.Struct, frozen=True):
     """The link has ended: close the connection once what was to be sent is sent. Always the last action.
 
     Attributes:

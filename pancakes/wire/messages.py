@@ -6,7 +6,6 @@ its channel, so the first element tells them apart.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, get_args
 
 import msgspec
@@ -138,8 +137,7 @@ def link_message_from_row(row: list[Any]) -> LinkMessage:
         raise RemoteProtocolError(f"the link's message {cls.__name__} is malformed: {error}") from None
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(msgspec.Struct, frozen=True):
     """Who an agent is, for its links; see `Hello` for the attributes."""
 
     name: str

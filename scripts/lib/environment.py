@@ -3,7 +3,8 @@
     python3 scripts/lib/environment.py EXTRA...
 
 It installs the project with the extras that are named, and the plug-ins, all of them editable; what an earlier
-call installed for the same metadata is not installed again. The last line that it prints is the environment's Python.
+call installed for the same metadata is not installed again. With the extra "test" it looks for a browser as well. The
+last line that it prints is the environment's Python.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 VENV = ROOT / ".venv"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 METADATA = ("setup.cfg", "pyproject.toml", "plugins/*/setup.cfg", "plugins/*/pyproject.toml")
 
 
@@ -38,6 +40,8 @@ def main() -> None:
             install(VENV, ROOT, wanted)
             for extra in wanted:
                 (VENV / f"installed-{extra}").write_text(digest())
+    if "test" in extras:
+        find_browser()
     print(VENV / "bin" / "python")
 
 
@@ -48,12 +52,30 @@ def make_venv(directory: Path) -> None:
         run(command, "no virtual environment could be made")
         return
     package = f"python{sys.version_info.major}.{sys.version_info.minor}-venv"
-    if os.geteuid() == 0 and os.environ.get("CI") and shutil.which("apt-get"):
+    if may_install():
         say(f"{sys.executable} cannot make virtual environments: installing {package}")
         run(["apt-get", "install", "-y", "-qq", package], f"{package} could not be installed")
         run(command, "no virtual environment could be made")
         return
     sys.exit(f"{sys.executable} cannot make virtual environments: install them with `apt install {package}`.")
+
+
+def find_browser() -> None:
+    """Gets the browser for the tests of the page, where a machine of its own runs them; elsewhere a person decides."""
+    if any(map(shutil.which, BROWSERS)) or not may_install():
+        return
+    say("there is no chromium for the tests of the page: installing it")
+    command = ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "chromium"]
+    if not succeeds(command):
+        # Its lists of packages may be old, or not there yet.
+        succeeds(["apt-get", "update", "-qq"])
+        if not succeeds(command):
+            say("chromium could not be installed, so the tests in a browser will be skipped")
+
+
+def may_install() -> bool:
+    """Whether packages of the system may be installed without asking anybody."""
+    return os.geteuid() == 0 and bool(os.environ.get("CI")) and shutil.which("apt-get") is not None
 
 
 def has_venv() -> bool:
@@ -73,10 +95,20 @@ def install(venv: Path, root: Path, extras: list[str]) -> None:
 
 def run(command: list[str], fault: str) -> None:
     """Runs a command whose output goes to the terminal's error stream; ends the script where it fails."""
+    code = code_of(command)
+    if code:
+        sys.exit(f"{fault}: `{' '.join(command)}` ended with {code}.")
+
+
+def succeeds(command: list[str]) -> bool:
+    """Runs a command in the same way, and returns whether it ended well."""
+    return code_of(command) == 0
+
+
+def code_of(command: list[str]) -> int:
+    """Runs a command in the same way, and returns its exit code."""
     environment = {**os.environ, "PIP_ROOT_USER_ACTION": "ignore", "DEBIAN_FRONTEND": "noninteractive"}
-    ended = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=sys.stderr, env=environment)
-    if ended.returncode:
-        sys.exit(f"{fault}: `{' '.join(command)}` ended with {ended.returncode}.")
+    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=sys.stderr, env=environment).returncode
 
 
 def is_ours() -> bool:

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import click
+from msgspec import NODEFAULT
+from msgspec.inspect import Field, type_info
 
 from pancakes.cli.agent import agent as pancakes_agent
 from pancakes.cli.main import pancakes
@@ -91,7 +93,7 @@ def configuration() -> str:
         for name in _core(plugins, group):
             cls = plugins.get(group, name)
             parts += [f"### `{name}`\n", _sentence(summary_of(cls)), _facts(cls)]
-            if cls.Settings is not Nothing and dataclasses.fields(cls.Settings):
+            if cls.Settings is not Nothing and fields_of(cls.Settings):
                 parts.append(_fields(cls.Settings))
             else:
                 parts.append("It has no settings.\n")
@@ -113,14 +115,20 @@ def _facts(cls: type) -> str:
     return " ".join(facts) + "\n" if facts else ""
 
 
+def fields_of(cls: type) -> tuple[Field, ...]:
+    """Returns the fields of a dataclass or of a `msgspec.Struct`."""
+    found: tuple[Field, ...] = type_info(cls).fields  # type: ignore[attr-defined]
+    return found
+
+
 def _fields(cls: type, skip: tuple[str, ...] = (), nested: bool = True) -> str:
     """Returns a table of the fields of a dataclass (one without fields has none), and of those that are inside."""
-    if all(field.name in skip for field in dataclasses.fields(cls)):
+    if all(field.name in skip for field in fields_of(cls)):
         return "It has no keys.\n"
     schema = schema_of(cls)
     notes = field_notes(cls)
     rows = ["| key | type | default | meaning |", "|---|---|---|---|"]
-    for field in dataclasses.fields(cls):
+    for field in fields_of(cls):
         if field.name in skip:
             continue
         kind = _kind(schema["properties"][field.name])
@@ -132,10 +140,10 @@ def _fields(cls: type, skip: tuple[str, ...] = (), nested: bool = True) -> str:
     return "\n".join(tables)
 
 
-def _default(field: dataclasses.Field[Any]) -> str:
-    if field.default is not dataclasses.MISSING:
+def _default(field: Field) -> str:
+    if field.default is not NODEFAULT:
         value = field.default
-    elif field.default_factory is not dataclasses.MISSING:
+    elif field.default_factory is not NODEFAULT:
         value = field.default_factory()
         if dataclasses.is_dataclass(value):
             return "see there"
@@ -199,7 +207,7 @@ def packets() -> str:
         if not cls.__module__.startswith("pancakes."):
             continue
         parts += [f"## `{name}`\n", f"`{cls.__module__}.{cls.__qualname__}`: {_sentence(summary_of(cls))}"]
-        parts.append(_fields(cls) if dataclasses.fields(cls) else "It has no fields.\n")
+        parts.append(_fields(cls) if fields_of(cls) else "It has no fields.\n")
     return _page(parts)
 
 

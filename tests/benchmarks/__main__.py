@@ -11,7 +11,7 @@ from pathlib import Path
 
 from benchmarks.figure import Figure, Plan
 
-TOPICS = ("fan_out", "two_processes", "lateness", "start_up")
+TOPICS = ("fan_out", "two_processes", "lateness", "start_up", "observers")
 
 
 def main() -> None:

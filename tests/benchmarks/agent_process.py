@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
-         "bench.Started": "benchmarks.mesh_tasks:Started"}  # fmt: skip
+         "bench.Started": "benchmarks.mesh_tasks:Started", "bench.Steady": "benchmarks.steady:Steady"}  # fmt: skip
 PACKETS = {"bench": "benchmarks.mesh_tasks"}
 PATIENCE_S = 60.0
 

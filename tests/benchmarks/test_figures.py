@@ -15,6 +15,10 @@ sys.path.insert(0, str(TESTS))
 
 from benchmarks import fan_out  # noqa: E402
 from benchmarks.figure import Figure, Plan, in_turns  # noqa: E402
+from benchmarks.steady import Steady  # noqa: E402
+
+from pancakes.control import Configure, Describe  # noqa: E402
+from pancakes.testing import FleetInTest  # noqa: E402
 
 
 def test_a_figure_is_the_median_of_ours_beside_the_median_of_the_bare_one():
@@ -39,6 +43,16 @@ def test_the_sides_are_measured_in_turns_and_each_begins_as_often():
 def test_every_subscriber_gets_all_that_is_published():
     delivery_ns, last_us = fan_out.pancakes(subscribers=3, packets=200)
     assert delivery_ns > 0 and last_us > 0
+
+
+def test_a_control_task_tells_how_late_it_was_between_two_marks():
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Steady": Steady})
+        for window in (1, 2):
+            assert agent.ask(Configure("Steady", {"window": window})).ok
+            fleet.run_for(2.0)
+        state = agent.ask(Describe("Steady", state=True)).result["state"]
+        assert (state["window"], state["ticks"], state["p99_us"]) == (2, 40, pytest.approx(0.0, abs=1e-3))
 
 
 def test_a_short_run_writes_its_figures_as_json(tmp_path):

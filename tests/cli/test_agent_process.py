@@ -239,7 +239,14 @@ def test_it_does_not_begin_where_the_process_that_launched_it_has_ended(rig: Rig
     assert agent.everything() == "the process 1, which launched this agent, has ended"
 
 
-HEAVY = ("rich", "numpy", "pymunk", "matplotlib", "ssl", "ctypes")
+HEAVY = (
+    # others' packages that something else in the project uses
+    *("docstring_parser", "matplotlib", "mcap", "numpy", "prometheus_client", "psutil", "pymunk", "rich", "tomlkit"),
+    "websockets",
+    # parts of Python, each of which takes milliseconds, and up to 4 MiB
+    *("_hashlib", "asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "email", "encodings.idna"),
+    *("http", "importlib.metadata", "multiprocessing", "ssl", "subprocess", "unittest", "xml", "zipfile"),
+)
 IMPORTED = """
 import sys
 from pancakes.task import Task

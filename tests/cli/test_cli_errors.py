@@ -60,3 +60,14 @@ def test_a_full_disk_is_no_defect(capsys: pytest.CaptureFixture[str]):
         command()
     assert ended.value.code == 1
     assert capsys.readouterr().err == "cannot write runs/summary.json: No space left on device\n"
+
+
+def test_an_extra_that_is_not_installed_is_named(capsys: pytest.CaptureFixture[str]):
+    @sentences
+    def command() -> None:
+        raise ModuleNotFoundError("No module named 'mcap.reader'", name="mcap.reader")
+
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "this needs mcap: pip install 'pancakes-agents[record]'\n"

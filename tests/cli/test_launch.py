@@ -211,16 +211,21 @@ def mission_s(rig: Rig, agent: str) -> float:
     return time_s
 
 
+def begun(rig: Rig, agent: str) -> bool:
+    """Whether an agent's mission begins; that it will is said a moment before."""
+    return any(mission_s(rig, agent) > 0.0 for _ in range(20))
+
+
 def test_missions_that_wait_begin_once_all_are_ready(rig: Rig, field: Path):
     field.write_text(FLEET.replace("[agent.gate]", "set = { clock.hold = true }\n[agent.gate]"))
     fleet, _, node = up(rig, field)
 
     fleet.hear("the mission of gate, node begins")
-    assert mission_s(rig, "gate") > 0.0
+    assert begun(rig, "gate")
 
     psutil.Process(node).kill()
     fleet.hear("the mission of node begins")
-    assert mission_s(rig, "node") > 0.0
+    assert begun(rig, "node")
     assert fleet.signalled(signal.SIGTERM)[0] == 0
 
 
@@ -286,7 +291,8 @@ def test_a_dry_run_shows_what_would_be_started(rig: Rig, field: Path):
 
 def test_the_configurations_of_the_demos_can_be_launched(rig: Rig, request: pytest.FixtureRequest):
     folder = request.config.rootpath / "configs" / "encirclement"
-    rows = json.loads(rig.pancakes("launch", str(folder), "--dry-run", "--format", "json").stdout)
+    anywhere = "agent.listen=tcp://127.0.0.1:0"  # a demo may be running on this computer
+    rows = json.loads(rig.pancakes("launch", str(folder), "--set", anywhere, "--dry-run", "--format", "json").stdout)
 
     assert [row["agent"] for row in rows] == ["world", "agent1", "agent2", "sensor"]
     assert rows[1]["after"] == ["world"]

@@ -15,7 +15,8 @@ class Answer(Task):
     @on("system", Pose)
     def pose(self, packet):
         own = packet.source.startswith(self.agent + "/")
-        self.log("info", f"heard {packet.body.x_m:g} of {'its own' if own else packet.source}, seq {packet.seq}")
+        when = "now" if abs(packet.stamp - self.now()) < 0.1 else packet.stamp
+        self.log("info", f"heard {packet.body.x_m:g} of {'its own' if own else packet.source}, {when}")
         self.publish("ctrl", Load(packet.body.x_m))
 """
 ENTRY = "[pancakes.tasks]\nreplays.Answer = plugin_replays:Answer\nreplays.Walk = plugin_walk:Walk\n"
@@ -67,7 +68,7 @@ def test_packets_reach_the_agent_that_they_were_seen_on_in_the_name_of_who_said_
     (done,) = [row for row in rows(walk, "r") if row["type"] == "pose"]
     assert done == {**plan, "done": "fed"}
     for number in range(1, 11):
-        agent.hear(f"heard {number} of its own")
+        agent.hear(f"heard {number} of its own, now")
     assert sum("heard" in line for line in agent.so_far()) == 10
 
 

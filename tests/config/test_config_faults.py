@@ -142,7 +142,7 @@ def test_a_name_can_be_part_of_an_address_and_of_a_file_name(name: str, near: st
     (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
 
     assert fault.startswith("a.toml:4: [task.")
-    assert f"{name!r} is no name: a name has letters, digits, '.', '_' and '-'" in fault
+    assert f"{name!r} is no name: a name has letters from a to z, digits, '.', '_' and '-'" in fault
     assert fault.endswith(f"did you mean {near!r}?")
 
 

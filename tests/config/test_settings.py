@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from msgspec import Meta
 
-from pancakes.settings import SettingsError, change_settings, check_settings, make_settings
+from pancakes.settings import SettingsError, change_plain, change_settings, check_settings, make_settings
 
 
 @dataclass
@@ -77,6 +77,15 @@ def test_all_mistakes_come_at_once_each_with_its_path():
 
 def test_a_key_that_is_there_already_is_not_suggested_again():
     assert problems({"gait": "trot", "gate": "trot"}) == ["gate: unknown key"]
+
+
+def test_whoever_changes_settings_means_a_key_that_is_there():
+    walker = make_settings(Walker.Settings, {"speed_mps": 1.0})
+    with pytest.raises(SettingsError, match=r"gate: unknown key, did you mean 'gait'\?"):
+        change_settings(walker, {"gate": "trot"})
+    with pytest.raises(SettingsError, match=r"gate: unknown key$"):
+        change_settings(walker, {"gait": "walk", "gate": "trot"})
+    assert change_plain(Walker.Settings, {"speed_mps": 1.0}, {"gait": "trot"}).gait == "trot"
 
 
 def test_a_list_of_the_wrong_length():

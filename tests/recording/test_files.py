@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
-from pancakes.recording.entry import Entry, RecordingError, packet_from_data, schema_for
+from pancakes.recording.entry import Entry, EntryEncoder, RecordingError, packet_from_data, schema_for
 from pancakes.recording.parts import Parts, part_path, parts_of
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.repair import repair
@@ -37,8 +37,10 @@ def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fenc
 
 def written(path, entries):
     writer = RecordingWriter(path, {"agent": "a", "clock": "mission time"})
-    for entry in entries:
+    for number, entry in enumerate(entries):
         writer.write(entry)
+        if number % 50 == 49:
+            writer.flush()
     writer.close()
 
 
@@ -71,6 +73,43 @@ def test_what_json_cannot_hold_comes_out_exactly_all_the_same(tmp_path):
     assert (first.packet.body.raw, first.packet.body.best_m) == (b"\x00\xff", math.inf)
     assert math.isnan(second.packet.body.x_m)
     assert second.packet.body.y_m == math.inf
+
+
+def test_a_body_with_nothing_in_a_field_is_written_once():
+    encoder = EntryEncoder()
+    assert b'"exact"' not in encoder.data(pose(0, kind="motion", body=Motion(True, None, None)).packet)
+    assert b'"exact"' in encoder.data(pose(0, kind="motion", body=Motion(True, math.nan, None)).packet)
+
+
+def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
+    entries = [pose(number, kind="pose" if number % 3 else "motion") for number in range(500)]
+    written(tmp_path / "r.mcap", entries)
+    with (tmp_path / "r.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        late = [
+            message.log_time for _, _, message in reader.iter_messages(topics="/a/system/pose", starting_at=490 * S)
+        ]
+        (about,) = [metadata.metadata for metadata in reader.iter_metadata()]
+    assert late == [number * S for number in range(490, 500) if number % 3]
+    assert about["agent"] == "a"
+    told = summary.statistics
+    assert (told.message_count, told.message_start_time, told.message_end_time) == (500, 0, 499 * S)
+    assert sorted(told.channel_message_counts.values()) == [167, 333]
+    assert told.chunk_count == len(summary.chunk_indexes) > 3
+    data = (tmp_path / "r.mcap").read_bytes()
+    for chunk in summary.chunk_indexes:
+        for channel, offset in chunk.message_index_offsets.items():
+            assert (data[offset], int.from_bytes(data[offset + 9 : offset + 11], "little")) == (0x07, channel)
+    assert sum(chunk.uncompressed_size for chunk in summary.chunk_indexes) < (tmp_path / "r.mcap").stat().st_size
+
+
+def test_a_file_without_a_packet_is_whole_too(tmp_path):
+    written(tmp_path / "r.mcap", [])
+    found, reader = read(tmp_path / "r.mcap")
+    assert (found, reader.notes()) == ([], [])
+    with (tmp_path / "r.mcap").open("rb") as file:
+        assert make_reader(file).get_summary().statistics.message_count == 0
 
 
 def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
@@ -225,3 +264,10 @@ def test_poses_and_paths_are_shown_in_the_schemas_of_foxglove():
     assert shown[0].topic == "/viewer/a/pose"
     # A pose that only passes through is not this agent's.
     assert list(viewer.messages(pose(1, source="world/client/MotionCapture"))) == []
+
+
+def test_viewers_are_shown_no_more_than_they_can_show():
+    viewer = Viewer()
+    fast = [Entry(number * S // 50, "a", pose(number).packet) for number in range(100)]
+    shown = [message for entry in fast for message in viewer.messages(entry) if message.topic == "/viewer/a/pose"]
+    assert len(shown) == 20

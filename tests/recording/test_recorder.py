@@ -1,6 +1,7 @@
 """The recorder in an agent: it is started and stopped by packets, sees everything, and harms nobody."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import pytest
 
@@ -124,6 +125,24 @@ def test_what_tasks_are_is_recorded_at_the_beginning_and_when_they_start(fleet, 
     assert count.reads_packet("system", "pose")
     assert not count.reads_packet("system", "load")
     assert (later.task_id, later.settings) == ("a/Later", {"step": 5})
+
+
+def test_once_a_second_it_is_noted_how_tasks_and_links_fare(fleet, tmp_path):
+    a = fleet.start("a", tasks={"Count": Count, "Talk": Talk})
+    fleet.start("b")
+    fleet.connect()
+    record(a, tmp_path / "r.mcap")
+    fleet.run_for(3.5)
+    found = [entry.packet.body for entry in finish(a, tmp_path / "r.mcap") if entry.packet.type == "task_figures"]
+    assert len(found) == 3
+    assert [later.mission_s - earlier.mission_s for earlier, later in pairwise(found)] == [pytest.approx(1.0)] * 2
+    counts = [task for figures in found for task in figures.tasks if task.task == "client/Count"]
+    assert [count.task_id for count in counts] == ["a/Count"] * 3
+    (timer,) = counts[0].timers
+    assert (timer.timer, timer.rate_hz, timer.missed) == ("tick", 10.0, 0)
+    assert counts[-1].timers[0].ticks - timer.ticks == 20
+    (link,) = found[-1].links
+    assert (link.peer, link.packets_out - found[0].links[0].packets_out) == ("b", 4)
 
 
 def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):

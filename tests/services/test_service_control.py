@@ -133,6 +133,11 @@ def test_what_is_for_tasks_is_refused_for_a_service(fleet, body):
     assert said(with_mapper(fleet).ask(body)) == (False, "a/mapper is a service: name one of its tasks", None)
 
 
+def test_what_a_service_of_its_own_looks_after_cannot_move(fleet):
+    reason = "a/mapper/Count cannot move: what a/mapper looks after stays with its agent"
+    assert said(with_mapper(fleet).ask(Migrate("mapper/Count"))) == (False, reason, None)
+
+
 def test_a_service_is_stopped_with_its_tasks_last_first_and_started_with_them(fleet):
     agent = with_mapper(fleet)
     fleet.run_for(1.0)
@@ -268,6 +273,20 @@ def test_another_agent_follows_a_channel_until_it_has_had_enough(fleet):
     other.publish("system", Load(0.6))
     fleet.run_for(0.1)
     assert_published(agent, Load, times=1)
+
+
+def test_a_follower_may_ask_for_no_more_than_it_can_show(fleet):
+    fleet.start("b")
+    agent = fleet.start("a")
+    fleet.connect()
+    assert agent.ask(Follow("system", most_hz=2.0), to="b").ok
+    for number in range(20):
+        fleet.agents["b"].publish("system", Load(number / 20))
+        fleet.agents["b"].publish("system", Pose(0.0, 0.0, 0.0))
+        fleet.run_for(0.1)
+    assert_published(agent, Load, channel="system", source="b/test/Probe", times=5)
+    assert_published(agent, Pose, channel="system", source="b/test/Probe", times=5)
+    assert "most_hz is to be 0 (all) or more" in agent.ask(Follow("system", most_hz=-1.0), to="b").reason
 
 
 def test_following_what_is_not_there_or_is_here_is_refused(fleet):

@@ -1,0 +1,125 @@
+"""Feeds recorded packets into agents in virtual time, and records what they make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from msgspec.structs import replace as changed
+
+from pancakes.agent import Agent
+from pancakes.config import Config
+from pancakes.config.model import RecordConfig
+from pancakes.control import Describe, Reply
+from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
+from pancakes.fleet import VirtualFleet
+from pancakes.packet import SYSCTRL, Packet, join, type_name
+from pancakes.plugins import Plugins
+from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.replay.selection import Live, Selection, Tally
+
+READY_S: Final = 30.0
+"""How long, in virtual time, agents may take until they are ready."""
+AFTER_S: Final = 1.0
+"""How long they go on after the last packet, in virtual time: what it leads to belongs to the result."""
+
+
+class VirtualReplay:
+    """Agents in virtual time that are fed with a recording.
+
+    Args:
+        configs: their configurations.
+        out: the folder that what they say is recorded into, `AGENT.mcap` for each; None: it is not recorded.
+        plugins: where their classes are found.
+        seed: draws the order of the actors, and the random numbers of agents that name no seed themselves.
+
+    Attributes:
+        tally: what was fed so far.
+        refused: sentences on packets that nobody had room for.
+
+    Raises:
+        ConfigError: two of them have the same name.
+    """
+
+    def __init__(self, configs: Sequence[Config], out: Path | None, plugins: Plugins, seed: int = 0) -> None:
+        self._fleet = VirtualFleet(seed, plugins=plugins)
+        self._configs: dict[str, Config] = {}
+        for config in configs:
+            name = config.agent.name
+            if name in self._configs:
+                raise ConfigError([Fault("--config", "[agent] name", f"two of the agents are called {name!r}")])
+            self._configs[name] = _virtual(config, out, seed)
+        self.tally = Tally()
+        self.refused: list[str] = []
+
+    def __enter__(self) -> VirtualReplay:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._fleet.close()
+
+    def start(self) -> dict[str, Live]:
+        """Starts the agents, and returns what they say of themselves.
+
+        Raises:
+            PancakesError: one does not become ready, or cannot be started.
+        """
+        agents = [self._fleet.start(config) for config in self._configs.values()]
+        if not self._fleet.run_while(lambda: not all(agent.ready.is_set() for agent in agents), READY_S):
+            late = ", ".join(agent.name for agent in agents if not agent.ready.is_set())
+            raise PancakesError(f"{late} did not become ready within {READY_S:g} s of virtual time")
+        return {agent.name: Live.of(self._describe(agent)) for agent in agents}
+
+    def feed(self, selection: Selection, entries: Iterable[Entry], first_ns: int, scale: float) -> None:
+        """Feeds all packets, and lets the agents work on for a moment.
+
+        Args:
+            selection: what is fed, and to whom.
+            entries: the recording, in the order of time.
+            first_ns: when the first packet was seen that is fed; it goes in at once.
+            scale: seconds of virtual time for each of the recording.
+        """
+        begin_s = self._fleet.now()
+        for fed in selection.of(entries):
+            if fed.topic.left_out:
+                continue
+            due_s = begin_s + (fed.time_ns - first_ns) / NANOSECONDS * scale
+            self._fleet.run_until(max(due_s, self._fleet.now()))
+            kernel = self._fleet.agents[fed.topic.agent].kernel
+            try:
+                kernel.stream.inject(changed(fed.packet, stamp=kernel.mission.now()))
+            except MailboxFull as error:
+                self.refused.append(str(error))
+                continue
+            self.tally.add(fed)
+        self._fleet.run_for(AFTER_S)
+
+    def _describe(self, agent: Agent) -> dict[str, Any]:
+        stream, asker = agent.kernel.stream, join(agent.name, "replay")
+        answers: list[Reply] = []
+
+        def hear(packet: Packet) -> None:
+            if packet.destination == asker and isinstance(packet.body, Reply):
+                answers.append(packet.body)
+
+        stream.tap(SYSCTRL, hear)
+        body = Describe()
+        stream.publish(Packet(SYSCTRL, type_name(body), asker, "", agent.kernel.mission.now(), 1, body))
+        self._fleet.run_while(lambda: not answers, READY_S)
+        stream.untap(SYSCTRL, hear)
+        if not answers:
+            raise PancakesError(f"{agent.name} does not say what it runs")
+        told: dict[str, Any] = answers[0].result
+        return told
+
+
+def _virtual(config: Config, out: Path | None, seed: int) -> Config:
+    """Returns a configuration for virtual time: it records, says nothing else, and its mission begins at once."""
+    recorded = replace(config.record or RecordConfig(), start=out is not None, path=f"{out}/{{agent}}.mcap")
+    agent = replace(config.agent, seed=seed) if config.agent.seed is None else config.agent
+    log = config.services["log"]
+    services = {**config.services, "log": replace(log, settings={**log.settings, "console": False})}
+    clock = replace(config.clock, hold=False, speed=1.0)
+    return replace(config, agent=agent, record=recorded, clock=clock, services=services)

@@ -1,0 +1,205 @@
+"""All that a report tells of a recording: packets go in, plain data comes out. Pure, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pancakes.packet import Packet
+from pancakes.recording.description import CHANNEL
+from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.figures import TaskFigures
+from pancakes.report.course import Course
+from pancakes.report.happenings import Happenings
+from pancakes.report.moves import Moves
+from pancakes.report.paths import Paths
+from pancakes.report.rates import Rates
+from pancakes.report.reactions import Reactions
+from pancakes.report.traffic import Traffic
+
+MOST_TOPICS: Final = 2000
+
+
+@dataclass
+class Topic:
+    """Packets of one type on one channel of one agent."""
+
+    agent: str
+    channel: str
+    type: str
+    packets: int = 0
+
+
+@dataclass
+class Findings:
+    """What was found.
+
+    Attributes:
+        task_id: the only task that it is about; empty: all.
+        packets: how many packets were looked at.
+        first_ns: when the first was recorded; see `Entry`.
+        last_ns: when the last was.
+        topics: what there was, by agent, channel and type.
+        strange: how many packets could not be made sense of: their types were other ones when they were recorded.
+    """
+
+    task_id: str = ""
+    packets: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
+    strange: int = 0
+    paths: Paths = field(default_factory=Paths)
+    course: Course = field(default_factory=Course)
+    rates: Rates = field(default_factory=Rates)
+    traffic: Traffic = field(default_factory=Traffic)
+    moves: Moves = field(default_factory=Moves)
+    reactions: Reactions = field(default_factory=Reactions)
+    happenings: Happenings = field(default_factory=Happenings)
+
+    @classmethod
+    def of(cls, entries: Iterable[Entry], task_id: str = "") -> Findings:
+        """Looks at packets in the order of time.
+
+        Args:
+            entries: the packets.
+            task_id: tell only of this task: who ran it, its rates, moves, commands and what it sent; empty: of all.
+        """
+        findings = cls(task_id, reactions=Reactions(task_id))
+        for entry in entries:
+            findings._add(entry)
+        findings.course.close()
+        findings.traffic.close()
+        if task_id:
+            findings.course.only(task_id)
+            findings.rates.only(task_id)
+            findings.moves.only(task_id)
+        return findings
+
+    @property
+    def duration_s(self) -> float:
+        """From the first packet to the last."""
+        return (self.last_ns - self.first_ns) / NANOSECONDS
+
+    @property
+    def agents(self) -> list[str]:
+        """The agents that were recorded, by name."""
+        return sorted(self.course.seen_s)
+
+    def _add(self, entry: Entry) -> None:
+        packet = entry.packet
+        if not self.packets:
+            self.first_ns = entry.time_ns
+        self.packets += 1
+        self.last_ns = max(self.last_ns, entry.time_ns)
+        t_s = (entry.time_ns - self.first_ns) / NANOSECONDS
+        self._count(entry.agent, packet)
+        try:
+            self._look(entry, packet, t_s)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            # A type that is not installed here comes as a mapping, and names are not protected: a report on the
+            # rest is better than none.
+            self.strange += 1
+
+    def _look(self, entry: Entry, packet: Packet, t_s: float) -> None:
+        agent = entry.agent
+        self.course.add(agent, packet, t_s)
+        if packet.channel == CHANNEL:
+            if isinstance(packet.body, TaskFigures):
+                self.rates.add(agent, packet.body, t_s)
+            return
+        self.paths.add(agent, packet, t_s)
+        if not self.task_id or (packet.fence is not None and packet.fence.task_id == self.task_id):
+            self.traffic.add(agent, packet, t_s)
+        self.moves.add(agent, packet, t_s)
+        self.happenings.add(agent, packet, t_s)
+        self.reactions.add(entry)
+
+    def _count(self, agent: str, packet: Packet) -> None:
+        key = (agent, packet.channel, packet.type)
+        topic = self.topics.get(key)
+        if topic is None:
+            if len(self.topics) >= MOST_TOPICS:
+                return
+            topic = self.topics[key] = Topic(*key)
+        topic.packets += 1
+
+    def plain(self) -> dict[str, Any]:
+        """Returns the figures of the report as plain values, for other programs."""
+        end_s = self.duration_s
+        return {
+            "task_id": self.task_id,
+            "agents": self.agents,
+            "packets": self.packets,
+            "duration_s": end_s,
+            "tasks": [
+                {
+                    "agent": lane.agent,
+                    "service": lane.service,
+                    "task": lane.task,
+                    "task_id": lane.task_id,
+                    "spans": [
+                        {"from_s": span.from_s, "to_s": span.to_s, "epoch": span.epoch, "ended": span.ended}
+                        for span in lane.spans
+                    ],
+                }
+                for lane in self.course.lanes.values()
+            ],
+            "timers": [
+                {
+                    "agent": timer.agent,
+                    "task": timer.task,
+                    "timer": timer.timer,
+                    "rates": [{"asked_hz": at.asked_hz, "achieved_hz": at.achieved_hz} for at in timer.at],
+                    "ticks": timer.ticks,
+                    "missed": timer.missed,
+                    "lateness_mean_s": timer.lateness_mean_s,
+                    "lateness_max_s": timer.lateness_max_s,
+                }
+                for timer in self.rates.timers.values()
+            ],
+            "dropped": [
+                {"agent": drops.agent, "task": drops.task, "packets": drops.total}
+                for drops in self.rates.drops.values()
+                if drops.total
+            ],
+            "links": [
+                {
+                    "link": name,
+                    "packets": self.traffic.links.packets.total(name),
+                    "bytes": self.traffic.links.bytes.total(name),
+                }
+                for name in self.traffic.links.names()
+            ],
+            "moves": [
+                {
+                    "at_s": move.at_s,
+                    "task_id": move.task_id,
+                    "source": move.source,
+                    "outcome": move.outcome,
+                    "winner": move.winner,
+                    "asked_by": move.asked_by,
+                    "cost": move.cost,
+                    "duration_s": move.duration_s,
+                    "silence_s": move.silence_s,
+                    "answers": [
+                        {"peer": it.peer, "answer": it.answer, "fate": it.fate, "cost": it.cost, "reason": it.reason}
+                        for it in move.answers
+                    ],
+                }
+                for move in self.moves.moves
+            ],
+            "reactions": [
+                {
+                    "steps": list(it.steps),
+                    "count": it.count,
+                    "step_means_s": it.step_means_s,
+                    "p50_s": it.latency_s.quantile(0.5),
+                    "p90_s": it.latency_s.quantile(0.9),
+                    "p99_s": it.latency_s.quantile(0.99),
+                    "max_s": it.latency_s.largest,
+                }
+                for it in self.reactions.reactions()
+            ],
+        }

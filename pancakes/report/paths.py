@@ -1,0 +1,88 @@
+"""Where everybody was: what agents believed, what the world knew, and who commanded the wheels. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from pancakes.control import Hold
+from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
+from pancakes.report.series import Series
+
+POSE, WORLD, BATTERY = "pose", "world_state", "battery"
+MOST_BODIES = 64
+
+
+@dataclass
+class Body:
+    """Something that has a place.
+
+    Attributes:
+        name: what it is called; of an agent, the agent's name.
+        kind: `robot`, `sensor` or `mover` where the world says so; `agent` where only its own poses are known.
+        path: time in seconds, x and y in metres, heading in radians.
+    """
+
+    name: str
+    kind: str
+    path: Series = field(default_factory=Series)
+
+
+@dataclass(frozen=True)
+class Command:
+    """Who commanded an agent's actuators for a time; `task` is the task's name."""
+
+    task: str
+    from_s: float
+    to_s: float
+
+
+@dataclass
+class Paths:
+    """What there is to see of where everybody was.
+
+    Attributes:
+        truth: the bodies of the world, by name.
+        poses: what each agent took for its own pose.
+        commands: who commanded the actuators of each agent.
+        batteries: the level of each agent's battery, from 0 to 1, over time.
+    """
+
+    truth: dict[str, Body] = field(default_factory=dict)
+    poses: dict[str, Body] = field(default_factory=dict)
+    commands: dict[str, list[Command]] = field(default_factory=dict)
+    batteries: dict[str, Series] = field(default_factory=dict)
+
+    def add(self, agent: str, packet: Packet, t_s: float) -> None:
+        """Takes a packet that was seen on an agent."""
+        if packet.channel == SYSTEM:
+            if packet.type == WORLD:
+                self._add_world(packet.body, t_s)
+            elif packet.type == POSE and packet.source.startswith(f"{agent}/device/"):
+                body = self.poses.setdefault(agent, Body(agent, "agent"))
+                body.path.add(t_s, packet.body.x_m, packet.body.y_m, packet.body.theta_rad)
+            elif packet.type == BATTERY and packet.source.startswith(f"{agent}/device/"):
+                self.batteries.setdefault(agent, Series()).add(t_s, packet.body.level)
+        elif packet.channel == CTRL and not isinstance(packet.body, Hold) and agent_of(packet.source) == agent:
+            self._add_command(agent, packet.source.rpartition("/")[2], t_s)
+
+    def _add_world(self, state: Any, t_s: float) -> None:
+        for it in state.bodies:
+            body = self.truth.get(it.name)
+            if body is None:
+                if len(self.truth) >= MOST_BODIES:
+                    continue
+                body = self.truth[it.name] = Body(it.name, it.kind)
+            body.path.add(t_s, it.x_m, it.y_m, it.theta_rad)
+
+    def _add_command(self, agent: str, task: str, t_s: float) -> None:
+        commands = self.commands.setdefault(agent, [])
+        if commands and commands[-1].task == task:
+            commands[-1] = Command(task, commands[-1].from_s, t_s)
+        else:
+            commands.append(Command(task, t_s, t_s))
+
+    def bodies(self) -> list[Body]:
+        """Returns the bodies to draw: those of the world, and agents whose poses are all there is."""
+        shown = [body for body in self.truth.values() if body.path.points]
+        return shown + [body for name, body in self.poses.items() if name not in self.truth]

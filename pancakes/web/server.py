@@ -1,0 +1,282 @@
+"""Serves the page on the loopback interface: files over HTTP, news over a WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import re
+import secrets
+import threading
+from http import HTTPStatus
+from typing import Any, Final
+
+import msgspec
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from pancakes.control import Reply
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError
+from pancakes.web.feed import FRAMES_HZ, Cursor
+from pancakes.web.files import static_files
+from pancakes.web.orders import order_from
+from pancakes.web.page import Shown
+
+ADDRESS: Final = "127.0.0.1"
+PORT: Final = 7480
+"""Where the page is where nothing else is said and nobody else is there."""
+SOCKET: Final = "/news"
+MOST_PAGES: Final = 32
+MOST_ASKED: Final = 16
+"""So much may one page ask for at a time."""
+LONGEST_MESSAGE: Final = 16 * 1024
+ORDER_S: Final = 30.0
+"""How long an agent may take for what it is asked for: a task may be busy before it moves."""
+CLOSE_S: Final = 2.0
+
+_LOOPBACK: Final = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
+_HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; connect-src 'self' ws:;"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+_JSON: Final = msgspec.json.Encoder()
+
+
+class PageServer:
+    """Shows a fleet to any number of pages, in a thread of its own.
+
+    A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
+    and holds up nobody. It is answered only where it came from this server, under a name of the loopback interface:
+    a foreign site that a browser shows at the same time can neither look nor ask. What changes something needs the
+    token as well, which is in the address that a person was given.
+
+    Args:
+        shown: what is shown.
+
+    Attributes:
+        token: what a page has to know that wants to change something; empty where none may.
+        port: the port, once it has started.
+        skipped: how many frames pages were too slow for.
+    """
+
+    def __init__(self, shown: Shown) -> None:
+        self._shown = shown
+        self._files = static_files()
+        self._pages: set[ServerConnection] = set()
+        self._loop = asyncio.new_event_loop()
+        self._stop: asyncio.Event | None = None
+        self._begun = threading.Event()
+        self._fault: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="page-server", daemon=True)
+        self.token = secrets.token_urlsafe(24) if shown.order is not None else ""
+        self.port = 0
+        self.skipped = 0
+
+    @property
+    def address(self) -> str:
+        """The address of the page, for people."""
+        return f"http://{ADDRESS}:{self.port}/" + (f"#token={self.token}" if self.token else "")
+
+    def start(self, port: int | None = 0) -> None:
+        """Begins to listen; see `open_page` for the port.
+
+        Raises:
+            PancakesError: the port is taken.
+        """
+        self._ports = (PORT, 0) if port is None else (port,)
+        self._thread.start()
+        self._begun.wait()
+        if self._fault is not None:
+            self._thread.join()
+            raise PancakesError(f"the page cannot be at port {port}: {self._fault.strerror}: name another with --port")
+
+    def show(self, shown: Shown) -> None:
+        """Shows something else from now on, to all pages. Any thread."""
+        self._shown = shown
+
+    def close(self) -> None:
+        """Ends all connections. Not from its own thread."""
+        stop = self._stop
+        if stop is not None:
+            self._loop.call_soon_threadsafe(stop.set)
+        self._thread.join()
+
+    # In its thread from here on --------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._stop = asyncio.Event()
+        try:
+            server = await self._listen()
+        except OSError as error:
+            self._fault = error
+            self._begun.set()
+            return
+        self.port = next(iter(server.sockets)).getsockname()[1]
+        self._begun.set()
+        try:
+            await self._stop.wait()
+        finally:
+            server.close(close_connections=True)
+            await asyncio.wait({asyncio.ensure_future(server.wait_closed())}, timeout=CLOSE_S)
+
+    async def _listen(self) -> Server:
+        for port in self._ports[:-1]:
+            try:
+                return await self._listen_at(port)
+            except OSError:
+                continue
+        return await self._listen_at(self._ports[-1])
+
+    async def _listen_at(self, port: int) -> Server:
+        return await serve(
+            self._page,
+            ADDRESS,
+            port,
+            process_request=self._request,
+            compression=None,
+            max_size=LONGEST_MESSAGE,
+            max_queue=MOST_ASKED,
+            close_timeout=CLOSE_S / 2,
+            server_header=None,
+        )
+
+    # HTTP ------------------------------------------------------------------------------------------------------
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answers a request for a file, or lets a WebSocket be opened (None)."""
+        # Under another name than one of the loopback interface it is a name server that led the browser here.
+        host = request.headers.get_all("Host")
+        if len(host) != 1 or _LOOPBACK.fullmatch(host[0]) is None:
+            return _refused(HTTPStatus.MISDIRECTED_REQUEST, "this page is only there under http://127.0.0.1")
+        path = request.path.partition("?")[0]
+        if path == SOCKET:
+            if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
+                return _refused(HTTPStatus.FORBIDDEN, "only this server's own page may open this")
+            return None
+        file = self._files.get(path)
+        if file is None:
+            return _refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+        return _response(HTTPStatus.OK, file.type, file.data)
+
+    # The WebSocket ---------------------------------------------------------------------------------------------
+
+    async def _page(self, connection: ServerConnection) -> None:
+        if len(self._pages) >= MOST_PAGES:
+            await connection.close(1013, "too many pages are open")
+            return
+        self._pages.add(connection)
+        answering = asyncio.ensure_future(self._answer_all(connection))
+        try:
+            await self._show(connection)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._pages.discard(connection)
+            answering.cancel()
+
+    async def _show(self, connection: ServerConnection) -> None:
+        """Sends news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
+        period_s = 1.0 / FRAMES_HZ
+        shown: Shown | None = None
+        seen: Cursor | None = None
+        due_s = self._loop.time()
+        while True:
+            if shown is not self._shown:
+                shown, seen = self._shown, None
+            data, seen = shown.feed.frame(seen)
+            await connection.send(data, text=True)
+            now_s = self._loop.time()
+            late = int((now_s - due_s) / period_s)
+            self.skipped += late
+            due_s += period_s * (late + 1)
+            await asyncio.sleep(due_s - now_s)
+
+    async def _answer_all(self, connection: ServerConnection) -> None:
+        """Answers what a page asks for, several things at a time."""
+        page = _Page()
+        room = asyncio.Semaphore(MOST_ASKED)
+        asked: set[asyncio.Task[None]] = set()
+
+        async def answer(message: str | bytes) -> None:
+            try:
+                await connection.send(await self._answer(page, message), text=True)
+            except ConnectionClosed:
+                pass
+            finally:
+                room.release()
+
+        try:
+            async for message in connection:
+                await room.acquire()
+                task = asyncio.ensure_future(answer(message))
+                asked.add(task)
+                task.add_done_callback(asked.discard)
+        finally:
+            for task in list(asked):
+                task.cancel()
+
+    async def _answer(self, page: _Page, message: str | bytes) -> bytes:
+        """Returns the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
+        number = None
+        try:
+            asked = msgspec.json.decode(message, type=dict[str, Any])
+            number = asked.pop("id", None)
+            result = await self._do(page, asked.pop("ask", None), asked)
+        except (PancakesError, msgspec.MsgspecError) as error:
+            return _JSON.encode({"answer": number, "ok": False, "reason": str(error), "result": None})
+        if isinstance(result, Reply):
+            plain = {"answer": number, "ok": result.ok, "reason": result.reason, "result": result.result}
+            return _JSON.encode(plain)
+        return _JSON.encode({"answer": number, "ok": True, "reason": "", "result": result})
+
+    async def _do(self, page: _Page, what: Any, asked: dict[str, Any]) -> Any:
+        shown = self._shown
+        if what == "hello":
+            given = str(asked.get("token", ""))
+            page.trusted = bool(self.token) and hmac.compare_digest(given.encode(), self.token.encode())
+            return {"control": page.trusted and shown.order is not None, "title": shown.title}
+        if what == "chunk":
+            t = asked.get("t")
+            return msgspec.Raw(shown.feed.chunk(float(t) if isinstance(t, float | int) else 0.0))
+        if what == "explain":
+            agent = str(asked.get("agent", ""))
+            return await self._loop.run_in_executor(None, shown.explain, agent)
+        if what == "order":
+            if shown.order is None:
+                raise ControlRefused("this page may only look: start it with --control to change something")
+            if not page.trusted:
+                raise ControlRefused("this page may only look: open it under the address that was printed")
+            order = order_from(asked)
+            asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
+            try:
+                return await asyncio.wait_for(asked_for, ORDER_S + CLOSE_S)
+            except TimeoutError:
+                raise NoAnswer(f"{order.agent} did not answer in time") from None
+        raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+
+
+class _Page:
+    """What is known of one page.
+
+    Attributes:
+        trusted: whether it has shown the token.
+    """
+
+    trusted = False
+
+
+def _response(status: HTTPStatus, type_: str, data: bytes) -> Response:
+    headers = Headers({**_HEADERS, "Content-Type": type_, "Content-Length": str(len(data)), "Connection": "close"})
+    return Response(status.value, status.phrase, headers, data)
+
+
+def _refused(status: HTTPStatus, sentence: str) -> Response:
+    return _response(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())

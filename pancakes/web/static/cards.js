@@ -1,0 +1,250 @@
+// A card for each agent: what it is, how it fares, what it runs.
+
+import { OWN_SERVICES, RUNNING } from "./state.js";
+import { colour, h, hertz, percent, say, set, show, still } from "./words.js";
+
+const FLIGHT_MS = 1100;
+const SLOW = 0.8;
+
+export class Cards {
+  /**
+   * @param {HTMLElement} box Where they are.
+   * @param {{select: Function, why: Function, act: Function}} asks What is called when a person asks for something.
+   */
+  constructor(box, asks) {
+    this.box = box;
+    this.asks = asks;
+    this.cards = new Map();
+    this.control = false;
+  }
+
+  /** Shows a picture; `touched`: only these agents may have changed, null: all. */
+  render(picture, touched) {
+    const agents = picture.agents();
+    const there = new Set(agents);
+    for (const [name, card] of this.cards) {
+      if (there.has(name)) continue;
+      card.root.remove();
+      this.cards.delete(name);
+    }
+    let changed = this.cards.size !== agents.length;
+    for (const name of agents) {
+      if (!this.cards.has(name)) {
+        this.cards.set(name, new Card(name, this));
+        changed = true;
+        this.cards.get(name).render(picture);
+      } else if (!touched || touched.has(name)) {
+        this.cards.get(name).render(picture);
+      }
+    }
+    if (changed) agents.forEach((name) => this.box.append(this.cards.get(name).root));
+    this.box.classList.toggle("many", agents.length > 8);
+  }
+
+  allow(control) {
+    this.control = control;
+    document.body.classList.toggle("control", control);
+    for (const card of this.cards.values()) card.allow(control);
+  }
+
+  select(name) {
+    for (const [other, card] of this.cards) card.root.classList.toggle("selected", other === name);
+  }
+
+  scrollTo(name) {
+    this.cards.get(name)?.root.scrollIntoView({ block: "nearest", behavior: still.matches ? "auto" : "smooth" });
+  }
+
+  /** Returns where the chip of a task is, null where there is none. */
+  rectOf(agent, task) {
+    return this.cards.get(agent)?.chipOf(task)?.root.getBoundingClientRect() ?? null;
+  }
+
+  /** Lets a task be seen to move from where it was to its chip on another card; returns whether that is there. */
+  fly(task, from, agent) {
+    const chip = this.cards.get(agent)?.chipOf(task)?.root;
+    if (!chip || chip.dataset.state !== RUNNING) return false;
+    chip.classList.add("arrived");
+    setTimeout(() => chip.classList.remove("arrived"), 4000);
+    if (still.matches || !from) return true;
+    const to = chip.getBoundingClientRect();
+    const flyer = h("div.flyer", { "aria-hidden": "true" }, task);
+    flyer.style.left = `${to.left}px`;
+    flyer.style.top = `${to.top}px`;
+    flyer.style.width = `${to.width}px`;
+    flyer.style.setProperty("--tint", colour(agent));
+    document.body.append(flyer);
+    const [dx, dy] = [from.left - to.left, from.top - to.top];
+    const motion = flyer.animate(
+      [
+        { transform: `translate(${dx}px, ${dy}px) scale(1)`, opacity: 1 },
+        { transform: `translate(${dx * 0.5}px, ${dy * 0.5 - 46}px) scale(1.12)`, opacity: 1, offset: 0.5 },
+        { transform: "translate(0, 0) scale(1)", opacity: 1 },
+      ],
+      { duration: FLIGHT_MS, easing: "cubic-bezier(.45, .05, .3, 1)" },
+    );
+    motion.onfinish = motion.oncancel = () => flyer.remove();
+    return true;
+  }
+}
+
+class Card {
+  constructor(name, cards) {
+    this.name = name;
+    this.cards = cards;
+    this.chips = new Map();
+    this.whyButton = h("button.quiet", { type: "button", onclick: () => cards.asks.why(name), title: "What led to the newest command to its motors?" }, "Why?");
+    this.state = h("span.badge");
+    this.bar = h("meter", { min: 0, max: 1, low: 0.35, high: 0.65, optimum: 1 });
+    this.level = h("span.figure");
+    this.battery = h("div.battery", {}, h("span.dim", {}, "battery"), this.bar, this.level);
+    this.figures = h("dl.figures");
+    this.values = new Map();
+    this.links = h("p.links.dim");
+    this.tasks = h("ul.tasks", { "aria-label": `Tasks of ${name}` });
+    this.nothing = h("p.nothing.dim", {}, "runs no task of its own");
+    this.own = h("ul.tasks");
+    this.summary = h("summary.dim");
+    this.root = h(
+      "article.card.panel",
+      { "aria-label": `Agent ${name}`, "data-agent": name, onclick: (event) => this.#click(event) },
+      h("div.top", {}, h("i.dot"), h("h3", {}, name), this.state, h("span.grow"), this.whyButton),
+      this.battery,
+      this.tasks,
+      this.nothing,
+      this.figures,
+      this.links,
+      h("details", {}, this.summary, this.own),
+    );
+  }
+
+  #click(event) {
+    if (!event.target.closest("button, summary, a")) this.cards.asks.select(this.name);
+  }
+
+  chipOf(task) {
+    for (const [key, chip] of this.chips) if (key.endsWith(`/${task}`)) return chip;
+    return null;
+  }
+
+  allow(control) {
+    for (const chip of this.chips.values()) chip.allow(control);
+  }
+
+  render(picture) {
+    const row = picture.get("agent", this.name);
+    this.root.style.setProperty("--tint", colour(this.name));
+    set(this.root, "data-state", row.state);
+    set(this.root, "data-role", row.role);
+    say(this.state, row.state === "ready" ? (row.role === "agent" ? "ready" : row.role) : row.state);
+    const battery = picture.get("battery", this.name);
+    show(this.battery, Boolean(battery));
+    if (battery) {
+      this.bar.value = battery[1];
+      set(this.bar, "aria-label", `battery of ${this.name}`);
+      say(this.level, `${percent(battery[1])}${battery[0] === null ? "" : ` · ${battery[0].toFixed(2)} V`}`);
+    }
+    show(this.whyButton, (row.devices || []).includes("motors"));
+    this.#figure("processor", row.processor === null || row.processor === undefined ? null : percent(row.processor));
+    this.#figure("memory", row.memory_mib ? `${Math.round(row.memory_mib)} MiB` : null);
+    this.#figure("late", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms.toFixed(1)} ms`);
+    this.#figure("missed ticks", row.missed || null);
+    this.#figure("dropped", row.dropped || null);
+    this.#figure("dead letters", row.dead_letters || null, true);
+    const links = picture.linksOf(this.name);
+    const few = links.slice(0, 6).map(([peer, ms]) => (ms < 0 ? peer : `${peer} ${ms} ms`));
+    say(this.links, links.length ? `links: ${few.join(" · ")}${links.length > 6 ? ` and ${links.length - 6} more` : ""}` : "no links");
+    this.#renderTasks(picture);
+  }
+
+  #renderTasks(picture) {
+    const rows = picture.tasksOf(this.name);
+    let [own, users, running] = [0, 0, 0];
+    for (const [key, chip] of this.chips) {
+      if (rows.has(key)) continue;
+      chip.root.remove();
+      this.chips.delete(key);
+    }
+    for (const [key, row] of rows) {
+      const service = key.slice(0, key.indexOf("/"));
+      const isOwn = OWN_SERVICES.has(service);
+      if (isOwn) own += 1;
+      else users += 1;
+      if (isOwn && row.state === RUNNING) running += 1;
+      let chip = this.chips.get(key);
+      if (!chip) {
+        chip = new Chip(this.name, key, this.cards, picture.get("agent", this.name).role);
+        this.chips.set(key, chip);
+      }
+      chip.render(row);
+    }
+    this.#order(this.tasks, false);
+    this.#order(this.own, true);
+    show(this.nothing, users === 0);
+    const stopped = [...(picture.services.get(this.name) || new Map())].filter(([, [state]]) => state !== RUNNING);
+    const trouble = stopped.map(([name, [state]]) => ` · ${name} ${state}`).join("");
+    say(this.summary, `${running} of ${own} tasks of its services run${trouble}`);
+    this.summary.classList.toggle("warn", stopped.length > 0);
+  }
+
+  /** Puts what runs first, then goes by name; touches nothing that is in its place. */
+  #order(box, own) {
+    const rank = (chip) => `${chip.row.state === RUNNING ? 0 : 1} ${chip.task}`;
+    const chips = [...this.chips.values()].filter((chip) => chip.isOwn === own);
+    chips.sort((a, b) => (rank(a) < rank(b) ? -1 : 1));
+    chips.forEach((chip, index) => {
+      if (box.children[index] !== chip.root) box.insertBefore(chip.root, box.children[index] || null);
+    });
+  }
+
+  #figure(name, text, warn = false) {
+    let value = this.values.get(name);
+    if (!value) {
+      value = { term: h("dt", {}, name), text: h("dd") };
+      this.values.set(name, value);
+      this.figures.append(h("div", {}, value.term, value.text));
+    }
+    show(value.term.parentElement, text !== null);
+    say(value.text, String(text ?? ""));
+    value.text.classList.toggle("warn", warn);
+  }
+}
+
+class Chip {
+  constructor(agent, key, cards, role) {
+    this.agent = agent;
+    this.key = key;
+    this.role = role;
+    this.isOwn = OWN_SERVICES.has(key.slice(0, key.indexOf("/")));
+    this.cards = cards;
+    this.task = key.slice(key.indexOf("/") + 1);
+    this.rate = h("span.figure.dim");
+    this.notes = h("span.notes.warn");
+    this.name = h("span.name", {}, this.task);
+    this.button = h("button.task", { type: "button", onclick: () => cards.asks.act(agent, key, this.row) }, h("i.state"), this.name, this.notes, this.rate, h("span.grip", { "aria-hidden": "true" }, "⠿"));
+    this.root = h("li", { "data-task": this.task, "data-key": key }, this.button);
+    this.allow(cards.control);
+  }
+
+  allow(control) {
+    const movable = control && this.role === "agent" && !this.isOwn;
+    this.root.classList.toggle("movable", movable);
+  }
+
+  render(row) {
+    this.row = row;
+    set(this.root, "data-state", row.state);
+    const wanted = row.rate_hz;
+    const reached = row.achieved_hz;
+    let rate = "";
+    const gone = /^handed over to (.+)$/.exec(row.reason || "");
+    if (row.state !== RUNNING) rate = gone ? `→ ${gone[1]}` : row.state;
+    else if (wanted) rate = reached === null || reached === undefined ? `${hertz(wanted)} Hz` : `${hertz(reached)} of ${hertz(wanted)} Hz`;
+    say(this.rate, rate);
+    this.rate.classList.toggle("warn", Boolean(wanted) && reached !== null && reached < SLOW * wanted);
+    say(this.notes, row.restarts ? `${row.restarts}× restarted` : "");
+    const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${row.late_ms} ms late in the mean`;
+    set(this.button, "title", `${row.type || this.task}: ${row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
+    set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);
+  }
+}

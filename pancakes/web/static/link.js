@@ -1,0 +1,66 @@
+// The way to the server: news come by themselves, questions are answered.
+
+const AGAIN_MS = 1000;
+const PATIENCE_MS = 35000;
+
+export class Link {
+  /**
+   * @param {string} token What the address of the page says about what it may do.
+   * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting) or "closed".
+   */
+  constructor(token, listener) {
+    this.token = token;
+    this.listener = listener;
+    this.number = 0;
+    this.waiting = new Map();
+    this.#open();
+  }
+
+  /** Asks for something; the promise is of the answer `{ok, reason, result}`. */
+  ask(what, fields = {}) {
+    const id = ++this.number;
+    return new Promise((resolve) => {
+      if (this.socket.readyState !== WebSocket.OPEN) {
+        resolve({ ok: false, reason: "the page has lost its server", result: null });
+        return;
+      }
+      const timer = setTimeout(() => this.#settle(id, "no answer came"), PATIENCE_MS);
+      this.waiting.set(id, { resolve, timer });
+      this.socket.send(JSON.stringify({ ...fields, id, ask: what }));
+    });
+  }
+
+  #open() {
+    this.socket = new WebSocket(`ws://${location.host}/news`);
+    this.socket.onmessage = (event) => this.#take(JSON.parse(event.data));
+    this.socket.onopen = async () => {
+      const greeting = await this.ask("hello", { token: this.token });
+      this.listener.state("open", greeting.result || { control: false, title: "" });
+    };
+    this.socket.onclose = () => {
+      for (const id of [...this.waiting.keys()]) this.#settle(id, "the page has lost its server");
+      this.listener.state("closed");
+      setTimeout(() => this.#open(), AGAIN_MS);
+    };
+  }
+
+  #take(message) {
+    if (message.answer === undefined) {
+      this.listener.frame(message);
+      return;
+    }
+    const waiting = this.waiting.get(message.answer);
+    if (!waiting) return;
+    clearTimeout(waiting.timer);
+    this.waiting.delete(message.answer);
+    waiting.resolve(message);
+  }
+
+  #settle(id, reason) {
+    const waiting = this.waiting.get(id);
+    if (!waiting) return;
+    clearTimeout(waiting.timer);
+    this.waiting.delete(id);
+    waiting.resolve({ ok: false, reason, result: null });
+  }
+}

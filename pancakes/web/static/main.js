@@ -1,0 +1,273 @@
+// The page: takes news, and draws what is to be seen of them.
+
+import { Arena, inWords } from "./arena.js";
+import { Cards } from "./cards.js";
+import { Events, sort } from "./events.js";
+import { Link } from "./link.js";
+import { Mesh } from "./mesh.js";
+import { Orders } from "./orders.js";
+import { Past } from "./past.js";
+import { Picture } from "./state.js";
+import { Timeline } from "./timeline.js";
+import { why } from "./why.js";
+import { clock, dark, say, set, show } from "./words.js";
+
+const DESCRIBED_MS = 5000;
+const EFFECT_MS = 2600;
+const DEPARTED_MS = 4000;
+
+const find = (id) => document.getElementById(id);
+const canvas = find("canvas");
+document.body.dataset.stage = "arena";
+const dialog = find("dialog");
+
+const present = new Picture();
+let shown = present;
+let touched = null;
+let effects = [];
+let flights = [];
+let stage = "arena";
+let chosen = false;
+let selected = "";
+let control = false;
+let describedAt = 0;
+let described = 0;
+let jump = true;
+let played = 0;
+let lastFrame = { over: "" };
+const departed = new Map();
+
+const link = new Link(new URLSearchParams(location.hash.slice(1)).get("token") || "", { frame, state });
+const arena = new Arena(canvas);
+const mesh = new Mesh(canvas);
+const past = new Past(link);
+const timeline = new Timeline(past, { present: showPresent, past: showPast, mission: () => shown.m });
+const events = new Events(find("events"), find("filter"), (t) => timeline.go(t));
+const orders = new Orders(link, dialog, () => present.agents().filter((name) => present.get("agent", name).role === "agent"));
+const cards = new Cards(find("agents"), {
+  select,
+  why: (agent) => why(link, dialog, agent),
+  act: (agent, key, row) => orders.open(agent, key, row),
+});
+
+// News -----------------------------------------------------------------------------------------------------------
+
+function frame(news) {
+  if (news.all) {
+    events.forget();
+    past.forget();
+    timeline.marks = [];
+    jump = true;
+    if (!timeline.live) timeline.goLive();
+  }
+  if (shown === present) rememberPlaces(news);
+  const changed = present.apply(news);
+  if (shown === present) touch(changed);
+  const fresh = news.events || [];
+  if (fresh.length) {
+    events.add(fresh);
+    for (const event of fresh) {
+      const kind = sort(event);
+      if (event.kind === "migration") timeline.mark(event.t, "move");
+      else if (kind === "warning" || kind === "error") timeline.mark(event.t, "warning");
+    }
+  }
+  lastFrame = news;
+  timeline.news(news);
+  if (shown === present) {
+    arena.moved(present, performance.now(), jump);
+    jump = false;
+    if (!news.all) for (const event of fresh) happen(event);
+  }
+}
+
+function state(what, greeting) {
+  document.body.dataset.link = what;
+  if (what !== "open") {
+    jump = true;
+    return;
+  }
+  control = greeting.control;
+  orders.control = control;
+  cards.allow(control);
+  say(find("subtitle"), greeting.title);
+  say(
+    find("help-control"),
+    control
+      ? "This page may change what the agents do: drag a task onto another agent, or open it. You are asked before it moves."
+      : "This page only looks. Started with --control it lets you move tasks between agents, change rates, stop and start.",
+  );
+}
+
+function touch(changed) {
+  if (changed === null || touched === null) touched = null;
+  else for (const name of changed) touched.add(name);
+}
+
+/** A task that leaves a card in this frame is seen to fly from where it was. */
+function rememberPlaces(news) {
+  for (const event of news.events || []) {
+    if (!["migration_asked", "task_stopped", "task_frozen", "task_handed_over"].includes(event.kind)) continue;
+    remember(event.agent, event.task);
+  }
+}
+
+function remember(agent, task) {
+  const rect = cards.rectOf(agent, task);
+  if (rect && rect.width) departed.set(`${agent}/${task}`, { rect, at: performance.now() });
+}
+
+/** Something happens before the eyes of whoever looks, now or in the past that is played. */
+function happen(event) {
+  const now = performance.now();
+  const effect = (from, to, colour, text, strong = false) =>
+    effects.push({ from, to, colour, text, strong, since: now, lasts: strong ? EFFECT_MS * 1.3 : EFFECT_MS });
+  const style = getComputedStyle(document.body);
+  const tint = (name) => style.getPropertyValue(`--${name}`);
+  if (event.kind === "migration_asked") {
+    for (const name of shown.agents()) {
+      if (name !== event.agent && shown.get("agent", name).role === "agent") effect(event.agent, name, tint("move"), "");
+    }
+    say(find("announcer"), event.text);
+  } else if (event.kind === "migration_bid" && event.source_agent) {
+    effect(event.agent, event.source_agent, tint("bid"), `bid ${Number(event.cost?.toPrecision?.(3) ?? 0)}`);
+  } else if (event.kind === "migration_refused" && event.source_agent) {
+    effect(event.agent, event.source_agent, tint("refused"), "refuses");
+  } else if (event.kind === "task_arrived" && event.source_agent) {
+    effect(event.source_agent, event.agent, tint("move"), event.task, true);
+    const from = departed.get(`${event.source_agent}/${event.task}`);
+    const left = from && now - from.at < DEPARTED_MS ? from.rect : cards.rectOf(event.source_agent, event.task);
+    flights.push({ task: event.task, to: event.agent, from: left, until: now + DEPARTED_MS });
+    say(find("announcer"), event.text);
+  } else if (event.kind === "migration") {
+    say(find("announcer"), event.text);
+  }
+}
+// Past and present -----------------------------------------------------------------------------------------------
+
+function showPresent() {
+  shown = present;
+  touched = null;
+  jump = true;
+  [effects, flights] = [[], []];
+  arena.moved(present, performance.now(), true);
+}
+
+function showPast(picture, changed, t) {
+  const plays = shown === picture && timeline.playing && t > played && t - played < 2;
+  const news = plays ? events.between(played, t) : [];
+  for (const event of news) if (event.task) remember(event.agent, event.task);
+  if (shown !== picture) touched = null;
+  shown = picture;
+  touch(changed);
+  arena.moved(picture, performance.now(), !plays);
+  if (!plays) [effects, flights] = [[], []];
+  for (const event of news) happen(event);
+  played = t;
+}
+
+// Drawing --------------------------------------------------------------------------------------------------------
+
+let before = performance.now();
+
+function draw(now) {
+  timeline.tick(Math.min(0.5, (now - before) / 1000));
+  before = now;
+  if (touched === null || touched.size) {
+    cards.render(shown, touched);
+    touched = new Set();
+  }
+  // Where a task arrives it may not have started yet.
+  flights = flights.filter((flight) => now < flight.until && !cards.fly(flight.task, flight.from, flight.to));
+  events.show(timeline.live ? Infinity : timeline.t);
+  events.render();
+  effects = effects.filter((it) => now - it.since < it.lasts);
+  const isMesh = stage === "mesh" || (!chosen && !shown.table("body").size);
+  if ((document.body.dataset.stage === "mesh") !== isMesh) {
+    document.body.dataset.stage = isMesh ? "mesh" : "arena";
+    mesh.drawn = "";
+  }
+  (isMesh ? mesh : arena).draw(shown, effects, now);
+  if (!chosen) document.querySelector(`input[name=stage][value=${isMesh ? "mesh" : "arena"}]`).checked = true;
+  head();
+  // Who listens does not want to hear each step; what there is at all is to be told at once.
+  const crowd = shown.table("body").size + shown.table("agent").size;
+  if (now - describedAt > DESCRIBED_MS || crowd !== described) {
+    [describedAt, described] = [now, crowd];
+    set(canvas, "aria-label", inWords(shown));
+  }
+  requestAnimationFrame(draw);
+}
+
+function head() {
+  say(find("clock"), clock(shown.m));
+  const fleet = shown.get("fleet");
+  say(find("title"), fleet ? fleet.name.replace(/-\d+$/, "") : "Pancakes");
+  say(find("speed"), fleet ? (fleet.held ? "held" : fleet.speed !== 1 ? `×${fleet.speed}` : "") : "");
+  const open = document.body.dataset.link === "open";
+  const status = !open ? "no server" : !timeline.live ? "past" : lastFrame.over ? "over" : lastFrame.waiting ? "waiting" : "live";
+  say(find("status"), status);
+  set(find("status"), "data-state", status);
+  const waiting = !open ? "The page has lost its server. It looks for it every second." : lastFrame.over || lastFrame.waiting || "";
+  show(find("waiting"), Boolean(waiting));
+  say(find("waiting"), waiting);
+  if (open && !lastFrame.over && lastFrame.lost_events) say(find("announcer"), `${lastFrame.lost_events} events were too many`);
+}
+
+// What a person does ---------------------------------------------------------------------------------------------
+
+function select(name) {
+  selected = selected === name ? "" : name;
+  arena.selected = mesh.selected = selected;
+  cards.select(selected);
+}
+
+canvas.addEventListener("click", (event) => {
+  const box = canvas.getBoundingClientRect();
+  const drawer = document.body.dataset.stage === "mesh" ? mesh : arena;
+  const name = drawer.bodyAt(shown, event.clientX - box.left, event.clientY - box.top, performance.now());
+  if (!name) return;
+  select(name);
+  cards.scrollTo(name);
+});
+
+for (const radio of document.querySelectorAll("input[name=stage]")) {
+  radio.addEventListener("change", () => {
+    stage = radio.value;
+    chosen = true;
+  });
+}
+
+for (const box of find("layers").querySelectorAll("input")) {
+  box.checked = localStorage.getItem(`layer-${box.value}`) !== "off";
+  arena.layers[box.value] = box.checked;
+  box.addEventListener("change", () => {
+    arena.layers[box.value] = box.checked;
+    localStorage.setItem(`layer-${box.value}`, box.checked ? "on" : "off");
+  });
+}
+
+find("help-button").addEventListener("click", () => find("help").showModal());
+for (const it of [dialog, find("help")]) {
+  it.addEventListener("click", (event) => event.target === it && it.close());
+}
+dark.addEventListener("change", () => (touched = null));
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+  const typing = event.target.closest("input[type=number], select, textarea");
+  const presses = event.target.closest("button, summary, input");
+  if (typing) return;
+  const key = event.key.toLowerCase();
+  if (key === " " && !presses) {
+    event.preventDefault();
+    timeline.toggle();
+  } else if (key === "j") timeline.back();
+  else if (key === "l") timeline.goLive();
+  else if (key === "m") {
+    const other = document.body.dataset.stage === "mesh" ? "arena" : "mesh";
+    document.querySelector(`input[name=stage][value=${other}]`).click();
+  } else if (key === "?") find("help").showModal();
+});
+
+requestAnimationFrame(draw);

@@ -1,0 +1,191 @@
+// What a person may ask for on a page with control: to move a task, to change its rate, to stop and start it.
+
+import { OWN_SERVICES, RUNNING } from "./state.js";
+import { h, hertz } from "./words.js";
+
+const FAR_PX = 6;
+
+export class Orders {
+  /**
+   * @param {Link} link Asks the server.
+   * @param {HTMLDialogElement} dialog Where a person is asked.
+   * @param {Function} agents Returns the names of the agents that could take a task.
+   */
+  constructor(link, dialog, agents) {
+    this.link = link;
+    this.dialog = dialog;
+    this.agents = agents;
+    this.control = false;
+    document.addEventListener("pointerdown", (event) => this.#begin(event));
+  }
+
+  #ask(agent, task, what, fields = {}) {
+    return this.link.ask("order", { do: what, agent, task, ...fields });
+  }
+
+  // Dragging ----------------------------------------------------------------------------------------------------
+
+  #begin(event) {
+    const chip = event.button === 0 && this.control ? event.target.closest("li.movable") : null;
+    if (!chip || chip.dataset.state !== RUNNING) return;
+    // A finger scrolls the page, unless it takes hold of the grip.
+    if (event.pointerType === "touch" && !event.target.closest(".grip")) return;
+    const agent = chip.closest(".card").dataset.agent;
+    const drag = { chip, agent, x: event.clientX, y: event.clientY, ghost: null, target: null };
+    const move = (it) => this.#move(drag, it);
+    const end = (it) => {
+      document.removeEventListener("pointermove", move);
+      document.removeEventListener("pointerup", end);
+      document.removeEventListener("pointercancel", end);
+      this.#drop(drag, it.type === "pointerup");
+    };
+    document.addEventListener("pointermove", move);
+    document.addEventListener("pointerup", end);
+    document.addEventListener("pointercancel", end);
+  }
+
+  #move(drag, event) {
+    if (!drag.ghost) {
+      if (Math.hypot(event.clientX - drag.x, event.clientY - drag.y) < FAR_PX) return;
+      drag.ghost = h("div.flyer.ghost", { "aria-hidden": "true" }, drag.chip.dataset.task);
+      document.body.append(drag.ghost);
+      document.body.classList.add("dragging");
+      drag.chip.classList.add("dragged");
+    }
+    event.preventDefault();
+    drag.ghost.style.left = `${event.clientX + 10}px`;
+    drag.ghost.style.top = `${event.clientY + 8}px`;
+    const card = document.elementFromPoint(event.clientX, event.clientY)?.closest(".card");
+    const target = card && card.dataset.agent !== drag.agent && card.dataset.role === "agent" ? card : null;
+    if (target === drag.target) return;
+    drag.target?.classList.remove("target");
+    target?.classList.add("target");
+    drag.target = target;
+  }
+
+  #drop(drag, dropped) {
+    if (!drag.ghost) return;
+    // The click that ends a drag is none.
+    window.addEventListener("click", stop, { capture: true, once: true });
+    setTimeout(() => window.removeEventListener("click", stop, { capture: true }), 0);
+    drag.ghost.remove();
+    drag.chip.classList.remove("dragged");
+    document.body.classList.remove("dragging");
+    drag.target?.classList.remove("target");
+    if (dropped && drag.target) this.move(drag.agent, drag.chip.dataset.key, drag.target.dataset.agent);
+  }
+
+  // Dialogs -----------------------------------------------------------------------------------------------------
+
+  /** Shows what is known of a task, and what can be done with it. */
+  open(agent, key, row) {
+    const runs = row.state === RUNNING;
+    const facts = h("dl.facts");
+    const fact = (name, text) => text !== null && text !== undefined && text !== "" && facts.append(h("dt", {}, name), h("dd", {}, String(text)));
+    fact("agent", agent);
+    fact("service", key.split("/")[0]);
+    fact("type", row.type);
+    fact("state", row.reason ? `${row.state}: ${row.reason}` : row.state);
+    fact("needs", (row.requires || []).join(", "));
+    fact("rate wanted", row.rate_hz === null || row.rate_hz === undefined ? null : `${hertz(row.rate_hz)} Hz`);
+    fact("rate reached", row.achieved_hz === null || row.achieved_hz === undefined ? null : `${hertz(row.achieved_hz)} Hz`);
+    fact("late in the mean", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms} ms`);
+    fact("ticks missed", row.missed);
+    fact("packets dropped", row.dropped);
+    fact("restarts", row.restarts);
+    const said = h("p.said", { role: "status" });
+    const content = [facts];
+    if (this.control) content.push(this.#actions(agent, key, row, runs, said));
+    content.push(said);
+    this.#show(`${key.split("/")[1]} on ${agent}`, content);
+  }
+
+  #actions(agent, key, row, runs, said) {
+    const box = h("div.actions");
+    const button = (text, action) => h("button", { type: "button", onclick: action }, text);
+    const tell = async (what, fields, done) => {
+      said.textContent = "asking …";
+      const { ok, reason } = await this.#ask(agent, key, what, fields);
+      said.textContent = ok ? done : reason;
+      said.classList.toggle("warn", !ok);
+    };
+    const service = key.split("/")[0];
+    const others = this.agents().filter((name) => name !== agent);
+    if (runs && others.length && !OWN_SERVICES.has(service)) {
+      const where = h("select", { "aria-label": "Agent to move it to" }, ...others.map((name) => h("option", {}, name)));
+      box.append(h("div.action", {}, h("span", {}, "Move to"), where, button("Ask …", () => this.move(agent, key, where.value))));
+    }
+    if (runs && row.rate_hz !== null && row.rate_hz !== undefined) {
+      const rate = h("input", { type: "number", min: 0, max: 1000, step: "any", value: String(row.rate_hz), "aria-label": "Rate in hertz" });
+      const change = () => tell("rate", { rate_hz: Number(rate.value) }, `it ticks at ${hertz(Number(rate.value))} Hz from now on`);
+      rate.addEventListener("keydown", (event) => event.key === "Enter" && change());
+      box.append(h("div.action", {}, h("span", {}, "Rate in Hz"), rate, button("Change", change)));
+    }
+    const life = h("div.action", {}, h("span", {}, runs ? "It runs" : `It is ${row.state}`));
+    if (runs) life.append(button("Restart", () => tell("restart", {}, "it runs again")), button("Stop", () => tell("stop", {}, "it has stopped")));
+    else life.append(button("Start", () => tell("start", {}, "it runs")));
+    box.append(life);
+    return box;
+  }
+
+  /** Asks for bids, shows them, and moves the task where a person wants that. */
+  async move(agent, key, to) {
+    const task = key.split("/")[1];
+    const said = h("p.said", { role: "status" }, `asking ${to} for a bid …`);
+    const bids = h("div");
+    const confirm = h("button.primary", { type: "button", disabled: true }, `Move it to ${to}`);
+    const cancel = h("button", { type: "button", onclick: () => this.dialog.close() }, "Cancel");
+    this.#show(`Move ${task} from ${agent} to ${to}?`, [said, bids, h("div.buttons", {}, cancel, confirm)], false);
+    const dry = await this.#ask(agent, key, "migrate", { to, dry_run: true });
+    if (dry.result && dry.result.lines) bids.append(ledger(dry.result.lines));
+    said.textContent = dry.ok ? `${to} would take it. Nothing has been moved yet.` : dry.reason;
+    said.classList.toggle("warn", !dry.ok);
+    if (!dry.ok) {
+      cancel.textContent = "Close";
+      confirm.remove();
+      cancel.focus();
+      return;
+    }
+    confirm.disabled = false;
+    confirm.focus();
+    confirm.addEventListener("click", async () => {
+      confirm.disabled = true;
+      said.textContent = `${task} moves …`;
+      const { ok, reason } = await this.#ask(agent, key, "migrate", { to });
+      if (ok) {
+        this.dialog.close();
+        return;
+      }
+      said.textContent = reason;
+      said.classList.add("warn");
+      cancel.textContent = "Close";
+    });
+  }
+
+  #show(title, content, closes = true) {
+    const close = h("form", { method: "dialog" }, h("button", {}, "Close"));
+    this.dialog.replaceChildren(h("h2", { id: "dialog-title" }, title), ...content, ...(closes ? [close] : []));
+    if (!this.dialog.open) this.dialog.showModal();
+  }
+}
+
+function stop(event) {
+  event.stopPropagation();
+  event.preventDefault();
+}
+
+/** The table of what neighbours answered. */
+export function ledger(lines) {
+  const rows = lines.map((line) =>
+    h(
+      "tr",
+      { "data-answer": line.answer },
+      h("td", {}, line.peer),
+      h("td", {}, line.answer === "bid" ? "bids" : line.answer === "refused" ? "refuses" : "is silent"),
+      h("td.figure", {}, line.cost === null || line.cost === undefined ? "" : hertz(line.cost)),
+      h("td", {}, line.reason || Object.entries(line.terms || {}).map(([name, value]) => `${name} ${hertz(value)}`).join(", ")),
+    ),
+  );
+  const head = h("tr", {}, ...["agent", "answer", "cost", ""].map((text) => h("th", { scope: "col" }, text)));
+  return h("table.ledger", {}, h("thead", {}, head), h("tbody", {}, ...rows));
+}

@@ -1,0 +1,60 @@
+// Words, figures and colours as people read them.
+
+const HUES = [212, 22, 152, 282, 48, 332, 186, 98, 252, 0];
+
+export const dark = window.matchMedia("(prefers-color-scheme: dark)");
+export const still = window.matchMedia("(prefers-reduced-motion: reduce)");
+
+const places = new Map();
+
+/** Gives each agent a colour of its own, which stays the same. */
+export function colour(name, alpha = 1) {
+  if (!places.has(name)) places.set(name, places.size);
+  const place = places.get(name);
+  const hue = HUES[place % HUES.length];
+  const light = dark.matches ? 66 : 45;
+  return `hsl(${hue} 72% ${light}% / ${alpha})`;
+}
+
+/** Mission time as minutes and seconds. */
+export function clock(seconds) {
+  const tenths = Math.max(0, Math.round(seconds * 10));
+  const minutes = Math.floor(tenths / 600);
+  return `${minutes}:${((tenths % 600) / 10).toFixed(1).padStart(4, "0")}`;
+}
+
+export function hertz(value) {
+  if (value === null || value === undefined) return "–";
+  return Number(value.toPrecision(3)).toString();
+}
+
+export function percent(share) {
+  return `${Math.round(share * 100)} %`;
+}
+
+/** Makes an element: `h("p.dim", {title: "x"}, "text", child)`. */
+export function h(what, attributes = {}, ...children) {
+  const [tag, ...classes] = what.split(".");
+  const element = document.createElement(tag || "div");
+  if (classes.length) element.className = classes.join(" ");
+  for (const [name, value] of Object.entries(attributes)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}
+
+/** Changes a text only where it is another: the browser lays out nothing in vain. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function show(element, shown) {
+  if (element.hidden === shown) element.hidden = !shown;
+}
+
+export function set(element, name, value) {
+  if (element.getAttribute(name) !== value) element.setAttribute(name, value);
+}

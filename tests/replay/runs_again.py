@@ -1,0 +1,51 @@
+"""Records tasks in tests, and runs them again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pancakes.control import Start, Stop
+from pancakes.recording.reader import RecordingReader
+from pancakes.replay.comparison import Comparison, Tolerance, compare
+from pancakes.replay.rerun import Outcome, Rerun
+from pancakes.replay.script import Script, read_script
+from pancakes.replay.stays import Stay, choose_stays, find_stays
+
+RECORDER = "log/Recorder"
+
+
+class Again(NamedTuple):
+    """A stay that was run again."""
+
+    stay: Stay
+    script: Script
+    outcome: Outcome
+    comparison: Comparison
+
+    @property
+    def kinds(self) -> list[str]:
+        return [difference.kind for difference in self.comparison.differences]
+
+
+@contextmanager
+def recorded(path: Path, *agents: Any) -> Iterator[None]:
+    """Records agents into `path/AGENT.mcap` while the block runs."""
+    for agent in agents:
+        reply = agent.ask(Start(RECORDER, {"path": str(path / "{agent}.mcap")}))
+        assert reply.ok, reply.reason
+    yield
+    for agent in agents:
+        assert agent.ask(Stop(RECORDER)).ok
+
+
+def run_again(
+    path: Path, task: str, cls: type, agent: str = "", number: int | None = None, live: bool = False, **settings: Any
+) -> Again:
+    """Runs the only stay of a task again that fits."""
+    (stay,) = choose_stays(find_stays(RecordingReader(path).entries()), task, agent, number)
+    script = read_script(RecordingReader(path).entries(), stay, cls, virtual=not live)
+    outcome = Rerun(stay, script, cls, settings).run()
+    return Again(stay, script, outcome, compare(script.outputs, outcome.outputs, stay.task.address, Tolerance()))

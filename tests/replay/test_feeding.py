@@ -1,0 +1,116 @@
+"""Packets go out at their times, wait for who is slow, and say so."""
+
+import pytest
+
+from pancakes.control import Describe
+from pancakes.devices.types import Load
+from pancakes.errors import ControlRefused, PeerLost, Unreachable
+from pancakes.packet import Packet
+from pancakes.recording.entry import Entry
+from pancakes.replay.feeding import Feeder
+from pancakes.replay.selection import Live, Selection
+
+
+class Door:
+    """Leads to the agent `a`; takes a packet in `slow_s`."""
+
+    def __init__(self, client, slow_s):
+        self.client = client
+        self.slow_s = slow_s
+        self.there = True
+        self.sent = []
+        self._free_s = 0.0
+
+    def connected(self, agent):
+        return self.there and agent == "a"
+
+    def waiting(self, agent):
+        return int(self.client.now() < self._free_s)
+
+    def send(self, packet):
+        if not self.there:
+            raise PeerLost(f"{packet.type} cannot go to a")
+        self.sent.append((pytest.approx(self.client.now()), packet))
+        self._free_s = self.client.now() + self.slow_s
+
+
+class Client:
+    """Has a clock of its own, which goes on where somebody waits, and a little beyond."""
+
+    timeout_s = 3.0
+
+    def __init__(self, slow_s=0.0):
+        self.time_s = 100.0
+        self.door = Door(self, slow_s)
+        self.asked = []
+
+    def now(self):
+        return self.time_s
+
+    def wait(self, until_s, condition):
+        while self.time_s < until_s and not condition():
+            self.time_s += 0.01
+
+    def doors(self):
+        return [self.door]
+
+    def request(self, agent, body):
+        self.asked.append((agent, body))
+
+
+def entries(count):
+    return [
+        Entry(int((50 + n) * 1e9), "a", Packet("system", "load", "a/device/load", "", 7.0 + n, n, Load(0.5)))
+        for n in range(count)
+    ]
+
+
+def feeder(client, said=None, **agents):
+    agents = agents or {"a": 1.0}
+    live = {name: Live(name, ("system",), frozenset(), 40.0, speed) for name, speed in agents.items()}
+    return Feeder(client, Selection(live), said.append if said is not None else lambda text: None)
+
+
+def test_times_are_counted_from_the_first_packet_so_that_nothing_drifts():
+    client = Client()
+    feeding = feeder(client)
+    feeding.feed(entries(50), int(50e9), speed=2.0, recorded_speed=1.0)
+    times = [time_s for time_s, _ in client.door.sent]
+    assert len(times) == 50
+    # Each wait ends up to 10 ms late; the last of fifty is no later than the second.
+    assert times[-1] == pytest.approx(100.0 + 49 / 2.0, abs=0.02)
+    assert [packet.stamp for _, packet in client.door.sent][-1] == pytest.approx(40.0 + 49 / 2.0, abs=0.02)
+    feeding.settle()
+    assert client.asked == [("a", Describe())]
+    assert feeding.tally.fed() == 50
+
+
+@pytest.mark.parametrize(("recorded_speed", "speed", "last_s"), [(5.0, 5.0, 3.0), (5.0, 1.0, 15.0), (1.0, 5.0, 0.6)])
+def test_a_second_of_the_mission_then_is_a_second_of_the_mission_now(recorded_speed, speed, last_s):
+    client = Client()
+    feeder(client, a=speed).feed(entries(4), int(50e9), speed=1.0, recorded_speed=recorded_speed)
+    assert client.door.sent[-1][0] == pytest.approx(100.0 + last_s, abs=0.02)
+
+
+def test_an_agent_that_is_slow_is_waited_for_and_that_is_said_once():
+    client, said = Client(slow_s=2.0), []
+    feeder(client, said).feed(entries(10), int(50e9), speed=1.0, recorded_speed=1.0)
+    times = [packet.stamp for _, packet in client.door.sent]
+    assert len(times) == 10
+    assert times[-1] - times[0] == pytest.approx(18.0, abs=0.3)
+    assert said == ["a is too slow: the replay waits for it, and is 1.0 s late"]
+
+
+def test_an_agent_that_goes_away_ends_it_with_a_sentence():
+    client = Client()
+    client.door.there = False
+    with pytest.raises(Unreachable, match="after 0 packets: a went away"):
+        feeder(client).feed(entries(3), int(50e9), speed=1.0, recorded_speed=1.0)
+
+
+def test_missions_at_different_speeds_are_refused_and_one_that_is_held_has_none():
+    with pytest.raises(ControlRefused, match="different speeds: a at 1, b at 5"):
+        feeder(Client(), a=1.0, b=5.0).feed(entries(1), int(50e9), speed=1.0, recorded_speed=1.0)
+    client = Client()
+    feeder(client, a=0.0, b=5.0).feed(entries(2), int(50e9), speed=1.0, recorded_speed=5.0)
+    assert [packet.stamp for _, packet in client.door.sent] == [40.0, 40.0]

@@ -1,0 +1,414 @@
+"""Tasks that were recorded are run again: as they were they agree, and what was changed shows."""
+
+from dataclasses import dataclass, field
+
+import pytest
+from runs_again import recorded, run_again
+
+from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
+from pancakes.devices.types import Load, Pose, Temperature
+from pancakes.errors import PancakesError
+from pancakes.packet import task_address
+from pancakes.recording.entry import RecordingError
+from pancakes.recording.reader import RecordingReader
+from pancakes.replay.rerun import class_of
+from pancakes.replay.stays import choose_stays, find_stays
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing.configuration import registered
+
+
+class Track(Task):
+    """Sums what it hears, tells the sum in each tick, and answers each pose."""
+
+    @dataclass
+    class Settings:
+        gain: float = 2.0
+        table: dict[str, int] = field(default_factory=dict)
+
+    @dataclass
+    class State:
+        total: float = 0.0
+        seen: list = field(default_factory=list)
+
+    def on_start(self):
+        self.event("begins", total=self.state.total)
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.state.total += packet.body.x_m
+        self.state.seen.append(packet.seq)
+        self.publish("ctrl", Load(self.settings.gain * packet.body.x_m))
+
+    @every(hz=10)
+    def tell(self, tick):
+        self.publish("system", Temperature(self.state.total + self.random.random()))
+
+    def on_stop(self):
+        self.event("ends", total=self.state.total, heard=len(self.state.seen))
+
+
+class Steeper(Track):
+    """As `Track`, with one line changed: from 2 on it counts twice."""
+
+    @on("system", Pose)
+    def pose(self, packet):
+        super().pose(packet)
+        if packet.body.x_m >= 2.0:
+            self.state.total += packet.body.x_m
+
+
+class Other(Track):
+    """As `Track`, but it answers poses otherwise."""
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.state.total += packet.body.x_m
+        self.publish("ctrl", Load(3.0 * packet.body.x_m))
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest() as fleet:
+        yield fleet
+
+
+def say(agent, *x_m):
+    for value in x_m:
+        agent.publish("system", Pose(value, 0.0, 0.0))
+        agent.agent.kernel.virtual.run_until(agent.kernel.host.now() + 0.33)
+
+
+def test_a_task_that_was_seen_to_start_agrees_with_itself_random_numbers_and_all(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False, "settings": {"gain": 1.5}}})
+    fleet.run_for(1.234)
+    with recorded(tmp_path, agent):
+        say(agent, 7.0)
+        agent.ask(Start("Track"))
+        say(agent, 1.0, 2.0, 3.0)
+        agent.ask(Stop("Track"))
+        say(agent, 9.0)
+    again = run_again(tmp_path, "Track", Track)
+    assert again.stay.whole
+    assert (again.stay.end, again.comparison.differences) == ("stopped", [])
+    counts = {key.type: stream for key, stream in again.comparison.streams.items()}
+    assert (counts["load"].equal, counts["event"].equal) == (3, 2)
+    assert counts["temperature"].equal >= 9
+
+
+def test_a_changed_line_shows_at_the_right_packet_with_field_and_both_values(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Track"))
+        say(agent, 1.0, 2.0, 3.0)
+    again = run_again(tmp_path, "a/Track", Other)
+    (first, *others) = [difference for difference in again.comparison.differences if difference.packet.type == "load"]
+    assert len(others) == 2
+    assert first.kind == "different"
+    assert first.fields == (("cpu", 2.0, 3.0),)
+    steeper = run_again(tmp_path, "a/Track", Steeper)
+    (second,) = [packet for packet in steeper.script.outputs if packet.type == "load" and packet.body.cpu == 4.0]
+    assert min(it.packet.stamp for it in steeper.comparison.differences) > second.stamp
+    assert {it.packet.type for it in steeper.comparison.differences} == {"temperature"}
+
+
+def test_settings_that_are_given_take_the_place_of_the_recorded_ones(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Track"))
+        say(agent, 1.0)
+    again = run_again(tmp_path, "Track", Track, gain=5.0)
+    assert [difference.fields for difference in again.comparison.differences] == [(("cpu", 2.0, 5.0),)]
+    with pytest.raises(PancakesError, match="gian: unknown key, did you mean 'gain'"):
+        run_again(tmp_path, "Track", Track, gian=5.0)
+
+
+def test_rates_and_settings_that_were_changed_meanwhile_are_changed_again(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Track"))
+        say(agent, 1.0, 2.0)
+        agent.ask(Reschedule("Track", 25.0))
+        agent.ask(Configure("Track", {"gain": 10.0}))
+        say(agent, 3.0, 4.0)
+        agent.ask(Reschedule("Track", 0.0))
+        say(agent, 5.0)
+    again = run_again(tmp_path, "Track", Track)
+    assert again.comparison.differences == []
+    assert [packet.body.cpu for packet in again.outcome.outputs if packet.type == "load"] == [
+        2.0,
+        4.0,
+        30.0,
+        40.0,
+        50.0,
+    ]
+    other = run_again(tmp_path, "Track", Track, gain=1.0)
+    assert [packet.body.cpu for packet in other.outcome.outputs if packet.type == "load"] == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_a_task_that_ran_before_the_recording_begins_with_its_state_then(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": Track})
+    say(agent, 1.0, 2.0, 3.0)
+    with recorded(tmp_path, agent):
+        fleet.run_for(0.05)
+        say(agent, 4.0, 5.0)
+    again = run_again(tmp_path, "Track", Track)
+    assert not again.stay.whole
+    assert again.stay.task.state["total"] == 6.0
+    # Its random numbers are others; what does not depend on them agrees, and it does not begin a second time.
+    wrong = [it.packet.type for it in again.comparison.differences]
+    assert set(wrong) == {"temperature"}
+    assert {it.fields[0].field for it in again.comparison.differences} == {"celsius"}
+    assert again.comparison.streams["ctrl", "load", ""].equal == 2
+
+
+def test_tasks_that_start_with_their_agent_are_seen_to_start(fleet, tmp_path):
+    agent = fleet.start("a", f'[record]\npath = "{tmp_path}/{{agent}}.mcap"\n', tasks={"Track": Track, "Other": Other})
+    say(agent, 1.0, 2.0)
+    agent.ask(Stop("log/Recorder"))
+    for name, cls in (("Track", Track), ("Other", Other)):
+        again = run_again(tmp_path, name, cls)
+        assert again.stay.whole
+        assert again.comparison.differences == []
+        assert again.comparison.streams["ctrl", "load", ""].equal == 2
+
+
+def test_a_restarted_task_begins_with_what_it_carried_whatever_became_of_that(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": {"type": Track, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Track"))
+        say(agent, 1.0, 2.0)
+        agent.ask(Restart("Track"))
+        say(agent, 3.0)
+        agent.ask(Stop("Track"))
+        fleet.run_for(0.1)
+    assert run_again(tmp_path, "Track", Track, number=1).comparison.differences == []
+    again = run_again(tmp_path, "Track", Track, number=2)
+    began = again.stay.task.began["state"]
+    assert (began["total"], len(began["seen"])) == (3.0, 2)
+    numbers = [packet.seq for packet in again.outcome.outputs]
+    assert numbers == [packet.seq for packet in again.script.outputs]
+    assert numbers[0] > 1
+    assert again.comparison.differences == []
+    (end,) = [packet.body for packet in again.outcome.outputs if packet.type == "event" and packet.body.kind == "ends"]
+    assert end.fields == {"total": 6.0, "heard": 3}
+
+
+def test_each_stay_of_a_task_that_moves_is_one_of_its_own(fleet, tmp_path):
+    a, b = fleet.start("a", tasks={"Track": Track}), fleet.start("b")
+    fleet.connect()
+    with recorded(tmp_path, a, b):
+        say(a, 1.0, 2.0)
+        assert a.ask(Migrate("Track", to="b")).ok
+        say(b, 3.0)
+        say(a, 100.0)
+    assert [stay.agent for stay in choose_stays(find_stays(RecordingReader(tmp_path).entries()), "Track")] == ["a", "b"]
+    here, there = (run_again(tmp_path, "Track", Track, agent=agent) for agent in "ab")
+    assert {it.packet.type for it in here.comparison.differences} <= {"temperature"}  # it was not seen to start
+    assert there.comparison.differences == []
+    begins = [packet.body.fields["total"] for packet in there.outcome.outputs if packet.type == "event"]
+    assert begins == [3.0]
+    assert run_again(tmp_path, "Track", Track, number=2).stay.agent == "b"
+
+
+class Asks(Task):
+    """Asks its agent what it runs, and says how many tasks that are. `twice`: with an answer too many before."""
+
+    @dataclass
+    class Settings:
+        twice: bool = False
+
+    def on_start(self):
+        self._asked = set()
+
+    @every(hz=2)
+    def ask(self, tick):
+        if self.settings.twice:
+            self.publish("sysctrl", Describe("log/"))
+        self._asked.add(self.publish("sysctrl", Describe("client/")).seq)
+
+    @on("sysctrl", Reply, addressed=True)
+    def told(self, packet):
+        if packet.cause[1] in self._asked:
+            self.publish("system", Load(float(len(packet.body.result))))
+
+
+def test_answers_find_the_question_also_where_it_has_another_number_now(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Asks": {"type": Asks, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Asks"))
+        fleet.run_for(2.0)
+    assert run_again(tmp_path, "Asks", Asks).comparison.differences == []
+    again = run_again(tmp_path, "Asks", Asks, twice=True)
+    counts = {(key.type): stream for key, stream in again.comparison.streams.items() if key.type == "load"}
+    assert counts["load"].equal == counts["load"].recorded >= 3
+
+
+class Hears(Task):
+    """Says again what it is told by letter."""
+
+    @on("system", Load, addressed=True)
+    def heard(self, packet):
+        self.publish("system", Temperature(packet.body.cpu))
+
+
+class Writes(Task):
+    """Writes to a task, wherever it is."""
+
+    @every(hz=4)
+    def write(self, tick):
+        self.publish("system", Load(tick.time_s), to=task_address("b/Hears"))
+
+
+class WritesToA(Writes):
+    """Writes to a task that was born on `a`."""
+
+    @every(hz=4)
+    def write(self, tick):
+        self.publish("system", Load(tick.time_s), to=task_address("a/Hears"))
+
+
+@pytest.mark.parametrize("writer", ["a", "b"])
+def test_packets_to_a_task_wherever_it_is_are_inputs_too_each_once(fleet, tmp_path, writer):
+    a, b = fleet.start("a"), fleet.start("b", tasks={"Hears": {"type": Hears, "start": False}})
+    fleet.connect()
+    with recorded(tmp_path, a, b):
+        b.ask(Start("Hears"))
+        {"a": a, "b": b}[writer].agent.kernel.spawn(Writes, f"{writer}/test/Writes")
+        fleet.run_for(3.0)
+    again = run_again(tmp_path, "Hears", Hears)
+    assert again.comparison.streams["system", "temperature", ""].equal >= 10
+    assert again.comparison.differences == []
+
+
+def test_a_recording_of_one_task_alone_is_enough(fleet, tmp_path):
+    a, b = fleet.start("a", tasks={"Hears": {"type": Hears, "start": False}}), fleet.start("b")
+    fleet.connect()
+    for agent in (a, b):
+        assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "{agent}.mcap"), "task": "a/Hears"})).ok
+    a.ask(Start("Hears"))
+    b.agent.kernel.spawn(WritesToA, "b/test/Writes")
+    say(a, 1.0)
+    fleet.run_for(2.0)
+    assert a.ask(Migrate("Hears", to="b")).ok
+    fleet.run_for(2.0)
+    for agent in (a, b):
+        agent.ask(Stop("log/Recorder"))
+    assert "pose" not in {entry.packet.type for entry in RecordingReader(tmp_path).entries()}
+    for agent in "ab":
+        again = run_again(tmp_path, "Hears", Hears, agent=agent)
+        assert again.stay.whole
+        assert again.comparison.streams["system", "temperature", ""].equal >= 6
+        assert again.comparison.differences == []
+
+
+class Newest(Task):
+    """Wants the newest pose only."""
+
+    @on("system", Pose, keep="latest")
+    def pose(self, packet):
+        self.publish("ctrl", Load(packet.body.x_m))
+
+
+def test_what_fell_out_of_the_mailbox_then_falls_out_now(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Newest": {"type": Newest, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Newest"))
+        agent.publish("system", Pose(1.0, 0.0, 0.0))
+        agent.publish("system", Pose(2.0, 0.0, 0.0))
+        fleet.run_for(1.0)
+        say(agent, 3.0)
+    again = run_again(tmp_path, "Newest", Newest)
+    assert again.script.superseded == 1
+    assert [packet.body.cpu for packet in again.outcome.outputs] == [2.0, 3.0]
+    assert again.comparison.differences == []
+
+
+class Fails(Task):
+    """Fails at a pose behind the origin."""
+
+    def pose_is_good(self, pose):
+        return pose.x_m >= 0.0
+
+    @on("system", Pose)
+    def pose(self, packet):
+        if not self.pose_is_good(packet.body):
+            raise ValueError("behind the origin")
+        self.publish("ctrl", Load(packet.body.x_m))
+
+
+class Mended(Fails):
+    """Does not fail."""
+
+    def pose_is_good(self, pose):
+        return True
+
+
+def test_a_failure_is_found_again_and_is_gone_where_it_was_mended(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Fails": {"type": Fails, "start": False}})
+    with recorded(tmp_path, agent):
+        agent.ask(Start("Fails"))
+        say(agent, 1.0, -1.0, 2.0)
+    stays = choose_stays(find_stays(RecordingReader(tmp_path).entries()), "Fails")
+    assert [stay.end for stay in stays] == ["failed", ""]
+    assert stays[0].reason.startswith("ValueError: behind the origin")
+    again = run_again(tmp_path, "Fails", Fails, number=1)
+    assert again.outcome.failed == stays[0].reason
+    mended = run_again(tmp_path, "Fails", Mended, number=1)
+    assert mended.outcome.failed == ""
+    # The pose that it failed at has an answer now.
+    assert mended.kinds == ["extra"]
+    assert run_again(tmp_path, "Fails", Fails, number=2).comparison.differences == []
+
+
+def test_two_recordings_of_one_run_are_two_stays_and_nothing_is_missed_between_them(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": Track})
+    with recorded(tmp_path, agent):
+        fleet.run_for(0.05)
+        say(agent, 1.0)
+    say(agent, 2.0)
+    with recorded(tmp_path, agent):
+        fleet.run_for(0.05)
+        say(agent, 3.0)
+    for number in (1, 2):
+        again = run_again(tmp_path, "Track", Track, number=number)
+        assert again.comparison.streams["ctrl", "load", ""].equal == 1
+        assert set(again.kinds) <= {"different"}  # the random numbers
+
+
+def test_a_state_that_fits_no_more_and_a_class_that_is_gone_are_sentences(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Track": Track})
+    say(agent, 1.0)
+    with recorded(tmp_path, agent):
+        say(agent, 2.0)
+
+    class Renamed(Track):
+        @dataclass
+        class State:
+            sum: float = 0.0
+
+    with pytest.raises(RecordingError, match=r"a/Track cannot begin with what was recorded: .*total: unknown key"):
+        run_again(tmp_path, "Track", Renamed)
+    (stay,) = choose_stays(find_stays(RecordingReader(tmp_path).entries()), "Track")
+    assert class_of(stay, registered({"test.Track": Track})) is Track
+    with pytest.raises(RecordingError, match=r"a/Track cannot be run again: .*test\.Track"):
+        class_of(stay, registered({}))
+
+
+def test_on_threads_a_task_agrees_with_itself_as_well(tmp_path):
+    with threaded_agent("a", tasks={"Track": {"type": Track, "start": False}}) as agent:
+        with recorded(tmp_path, agent):
+            agent.ask(Start("Track"))
+            for number in range(1, 6):
+                agent.publish("system", Pose(float(number), 0.0, 0.0))
+                heard = number
+                agent.wait_until(lambda heard=heard: len(agent.probe.packets(Load)) >= heard)
+                ticks = len(agent.probe.packets(Temperature))
+                agent.wait_until(lambda ticks=ticks: len(agent.probe.packets(Temperature)) > ticks)
+            agent.ask(Stop("Track"))
+    again = run_again(tmp_path, "Track", Track, live=True)
+    assert again.comparison.streams["ctrl", "load", ""].equal == 5
+    assert again.comparison.streams["system", "temperature", ""].recorded >= 5
+    assert again.comparison.differences == []
+    changed = run_again(tmp_path, "Track", Other, live=True)
+    assert changed.comparison.streams["ctrl", "load", ""].different == 5

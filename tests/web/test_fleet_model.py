@@ -1,0 +1,168 @@
+"""What a page shows is made of what agents publish and say of themselves, without a socket."""
+
+from typing import Any
+
+import pytest
+from told import agent, describe, packet, record, task, world
+
+from pancakes.client.looks import Looks
+from pancakes.devices.types import Battery, Infrared, Motion, Pose
+from pancakes.events import Event
+from pancakes.web.model import TRAIL, FleetModel
+
+
+@pytest.fixture
+def model() -> FleetModel:
+    return FleetModel()
+
+
+def test_a_world_shows_where_bodies_are_who_drives_them_and_the_mission_time(model: FleetModel):
+    describe(model, agent("world", role="environment", speed=5.0))
+    model.hear("world", world(40.0, a=(1.0, 2.0)), t=8.0)
+
+    assert model.board.get("body/a") == [1.0, 2.0, 0.5, "Drive"]
+    assert model.board.get("shape/a") == {"kind": "robot"}
+    assert model.mission_s(8.0) == 40.0
+    assert model.mission_s(9.0) == 45.0  # it goes on five times as fast
+
+
+def test_poses_are_shown_where_there_is_no_world_and_only_those_of_the_agents_own_device(model: FleetModel):
+    model.hear("a", packet("a/device/pose", "system", "pose", Pose(1.0, 2.0, 0.3)), 0.0)
+    model.hear("a", packet("a/client/Guess", "system", "pose", Pose(9.0, 9.0, 0.0)), 0.0)
+
+    assert model.board.get("body/a") == [1.0, 2.0, 0.3, ""]
+
+
+def test_the_truth_of_a_world_goes_before_a_pose(model: FleetModel):
+    model.hear("world", world(0.0, a=(1.0, 2.0)), 0.0)
+    model.hear("a", packet("a/device/pose", "system", "pose", Pose(1.1, 2.1, 0.3)), 0.0)
+
+    assert model.board.get("body/a")[:2] == [1.0, 2.0]
+
+
+def test_a_trail_has_points_that_lie_apart_and_not_too_many_of_them(model: FleetModel):
+    for number in range(3 * TRAIL):
+        model.hear("world", world(0.0, a=(0.01 * number, 0.0)), 0.0)
+
+    trail = model.trails["a"]
+    assert len(trail) == TRAIL
+    assert min(other[0] - one[0] for one, other in zip(trail, list(trail)[1:], strict=False)) >= 0.02 - 1e-9
+
+
+def test_readings_of_batteries_and_range_sensors(model: FleetModel):
+    model.hear("a", packet("a/device/battery", "system", "battery", Battery(7.987, 0.6543)), 0.0)
+    model.hear("a", packet("a/device/ir", "system", "ir", Infrared((0.0, 1.0), (0.1, 0.2), 0.2)), 0.0)
+    model.hear("s", packet("s/device/motion", "system", "motion", Motion(True, 0.5, None)), 0.0)
+
+    assert model.board.get("battery/a") == [7.99, 0.654]
+    assert model.board.get("ring/a/ir") == {"bearings_rad": [0.0, 1.0], "max_m": 0.2}
+    assert model.board.get("rays/a/ir") == [0.1, 0.2]
+    assert model.board.get("motion/s") == [True, 0.5, None]
+
+
+def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
+    looks = Looks()
+    describe(model, agent("a", task("a", "T", rate_hz=10.0), mission_s=0.0), looks=looks)
+    late = task("a", "T", rate_hz=10.0, ticks=45, lateness_sum_s=0.09, missed=5, dropped=3)
+    describe(model, agent("a", late, mission_s=5.0), looks=looks)
+
+    row = model.board.get("task/a/client/T")
+    assert (row["rate_hz"], row["achieved_hz"], row["late_ms"]) == (10.0, 9.0, 2.0)
+    assert (row["missed"], row["dropped"]) == (5, 3)
+    assert model.board.get("agent/a")["dropped"] == 3
+
+
+def test_links_are_those_between_agents_and_end_with_them(model: FleetModel):
+    describe(model, agent("b", peers={"a": 0.0021}), agent("a", peers={"b": 0.0019}))
+    assert model.board.keys("link/") == ["link/a/b"]
+    assert model.board.get("link/a/b") == 1.9  # as the one of the lower name measured it
+
+    describe(model, agent("a"))
+    assert model.board.keys("link/") == []
+
+
+def test_who_does_not_answer_is_shown_as_silent_with_what_it_ran(model: FleetModel):
+    looks = Looks()
+    describe(model, agent("a", task("a", "T")), looks=looks)
+    describe(model, looks=looks)
+
+    assert model.board.get("agent/a")["state"] == "no answer"
+    assert model.board.get("task/a/client/T") is not None
+
+
+def test_a_task_is_seen_to_move_before_anybody_is_asked(model: FleetModel):
+    describe(model, agent("a", task("a", "T")), agent("b"))
+    model.tell(record("a", "task_stopped", 1.0, task="T", service="client", reason="handed over to b"), 1.0)
+    assert model.board.get("task/a/client/T")["state"] == "stopped"
+    model.tell(record("b", "task_started", 1.01, task="T", service="client", type="x.T"), 1.01)
+    model.tell(record("a", "task_handed_over", 1.02, task="T", to="b"), 1.02)
+
+    assert model.board.get("task/a/client/T") is None
+    assert model.board.get("task/b/client/T") == {"type": "x.T", "state": "running"}
+
+
+def test_a_task_that_an_agent_has_no_more_goes_from_its_card(model: FleetModel):
+    describe(model, agent("a", task("a", "T")))
+    describe(model, agent("a"))
+
+    assert model.board.keys("task/") == []
+
+
+def test_a_circle_is_drawn_from_a_tasks_settings_and_state_until_it_stops(model: FleetModel):
+    describe(model, agent("a", task("a", "T")))
+    detail: dict[str, Any] = {"service": "client", "task": "T", "settings": {"radius_m": 0.5}, "requires": ["motors"]}
+    model.detail("a", {**detail, "state": {"centre_m": None}})
+    assert model.board.get("circle/a/T") is None
+
+    model.detail("a", {**detail, "state": {"centre_m": [1.0, 2.0]}})
+    assert model.board.get("circle/a/T") == [1.0, 2.0, 0.5]
+    assert model.board.get("task/a/client/T")["requires"] == ["motors"]
+
+    model.tell(record("a", "task_stopped", task="T", reason="asked"), 0.0)
+    assert model.board.get("circle/a/T") is None
+
+
+def test_the_worlds_settings_tell_the_arena_and_how_large_bodies_are(model: FleetModel):
+    describe(model, agent("world", task("world", "World"), role="environment"))
+    settings = {
+        "arena": {"width_m": 4.0, "height_m": 3.0},
+        "robots": {"a": {"model": "khepera3"}},
+        "sensors": {"s": {"radius_m": 0.06, "motion": {"range_m": 2.5}}},
+        "movers": {"m": {"radius_m": 0.1}},
+    }
+    model.detail("world", {"service": "client", "task": "World", "settings": settings, "state": {}})
+
+    assert model.board.get("arena") == [4.0, 3.0]
+    assert model.board.get("shape/a") == {"kind": "robot", "radius_m": 0.065}
+    assert model.board.get("shape/s") == {"kind": "sensor", "radius_m": 0.06, "range_m": 2.5}
+    assert model.board.get("shape/m") == {"kind": "mover", "radius_m": 0.1}
+
+
+def test_every_bid_and_refusal_is_an_event_with_a_sentence(model: FleetModel):
+    bid = Event("migration_bid", {"task": "T", "source_agent": "a", "cost": 2.0, "terms": {}})
+    model.hear("b", packet("b/network/TaskMigrator", "log", "event", bid, 3.0), 1.0)
+    refusal = Event("migration_refused", {"task": "T", "source_agent": "a", "reason": "lacks motors"})
+    model.hear("s", packet("s/network/TaskMigrator", "log", "event", refusal, 3.0), 1.0)
+
+    events = model.happenings.since(0)
+    assert [it["text"] for it in events] == ["b bids 2 for T", "s refuses T: lacks motors"]
+    assert (events[0]["source_agent"], events[0]["cost"], events[0]["t"], events[0]["m"]) == ("a", 2.0, 1.0, 3.0)
+
+
+def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: FleetModel):
+    describe(model, agent("a", speed=2.0, mission_s=20.0), t=5.0)
+    model.tell(record("a", "ready", t_s=16.0), 4.9)
+    model.recall([record("a", "saved", t_s=10.0), record("a", "ready", t_s=16.0)], 5.0)
+
+    assert [(it["kind"], it["t"]) for it in model.happenings.since(0)] == [("ready", 4.9), ("saved", 0.0)]
+
+
+def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing():
+    from pancakes.web.happenings import Happenings
+
+    happenings = Happenings(limit=3)
+    for number in range(5):
+        happenings.add(record("a", f"kind{number}", float(number)), 0.0)
+
+    assert [it["n"] for it in happenings.since(0)] == [3, 4, 5]
+    assert [it["n"] for it in happenings.since(4)] == [5]

@@ -1,0 +1,279 @@
+"""The page in a real browser without a window: a mission with a move, and a fleet that a person interferes with."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Rig
+
+CONFIGS = Path(__file__).parents[2] / "configs" / "encirclement"
+PATIENCE_MS = 30_000
+PHONE = {"width": 360, "height": 740}
+
+WALK = """
+from pancakes.task import Task, Tick, every
+
+class Walk(Task):
+    @every(hz=4)
+    def step(self, tick: Tick) -> None:
+        pass
+"""
+WALKING = '[task.Walk]\ntype = "walk.Walk"\n'
+
+
+def expect(target: Any) -> Any:
+    from playwright.sync_api import expect
+
+    expect.set_options(timeout=PATIENCE_MS)
+    return expect(target)
+
+
+@pytest.fixture
+def faults() -> list[str]:
+    """What the browser complained about."""
+    return []
+
+
+def opened(browser: Any, address: str, faults: list[str], **options: Any) -> Any:
+    """Opens the page in a context of its own."""
+    page = browser.new_context(**{"viewport": {"width": 1280, "height": 860}, **options}).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+    page.goto(address)
+    return page
+
+
+def chip(page: Any, agent: str, task: str) -> Any:
+    return page.locator(f"[data-agent={agent}] [data-task={task}]")
+
+
+def painted(page: Any, agent: str) -> int:
+    """Returns how many pixels of the arena have the colour of an agent."""
+    count: int = page.evaluate(
+        """async (agent) => {
+          await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
+          const dot = document.querySelector(`[data-agent=${agent}] .dot`);
+          const [red, green, blue] = getComputedStyle(dot).backgroundColor.match(/\\d+/g).map(Number);
+          const canvas = document.getElementById("canvas");
+          const data = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          let found = 0;
+          for (let at = 0; at < data.length; at += 4)
+            if (data[at] === red && data[at + 1] === green && data[at + 2] === blue && data[at + 3] === 255) found += 1;
+          return found;
+        }""",
+        agent,
+    )
+    return count
+
+
+# A mission
+
+
+@pytest.fixture
+def mission(rig: Rig) -> str:
+    """The address of the page of a demo in which the task moves early; it stays when the demo is over."""
+    arguments = ["encirclement", "--virtual", "--view", "--speed", "6", "--duration", "45", "--configs", str(CONFIGS)]
+    early = ["--set", "world:task.World.settings.robots.agent1.battery.capacity_j=150"]
+    demo = rig.run("-u", "-m", "pancakes.cli.main", "demo", *arguments, *early, whole=True)
+    return demo.hear("the page is at ").rpartition(" ")[2]
+
+
+def test_a_mission_is_seen_as_it_happens_and_again(browser: Any, mission: str, faults: list[str]):
+    page = opened(browser, mission, faults)
+    page.evaluate(
+        """() => new MutationObserver((changes) => {
+          for (const change of changes) for (const node of change.addedNodes)
+            if (node.classList?.contains("flyer")) document.body.dataset.flown = node.textContent;
+        }).observe(document.body, {childList: true})"""
+    )
+
+    # Robots appear, and what they run.
+    expect(chip(page, "agent1", "ScanTarget")).to_have_attribute("data-state", "running")
+    expect(page.locator("#canvas")).to_have_attribute("aria-label", re.compile("agent1 at .* m"))
+    expect(page.locator("body")).to_have_attribute("data-stage", "arena")
+    for layer in ("trails", "rays", "circles", "names"):
+        page.get_by_label(layer).uncheck()
+    assert painted(page, "agent1") > 60 and painted(page, "agent2") > 60
+
+    # The move is seen: each answer, and the task on its way from card to card.
+    expect(page.locator("#events").get_by_text("agent2 bids 0 for ScanTarget")).to_be_visible()
+    expect(
+        page.locator("#events").get_by_text("sensor refuses ScanTarget: lacks the device type motors")
+    ).to_be_visible()
+    expect(chip(page, "agent2", "ScanTarget")).to_have_attribute("data-state", "running")
+    expect(page.locator("body")).to_have_attribute("data-flown", "ScanTarget")
+    expect(chip(page, "agent1", "GoHome")).to_have_attribute("data-state", "running")
+
+    # The past: before it moved, agent 1 had it.
+    page.locator("#events").get_by_text("agent1 asks all neighbours").click()
+    page.keyboard.press("j")
+    expect(page.locator("#status")).to_have_text("past")
+    expect(chip(page, "agent1", "ScanTarget")).to_have_attribute("data-state", "running")
+    expect(chip(page, "agent2", "ScanTarget")).to_have_count(0)
+    expect(page.locator("#events").get_by_text("agent2 bids 0 for ScanTarget")).to_have_count(0)
+    page.get_by_role("slider", name="Time").focus()
+    page.keyboard.press("Home")
+    expect(page.locator("#clock")).to_have_text(re.compile(r"^0:0"))
+
+    # It plays from there, and comes back.
+    page.get_by_label("How fast it plays").select_option("8")
+    page.get_by_role("button", name="Play").click()
+    expect(chip(page, "agent2", "ScanTarget")).to_have_attribute("data-state", "running")
+    page.keyboard.press("l")
+    expect(page.locator("#live")).to_have_attribute("aria-pressed", "true")
+
+    # When the mission is over the page says so, and the timeline is still there.
+    expect(page.locator("#waiting")).to_have_text(re.compile("the mission is over: "))
+    page.get_by_role("button", name="Back 5 seconds").click()
+    expect(page.locator("#status")).to_have_text("past")
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+
+    # Why it moved.
+    page.locator("[data-agent=agent1]").get_by_role("button", name="Why?").click()
+    chain = page.locator(".chain li")
+    expect(chain.last).to_contain_text("motors agent1/client/")
+    assert chain.count() >= 3
+    expect(page.get_by_text("commands that came about like this")).to_be_visible()
+    assert faults == []
+
+
+def test_it_fits_a_phone_and_follows_the_colours_that_a_person_likes(browser: Any, mission: str, faults: list[str]):
+    page = opened(browser, mission, faults, viewport=PHONE, color_scheme="light")
+    expect(chip(page, "agent1", "ScanTarget")).to_be_visible()
+    for name in ("News", "All"):
+        page.get_by_role("radio", name=name).check(force=True)
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    expect(page.locator("body")).to_have_css("background-color", "rgb(244, 243, 239)")
+    page.emulate_media(color_scheme="dark")
+    expect(page.locator("body")).to_have_css("background-color", "rgb(16, 18, 22)")
+
+    page.keyboard.press("m")
+    expect(page.locator("body")).to_have_attribute("data-stage", "mesh")
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    page.get_by_role("button", name="Keys and hints").click()
+    expect(page.get_by_role("dialog")).to_contain_text("This page only looks")
+    assert faults == []
+
+
+# A fleet without a world
+
+
+@pytest.fixture
+def pair(rig: Rig) -> Rig:
+    """Two agents that could both run the task that one of them runs."""
+    rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
+    first = rig.ready("a", WALKING)
+    rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
+    return rig
+
+
+def view(rig: Rig, *options: str) -> str:
+    return (
+        rig.run("-u", "-m", "pancakes.cli.main", "view", *options, whole=True)
+        .hear("the page is at ")
+        .rpartition(" ")[2]
+    )
+
+
+@pytest.fixture
+def looking(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
+    yield opened(browser, view(pair), faults)
+    assert faults == []
+
+
+@pytest.fixture
+def acting(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
+    yield opened(browser, view(pair, "--control"), faults)
+    assert faults == []
+
+
+def drag(page: Any, source: Any, target: Any) -> None:
+    """Drags as a hand does."""
+    start, end = source.bounding_box(), target.bounding_box()
+    page.mouse.move(start["x"] + 30, start["y"] + 10)
+    page.mouse.down()
+    page.mouse.move(end["x"] + 60, end["y"] + 30, steps=8)
+    page.mouse.up()
+
+
+def test_without_poses_the_mesh_is_shown_with_its_round_trips(looking: Any):
+    expect(looking.locator("body")).to_have_attribute("data-stage", "mesh")
+    expect(looking.locator("#canvas")).to_have_attribute(
+        "aria-label", re.compile("Mesh of 2 agents: a runs 1 task; b runs 0 tasks")
+    )
+    expect(looking.locator("[data-agent=a] .links")).to_have_text(re.compile(r"links: b [\d.]+ ms"))
+    expect(looking.locator("[data-agent=a] [data-task=Walk] .figure")).to_have_text(re.compile(r"of 4 Hz"))
+
+
+def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
+    expect(chip(looking, "a", "Walk")).to_have_attribute("data-state", "running")
+    drag(looking, chip(looking, "a", "Walk"), looking.locator("[data-agent=b]"))
+    expect(looking.locator("dialog[open]")).to_have_count(0)
+    chip(looking, "a", "Walk").get_by_role("button").click()
+    expect(looking.get_by_role("dialog")).to_contain_text("walk.Walk")
+    expect(looking.get_by_role("dialog").get_by_role("button")).to_have_text(["Close"])
+
+    answer = looking.evaluate(
+        """() => new Promise((resolve) => {
+          const socket = new WebSocket(`ws://${location.host}/news`);
+          const order = {id: 1, ask: "order", do: "stop", agent: "a", task: "client/Walk"};
+          socket.onopen = () => socket.send(JSON.stringify(order));
+          socket.onmessage = (it) => { const news = JSON.parse(it.data); if (news.answer === 1) resolve(news); };
+        })"""
+    )
+    assert answer["ok"] is False and "start it with --control" in answer["reason"]
+
+
+def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
+    expect(acting.locator("body.control")).to_have_count(1)
+    expect(chip(acting, "a", "Walk")).to_have_attribute("data-state", "running")
+    expect(acting.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))
+    drag(acting, chip(acting, "a", "Walk"), acting.locator("[data-agent=b]"))
+
+    dialog = acting.get_by_role("dialog")
+    expect(dialog).to_contain_text("Move Walk from a to b?")
+    expect(dialog).to_contain_text("Nothing has been moved yet")
+    expect(dialog.locator("tbody tr")).to_have_text([re.compile(r"b\s*bids\s*0")])
+    expect(chip(acting, "a", "Walk")).to_have_attribute("data-state", "running")
+    expect(chip(acting, "b", "Walk")).to_have_count(0)
+
+    dialog.get_by_role("button", name="Move it to b").click()
+    expect(chip(acting, "b", "Walk")).to_have_attribute("data-state", "running")
+    expect(dialog).to_have_count(0)
+    expect(acting.locator("#events").get_by_text("Walk moved to b")).to_be_visible()
+
+
+def test_a_task_is_moved_stopped_and_changed_by_keyboard_alone(acting: Any):
+    walk = chip(acting, "a", "Walk")
+    expect(walk).to_have_attribute("data-state", "running")
+    expect(acting.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))
+    walk.get_by_role("button").focus()
+    acting.keyboard.press("Enter")
+    dialog = acting.get_by_role("dialog")
+    dialog.get_by_role("spinbutton", name="Rate in hertz").fill("9")
+    acting.keyboard.press("Enter")
+    expect(dialog).to_contain_text("it ticks at 9 Hz from now on")
+    acting.keyboard.press("Escape")
+    expect(walk.locator(".figure")).to_have_text(re.compile("9 Hz"))
+
+    walk.get_by_role("button").focus()
+    acting.keyboard.press("Enter")
+    dialog.get_by_role("button", name="Stop").press("Enter")
+    expect(dialog).to_contain_text("it has stopped")
+    acting.keyboard.press("Escape")
+    expect(walk).to_have_attribute("data-state", "stopped")
+    walk.get_by_role("button").press("Enter")
+    dialog.get_by_role("button", name="Start").press("Enter")
+    expect(walk).to_have_attribute("data-state", "running")
+    acting.keyboard.press("Escape")
+
+    walk.get_by_role("button").press("Enter")
+    dialog.get_by_role("button", name="Ask …").press("Enter")
+    expect(dialog.get_by_role("button", name="Move it to b")).to_be_focused()
+    acting.keyboard.press("Enter")
+    expect(chip(acting, "b", "Walk")).to_have_attribute("data-state", "running")

@@ -1,0 +1,273 @@
+"""The page's server over real sockets: who may look, who may ask, and that nobody holds up others."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+from told import world
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from pancakes.control import Migrate, Reply
+from pancakes.errors import NoAnswer, PancakesError
+from pancakes.web.feed import Feed
+from pancakes.web.page import Shown, open_page
+from pancakes.web.server import MOST_PAGES, PageServer
+
+PATIENCE_S = 20.0
+
+
+class Fleet:
+    """Stands for a fleet: remembers what it was asked for."""
+
+    def __init__(self) -> None:
+        self.feed = Feed(lambda: 1.0)
+        self.asked: list[tuple[str, Any]] = []
+        self.answer: Reply | PancakesError = Reply(True, "", {"lines": []})
+
+    def order(self, agent: str, body: Any, timeout_s: float) -> Future[Reply]:
+        self.asked.append((agent, body))
+        future: Future[Reply] = Future()
+        if isinstance(self.answer, Reply):
+            future.set_result(self.answer)
+        else:
+            future.set_exception(self.answer)
+        return future
+
+    def explain(self, agent: str) -> dict[str, Any] | None:
+        return {"agent": agent}
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return Fleet()
+
+
+@pytest.fixture
+def server(fleet: Fleet) -> Iterator[PageServer]:
+    server = open_page(Shown(fleet.feed, fleet.explain, fleet.order, "a fleet"), 0)
+    yield server
+    server.close()
+
+
+@pytest.fixture
+def onlooker(fleet: Fleet) -> Iterator[PageServer]:
+    """A server whose pages may only look."""
+    server = open_page(Shown(fleet.feed, fleet.explain), 0)
+    yield server
+    server.close()
+
+
+def page(server: PageServer, **options: Any) -> ClientConnection:
+    """Opens what the page opens."""
+    origin = f"http://127.0.0.1:{server.port}"
+    return connect(
+        f"ws://127.0.0.1:{server.port}/news", origin=options.pop("origin", origin), compression=None, **options
+    )
+
+
+def ask(connection: ClientConnection, what: str, **fields: Any) -> dict[str, Any]:
+    """Asks for something, and returns the answer among all the news."""
+    connection.send(json.dumps({"id": 7, "ask": what, **fields}))
+    while True:
+        message: dict[str, Any] = json.loads(connection.recv(PATIENCE_S))
+        if message.get("answer") == 7:
+            return message
+
+
+def get(server: PageServer, path: str, host: str | None = None) -> tuple[int, dict[str, str], bytes]:
+    """Asks for a file."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+    try:
+        connection.request("GET", path, headers={"Host": host} if host is not None else {})
+        response = connection.getresponse()
+        return response.status, {name.lower(): value for name, value in response.getheaders()}, response.read()
+    finally:
+        connection.close()
+
+
+# Files
+
+
+def test_the_page_and_its_parts_are_there_and_load_nothing_from_elsewhere(server: PageServer):
+    status, headers, body = get(server, "/")
+    assert (status, headers["content-type"]) == (200, "text/html; charset=utf-8")
+    assert "default-src 'self'" in headers["content-security-policy"]
+    for name in ("page.css", "main.js", "icon.svg"):
+        assert get(server, f"/{name}?x=1")[0] == 200
+    for path in ("/", "/page.css", "/main.js"):
+        text = get(server, path)[2].decode()
+        assert "http://" not in text.replace("http://www.w3.org", "") and "https://" not in text
+    assert b"main.js" in body
+
+
+@pytest.mark.parametrize("path", ["/../server.py", "/static/main.js", "/%2e%2e/server.py", "//etc/passwd", "/x"])
+def test_nothing_else_is_there(server: PageServer, path: str):
+    assert get(server, path)[0] == 404
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "0.0.0.0", ""])
+def test_under_a_foreign_name_nothing_is_there(server: PageServer, host: str):
+    assert get(server, "/", host)[0] == 421
+
+
+def test_it_listens_on_loopback_only(server: PageServer):
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S):
+        pass
+    with pytest.raises(OSError):
+        socket.create_connection(("127.0.0.2", server.port), PATIENCE_S).close()
+
+
+def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageServer, fleet: Fleet, monkeypatch: Any):
+    with pytest.raises(PancakesError, match=f"cannot be at port {server.port}: .*--port"):
+        open_page(Shown(fleet.feed, fleet.explain), server.port)
+
+    monkeypatch.setattr("pancakes.web.server.PORT", server.port)
+    other = open_page(Shown(fleet.feed, fleet.explain), None)
+    assert other.port not in (0, server.port)
+    other.close()
+
+
+# Who may look
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null", None])
+def test_a_page_of_another_server_gets_no_news(server: PageServer, origin: Any):
+    with pytest.raises(InvalidStatus) as refused:
+        page(server, origin=origin)
+    assert refused.value.response.status_code == 403
+
+
+def test_a_page_gets_everything_and_then_what_changes(server: PageServer, fleet: Fleet):
+    with fleet.feed.lock:
+        fleet.feed.model.hear("world", world(0.0, a=(1.0, 0.0)), 0.0)
+    with page(server) as connection:
+        first = json.loads(connection.recv(PATIENCE_S))
+        assert first["all"] and first["set"]["body/a"][0] == 1.0
+        with fleet.feed.lock:
+            fleet.feed.model.hear("world", world(0.1, a=(2.0, 0.0)), 0.0)
+        news: dict[str, Any] = {}
+        while "set" not in news:
+            news = json.loads(connection.recv(PATIENCE_S))
+        assert news["set"] == {"body/a": [2.0, 0.0, 0.5, "Drive"]}
+
+
+def test_a_page_that_takes_nothing_holds_up_nobody_and_gets_the_newest_when_it_does(server: PageServer, fleet: Fleet):
+    def push(number: int) -> None:
+        with fleet.feed.lock:
+            fleet.feed.model.board.set("ballast", f"{number}" + "x" * 1_000_000)
+
+    rounds = 30
+    with page(server, max_size=None, max_queue=1) as slow, page(server, max_size=None) as quick:
+        slow.recv(PATIENCE_S)
+        for number in range(1, rounds + 1):  # far more than has room on the way
+            push(number)
+            while "ballast" not in json.loads(quick.recv(PATIENCE_S)).get("set", {}):
+                pass
+        got = [0]
+        while got[-1] != rounds:
+            ballast = json.loads(slow.recv(PATIENCE_S)).get("set", {}).get("ballast")
+            if ballast is not None:
+                got.append(int(ballast.partition("x")[0]))
+        assert len(got) < rounds
+        assert got == sorted(got)
+        assert server.skipped > 0
+
+
+def test_a_page_that_goes_is_forgotten_and_there_may_be_so_many(server: PageServer):
+    with ExitStack() as stack:
+        for _ in range(MOST_PAGES):
+            stack.enter_context(page(server)).recv(PATIENCE_S)
+        with pytest.raises(ConnectionClosed, match="too many pages"), page(server) as one_more:
+            one_more.recv(PATIENCE_S)
+    until_s = time.monotonic() + PATIENCE_S
+    while not is_let_in(server):
+        assert time.monotonic() < until_s
+
+
+def is_let_in(server: PageServer) -> bool:
+    try:
+        with page(server) as connection:
+            return bool(json.loads(connection.recv(PATIENCE_S))["all"])
+    except ConnectionClosed:
+        return False
+
+
+# Who may ask
+
+ORDER = {"do": "migrate", "agent": "a", "task": "client/T", "to": "b", "dry_run": True}
+
+
+def test_with_the_token_a_page_may_change_something(server: PageServer, fleet: Fleet):
+    assert server.address == f"http://127.0.0.1:{server.port}/#token={server.token}"
+    with page(server) as connection:
+        assert ask(connection, "hello", token=server.token)["result"] == {"control": True, "title": "a fleet"}
+        assert ask(connection, "order", **ORDER)["result"] == {"lines": []}
+    assert fleet.asked == [("a", Migrate("client/T", "b", dry_run=True))]
+
+
+@pytest.mark.parametrize("token", ["", "x", "é", None, 7])
+def test_without_the_token_it_may_not(server: PageServer, fleet: Fleet, token: Any):
+    with page(server) as connection:
+        assert ask(connection, "hello", token=token)["result"]["control"] is False
+        answer = ask(connection, "order", **ORDER)
+    assert not answer["ok"] and "open it under the address that was printed" in answer["reason"]
+    assert fleet.asked == []
+
+
+def test_a_page_that_may_only_look_has_no_token(onlooker: PageServer):
+    assert "#" not in onlooker.address
+    with page(onlooker) as connection:
+        assert ask(connection, "hello", token="")["result"]["control"] is False
+        answer = ask(connection, "order", **ORDER)
+    assert not answer["ok"] and "start it with --control" in answer["reason"]
+
+
+def test_what_an_agent_refuses_or_does_not_answer_is_told(server: PageServer, fleet: Fleet):
+    with page(server) as connection:
+        ask(connection, "hello", token=server.token)
+        fleet.answer = Reply(False, "no neighbour can take T", {"lines": [1]})
+        refused = ask(connection, "order", **ORDER)
+        fleet.answer = NoAnswer("a did not answer")
+        silent = ask(connection, "order", **ORDER)
+    assert (refused["ok"], refused["reason"], refused["result"]) == (False, "no neighbour can take T", {"lines": [1]})
+    assert (silent["ok"], silent["reason"]) == (False, "a did not answer")
+
+
+@pytest.mark.parametrize("message", ["nonsense", "[1]", '{"ask": "shutdown"}', '{"ask": 7}', '{"ask": "order"}'])
+def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer, message: str):
+    with page(server) as connection:
+        ask(connection, "hello", token=server.token)
+        connection.send(message)
+        answer: dict[str, Any] = {}
+        while "answer" not in answer:
+            answer = json.loads(connection.recv(PATIENCE_S))
+        assert answer["ok"] is False and answer["reason"]
+        assert ask(connection, "explain", agent="a")["result"] == {"agent": "a"}
+
+
+def test_the_past_is_fetched_in_pieces(server: PageServer, fleet: Fleet):
+    fleet.feed.record()
+    with page(server) as connection:
+        assert ask(connection, "chunk", t=0.5)["result"]["key"]["t"] == 1.0
+        assert ask(connection, "chunk", t="x")["ok"]
+
+
+def test_another_mission_is_shown_to_pages_that_are_open(server: PageServer):
+    with page(server) as connection:
+        connection.recv(PATIENCE_S)
+        other = Feed(lambda: 0.0)
+        other.model.board.set("arena", [9.0, 9.0])
+        server.show(Shown(other, lambda agent: None))
+        news: dict[str, Any] = {}
+        while "arena" not in news.get("set", {}):
+            news = json.loads(connection.recv(PATIENCE_S))
+        assert news["all"] is True

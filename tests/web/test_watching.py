@@ -1,0 +1,199 @@
+"""Agents that run are watched as a client of theirs; a run in virtual time is not changed by being watched."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Rig
+
+from pancakes.config import parse
+from pancakes.control import Reschedule, Stop
+from pancakes.errors import ControlRefused, Unreachable
+from pancakes.fleet import VirtualFleet
+from pancakes.web.feed import Feed
+from pancakes.web.virtual import VirtualWatch
+from pancakes.web.watch import Watch, fleet_among
+
+PATIENCE_S = 20.0
+LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 5\n'
+
+
+class Telling(Feed):
+    """A feed that tells whenever something may have come."""
+
+    def __init__(self) -> None:
+        began_s = time.monotonic()
+        super().__init__(lambda: time.monotonic() - began_s)
+        self.news = threading.Condition()
+
+    def record(self) -> None:
+        super().record()
+        self._tell()
+
+    def wait_for(self, reason: str) -> None:
+        super().wait_for(reason)
+        self._tell()
+
+    def _tell(self) -> None:
+        with self.news:
+            self.news.notify_all()
+
+
+class Seen:
+    """Waits for what is to be seen."""
+
+    def __init__(self) -> None:
+        self.feed = Telling()
+
+    def wait(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Waits until the frame with everything meets a condition; returns it."""
+        frame: dict[str, Any] = {}
+
+        def met() -> bool:
+            frame.clear()
+            frame.update(json.loads(self.feed.frame(None)[0]))
+            return condition(frame)
+
+        with self.feed.news:
+            assert self.feed.news.wait_for(met, PATIENCE_S), frame
+        return frame
+
+
+@pytest.fixture
+def seen() -> Seen:
+    return Seen()
+
+
+@pytest.fixture
+def watch(rig: Rig, seen: Seen, monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
+    monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
+    watch = Watch(seen.feed)
+    yield watch
+    watch.close()
+
+
+def test_agents_their_tasks_and_links_are_seen_and_what_was_said_before(rig: Rig, seen: Seen, watch: Watch):
+    first = rig.ready("a", LOAD)
+    rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
+    watch.start()
+
+    frame = seen.wait(lambda it: "link/a/b" in it["set"] and any(e["kind"] == "ready" for e in it.get("events", ())))
+
+    assert frame["set"]["agent/a"]["state"] == "ready"
+    assert frame["set"]["agent/a"]["devices"] == ["load"]
+    assert frame["set"]["task/a/device/load"]["rate_hz"] == 5.0
+    seen.wait(lambda it: (it["set"]["task/a/device/load"]["achieved_hz"] or 0.0) > 3.0)
+
+
+def test_an_agent_that_comes_later_is_seen_and_one_that_goes_is_seen_to_be_silent(rig: Rig, seen: Seen, watch: Watch):
+    watch.start()
+    seen.wait(lambda it: "no agent runs" in it.get("waiting", ""))
+    running = rig.ready("a", LOAD)
+    seen.wait(lambda it: it["set"].get("agent/a", {}).get("state") == "ready" and "waiting" not in it)
+
+    running.close()
+    seen.wait(lambda it: it["set"]["agent/a"]["state"] == "no answer")
+
+
+def test_what_is_asked_for_is_done_and_seen(rig: Rig, seen: Seen, watch: Watch):
+    rig.ready("a", LOAD)
+    watch.start()
+    seen.wait(lambda it: "task/a/device/load" in it["set"])
+
+    assert watch.order("a", Reschedule("device/load", 7.0), PATIENCE_S).result(PATIENCE_S).ok
+    frame = seen.wait(lambda it: it["set"]["task/a/device/load"]["rate_hz"] == 7.0)
+    assert any(it["kind"] == "rate_changed" and it["task"] == "load" for it in frame["events"])
+    refused = watch.order("a", Stop("client/Nobody"), PATIENCE_S).result(PATIENCE_S)
+    assert not refused.ok and "Nobody" in refused.reason
+    with pytest.raises(Unreachable, match="b cannot be reached"):
+        watch.order("b", Stop("client/T"), PATIENCE_S).result(PATIENCE_S)
+
+
+def test_nobody_is_asked_any_more_once_the_watch_has_ended(rig: Rig, seen: Seen, watch: Watch):
+    rig.ready("a", LOAD)
+    watch.start()
+    seen.wait(lambda it: "agent/a" in it["set"])
+    watch.close()
+
+    with pytest.raises(Unreachable, match="nobody can be asked any more"):
+        watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)
+
+
+def test_the_fleet_has_to_be_named_where_there_are_several():
+    rows = [{"fleet": "one"}, {"fleet": "two"}, {"fleet": "one"}]
+
+    assert fleet_among(rows[:1]) == "one"
+    assert fleet_among(rows, "two") == "two"
+    with pytest.raises(ControlRefused, match="several fleets, one, two: name one with --fleet"):
+        fleet_among(rows)
+    with pytest.raises(Unreachable, match="no agent of the fleet 'three', only of one, two"):
+        fleet_among(rows, "three")
+
+
+# In virtual time
+
+ENCIRCLEMENT = Path(__file__).parents[2] / "configs" / "encirclement"
+
+
+def fly(watch: VirtualWatch | None) -> list[dict[str, Any]]:
+    """Runs the first seconds of a mission; returns what its agents ended up as."""
+    fleet = VirtualFleet(seed=3)
+    try:
+        for name in ("world", "agent1", "sensor"):
+            text = (ENCIRCLEMENT / f"{name}.toml").read_text().replace("hold = true", "hold = false")
+            fleet.start(parse(text.replace("[agent]", "[agent]\nseed = 3"), where=name))
+        if watch is not None:
+            watch.begin(fleet)
+        until_s = fleet.now() + 8.0
+        while fleet.now() < until_s:
+            fleet.run_until(min(until_s, fleet.now() + (watch.slice_s() if watch is not None else 8.0)))
+            if watch is not None:
+                watch.pace()
+        registry = fleet.agents["world"].kernel.registry
+        world: Any = registry.get("world/client/World")
+        return [world._simulation.state(), fleet.agents["agent1"].mesh.describe()]
+    finally:
+        if watch is not None:
+            watch.end()
+        fleet.close()
+
+
+def test_a_virtual_run_is_shown_and_stays_the_same_run():
+    stopped = threading.Event()
+    stopped.set()  # nobody watches, so it need not wait
+    watch = VirtualWatch(5.0, stopped)
+
+    assert fly(watch) == fly(None)
+
+    frame = json.loads(watch.feed.frame(None)[0])
+    assert frame["set"]["arena"] == [4.0, 3.0]
+    assert {"body/agent1", "rays/agent1/ir", "motion/sensor", "battery/agent1"} <= set(frame["set"])
+    assert frame["set"]["circle/agent1/ScanTarget"][2] == 0.55
+    assert frame["t"] == pytest.approx(8.0 / 5.0, abs=0.1)
+    assert frame["set"]["task/agent1/client/ScanTarget"]["state"] == "running"  # that it was stopped is no part of it
+    assert json.loads(watch.feed.chunk(1.0))["frames"]
+    explained = watch.explain("agent1")
+    assert explained is not None
+    assert [step["type"] for step in explained["steps"][-2:]] == ["pose", "motors"]
+
+
+def test_a_virtual_run_goes_no_faster_than_it_can_be_watched():
+    waits: list[float] = []
+
+    class Stopping(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            waits.append(timeout or 0.0)
+            return False
+
+    watch = VirtualWatch(100.0, Stopping())
+    watch.begin(VirtualFleet())
+    watch._fleet.run_for(500.0)  # type: ignore[union-attr]
+    watch.pace()
+
+    assert waits[-1] == pytest.approx(5.0, abs=1.0)
