@@ -1,6 +1,6 @@
 """SHA-256 without OpenSSL.
 
-`hashlib` loads OpenSSL's libcrypto, which takes 3.7 MiB of an agent's 30 and 4 ms of its start, for the few hundred
+`hashlib` loads OpenSSL's libcrypto, which takes 3.5 MiB of an agent's 26 and 4 ms of its start, for the few hundred
 bytes of an entry of the journal. Python has a SHA-256 of its own, under a private name that `hashlib` falls back on,
 just as `random` takes its SHA-512. OpenSSL's is several times faster: so that is taken for what is long.
 """

@@ -1,8 +1,8 @@
 """The entry points of installed distributions, read as `importlib.metadata` reads them, but without it.
 
 That imports 52 modules (it reads the lines of a header with the parser for e-mail, and looks into zip archives):
-3.2 MiB of an agent's 30, and a tenth of the time of its start. So directories are read here, which is where all that
-pip installs is; and where Python finds distributions elsewhere as well, it is asked all the same.
+2.1 MiB of an agent's 25, and 17 ms of the 144 that its start takes. So directories are read here, which is where all
+that pip installs is; and where Python finds distributions elsewhere as well, it is asked all the same.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def has_fields(cls: type) -> bool:
     """Returns whether a class may be the body of a packet: a dataclass, or a `msgspec.Struct` that travels as a map."""
     if is_dataclass(cls):
         return True
-    if not issubclass(cls, msgspec.Struct):
+    if not (isinstance(cls, type) and issubclass(cls, msgspec.Struct)):
         return False
     config = cls.__struct_config__
     return not config.array_like and config.tag is None and cls.__struct_encode_fields__ == cls.__struct_fields__

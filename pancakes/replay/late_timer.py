@@ -26,7 +26,8 @@ class LateTimer(VirtualTimer):
         name: the agent's name.
         mission: the mission clock; one with the dispatcher's time.
         dispatcher: runs everything.
-        spoken_s: when the task published what no packet had led to; sorted, in mission time.
+        spoken_s: when the task published what no packet had led to, and when it had published something before that;
+            in order, in mission time.
         speed: mission seconds for each second of host time then.
     """
 
@@ -35,7 +36,7 @@ class LateTimer(VirtualTimer):
         name: str,
         mission: MissionClock,
         dispatcher: VirtualDispatcher,
-        spoken_s: Sequence[float],
+        spoken_s: Sequence[tuple[float, float]],
         speed: float,
     ) -> None:
         super().__init__(name, mission, dispatcher)
@@ -56,12 +57,14 @@ class LateTimer(VirtualTimer):
 
     def hold_back(self, held: _Held, deadline_s: float, missed: int) -> None:
         """A deadline has come: ticks now, or when it was done then."""
-        place = bisect_left(self._spoken_s, deadline_s - ROUNDING_S)
-        spoken_s = self._spoken_s[place] if place < len(self._spoken_s) else deadline_s
+        place = bisect_left(self._spoken_s, (deadline_s - ROUNDING_S, 0.0))
+        spoken_s, before_s = self._spoken_s[place] if place < len(self._spoken_s) else (deadline_s, 0.0)
         if not ROUNDING_S < spoken_s - deadline_s < held.most_s:
             held.tick(deadline_s, missed)
-        else:
-            self._dispatcher.call_at(spoken_s - self._turn_s, lambda: held.tick(deadline_s, missed))
+            return
+        # What it said before that it had said before the tick.
+        begun_s = max(spoken_s - self._turn_s, before_s + 10 * ROUNDING_S)
+        self._dispatcher.call_at(begun_s, lambda: held.tick(deadline_s, missed))
 
 
 class _Held:

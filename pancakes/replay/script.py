@@ -40,7 +40,8 @@ class Script:
         outputs: the packets that it published, in order.
         end_s: the mission time at which the stay ended.
         channels: the channels that were spoken on at its agent.
-        spoken_s: when it published what no packet had led to, such as in a tick; sorted, in mission time.
+        spoken_s: when it published what no packet had led to, such as in a tick, and when it had published something
+            before that; in order, in mission time.
         superseded: how many packets were left out of `steps`, because a newer one took their place in the mailbox
             before the task came to them, or the task's end came first.
         speed: mission seconds for each second of host time then.
@@ -50,7 +51,7 @@ class Script:
     outputs: list[Packet] = field(default_factory=list)
     end_s: float = 0.0
     channels: list[str] = field(default_factory=list)
-    spoken_s: list[float] = field(default_factory=list)
+    spoken_s: list[tuple[float, float]] = field(default_factory=list)
     superseded: int = 0
     speed: float = 1.0
 
@@ -90,7 +91,11 @@ def read_script(
         for inner, letter in reader.inputs(packet):
             now_s = max(now_s, at_s, min(handled_s.get((inner.source, inner.seq), 0.0), times.end_s))
             steps.append(Given(now_s, at_s, inner, letter))
-    script.spoken_s = sorted(packet.stamp for packet in script.outputs if packet.cause is None)
+    before_s = 0.0
+    for packet in script.outputs:
+        if packet.cause is None:
+            script.spoken_s.append((packet.stamp, before_s))
+        before_s = packet.stamp
     script.end_s = max(now_s, times.end_s)
     overtaken = Overtaken(steps, reader.limits, handled_s, 0.0 if virtual else CLOSE_S * speed)
     end_s = times.end_s - END_S * speed if stay.end and not virtual else math.inf

@@ -140,7 +140,8 @@ class FleetModel:
             self.board.set(key, {**known, "state": _ENDS[kind]})
             self.board.set(f"circle/{agent}/{task}", None)
         elif kind == "rate_changed" and known is not None and isinstance(record.get("rate_hz"), float | int):
-            self.board.set(key, {**known, "rate_hz": _short(record["rate_hz"])})
+            # What was reached before says nothing about the new rate.
+            self.board.set(key, {**known, "rate_hz": _short(record["rate_hz"]), "achieved_hz": None})
 
     def _forget_task(self, agent: str, service: str, task: str) -> None:
         self.board.set(f"task/{agent}/{service}/{task}", None)

@@ -22,6 +22,7 @@ from benchmarks.figure import Figure, Plan, in_turns
 
 from pancakes.client import Client
 from pancakes.control import Begin, Configure, Describe, Start, Stop
+from pancakes.errors import PancakesError
 from pancakes.launch.ports import claim_ports
 from pancakes.web.feed import Feed
 from pancakes.web.watch import Watch
@@ -130,7 +131,7 @@ def _client(address: str) -> Iterator[Client]:
         with Client((address,), 2.0) as client:
             try:
                 found = client.survey().agents
-            except Exception:
+            except PancakesError:  # nobody answers yet
                 found = []
             if sum(row["ready"] for row in found) == len(AGENTS):
                 yield client

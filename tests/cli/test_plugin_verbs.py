@@ -46,7 +46,8 @@ def test_what_two_distributions_offer_is_broken_for_both(rig: Rig):
 def test_only_some_groups(rig: Rig):
     result = rig.pancakes("plugin", "list", "--group", "services", "--group", "transports", "--format", "json")
 
-    assert [row["name"] for row in json.loads(result.stdout)] == ["client", "device", "log", "network", "tcp"]
+    names = [row["name"] for row in json.loads(result.stdout)]
+    assert names == ["client", "device", "log", "metrics", "network", "tcp"]
     assert rig.pancakes("plugin", "list", "--group", "thing").returncode == 2
 
 

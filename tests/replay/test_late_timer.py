@@ -20,7 +20,8 @@ class Target:
 
 def timer_of(spoken_s, speed=0.0):
     dispatcher = VirtualDispatcher()
-    timer = LateTimer("a", MissionClock(dispatcher.clock), dispatcher, spoken_s, speed)
+    spoken = [spoken if isinstance(spoken, tuple) else (spoken, 0.0) for spoken in spoken_s]
+    timer = LateTimer("a", MissionClock(dispatcher.clock), dispatcher, spoken, speed)
     return dispatcher, timer, Target(dispatcher)
 
 
@@ -37,6 +38,13 @@ def test_it_began_a_moment_before_it_spoke():
     timer.every(target, 1.0)
     dispatcher.run_until(1.5)
     assert target.ticks == [(1.19, 1.0)]
+
+
+def test_it_began_after_whatever_it_had_said_before():
+    dispatcher, timer, target = timer_of([(1.2, 1.195)], speed=50.0)
+    timer.every(target, 1.0)
+    dispatcher.run_until(1.5)
+    assert target.ticks == [(1.195, 1.0)]
 
 
 def test_a_timer_that_rests_or_changes_its_rate_does_not_tick_for_what_was_held_back():

@@ -166,3 +166,14 @@ def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing(
 
     assert [it["n"] for it in happenings.since(0)] == [3, 4, 5]
     assert [it["n"] for it in happenings.since(4)] == [5]
+
+
+def test_a_new_rate_is_shown_at_once_and_not_beside_what_was_reached_before(model: FleetModel):
+    looks = Looks()
+    describe(model, agent("a", task("a", "T", rate_hz=10.0)), looks=looks)
+    describe(model, agent("a", task("a", "T", rate_hz=10.0, ticks=50), mission_s=5.0), looks=looks)
+    assert model.board.get("task/a/client/T")["achieved_hz"] == 10.0
+    model.tell(record("a", "rate_changed", task="T", rate_hz=2.0, by="cli"), 5.0)
+
+    row = model.board.get("task/a/client/T")
+    assert (row["rate_hz"], row["achieved_hz"]) == (2.0, None)

@@ -141,13 +141,14 @@ def test_the_fleet_has_to_be_named_where_there_are_several():
 ENCIRCLEMENT = Path(__file__).parents[2] / "configs" / "encirclement"
 
 
-def fly(watch: VirtualWatch | None) -> list[dict[str, Any]]:
+def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
     """Runs the first seconds of a mission; returns what its agents ended up as."""
     fleet = VirtualFleet(seed=3)
     try:
         for name in ("world", "agent1", "sensor"):
             text = (ENCIRCLEMENT / f"{name}.toml").read_text().replace("hold = true", "hold = false")
-            fleet.start(parse(text.replace("[agent]", "[agent]\nseed = 3"), where=name))
+            text = text.replace("[agent]", "[agent]\nseed = 3").replace("trajectory.csv", f"{place}/trajectory.csv")
+            fleet.start(parse(text, where=name))
         if watch is not None:
             watch.begin(fleet)
         until_s = fleet.now() + 8.0
@@ -164,12 +165,12 @@ def fly(watch: VirtualWatch | None) -> list[dict[str, Any]]:
         fleet.close()
 
 
-def test_a_virtual_run_is_shown_and_stays_the_same_run():
+def test_a_virtual_run_is_shown_and_stays_the_same_run(tmp_path: Path):
     stopped = threading.Event()
     stopped.set()  # nobody watches, so it need not wait
     watch = VirtualWatch(5.0, stopped)
 
-    assert fly(watch) == fly(None)
+    assert fly(watch, tmp_path) == fly(None, tmp_path)
 
     frame = json.loads(watch.feed.frame(None)[0])
     assert frame["set"]["arena"] == [4.0, 3.0]
