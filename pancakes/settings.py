@@ -91,7 +91,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         return [Problem((), fault)]
     try:
         problems = list(_walk(cls, settings, ()))
-        nans = [] if allow_nan else [Problem(path, "is not a number (nan)") for path in _nans(settings, ())]
+        nans = [] if allow_nan else [Problem(path, text) for path, text in _not_finite(settings, ())]
     except (TypeError, NameError, RecursionError) as error:  # a type that msgspec cannot check, or cannot resolve
         return [Problem((), f"{cls.__qualname__} cannot be checked: {error}")]
     return nans + [problem for problem in problems if all(problem.path != nan.path for nan in nans)]
@@ -162,16 +162,16 @@ def _fault_of_class(cls: type) -> str:
     return ""
 
 
-def _nans(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
-    """The paths of all NaN in plain values."""
-    if isinstance(value, float) and math.isnan(value):
-        yield path
+def _not_finite(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """The paths of all NaN and infinity in plain values: no robot can drive a circle of that size."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield path, "is not a number (nan)" if math.isnan(value) else f"is not finite ({value})"
     elif isinstance(value, Mapping):
         for key, item in value.items():
-            yield from _nans(item, (*path, str(key)))
+            yield from _not_finite(item, (*path, str(key)))
     elif isinstance(value, (list, tuple)):
         for index, item in enumerate(value):
-            yield from _nans(item, (*path, index))
+            yield from _not_finite(item, (*path, index))
 
 
 def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:

@@ -39,7 +39,11 @@ class DemoNames(click.ParamType):
 @click.command()
 @click.argument("name", type=DemoNames(), required=False)
 @click.option("--list", "list_", is_flag=True, help="Show the demos that are installed.")
-@click.option("--virtual", is_flag=True, help="Run in virtual time, in one process: same seed, same bytes.")
+@click.option(
+    "--virtual/--live",
+    default=None,
+    help="In virtual time, in one process (same seed, same bytes), or as processes. [default: as the demo says]",
+)
 @click.option(
     "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws noise, the mover's way, the start."
 )
@@ -78,7 +82,7 @@ class DemoNames(click.ParamType):
 def demo(
     name: str | None,
     list_: bool,
-    virtual: bool,
+    virtual: bool | None,
     seed: int,
     speed: float,
     duration: float | None,
@@ -104,6 +108,9 @@ def demo(
     if list_ or name is None:
         _list(plugins)
         return
+    found = _find(plugins, name)
+    if virtual is None:
+        virtual = found.virtual
     if faults and not virtual:
         raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
     if not view_ and (control or port is not None):
@@ -115,7 +122,7 @@ def demo(
     _on_signal(interrupted)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     try:
-        code = _run(plugins, name, out, options, interrupted, page)
+        code = _run(plugins, found, name, out, options, interrupted, page)
         if page is not None and code != INTERRUPTED:
             page.stay()
     finally:
@@ -144,8 +151,17 @@ class _Options:
     faults: bool
 
 
+def _find(plugins: Plugins, name: str) -> Demo | Comparison:
+    try:
+        found: Demo | Comparison = plugins.get("pancakes.demos", name)
+    except UnknownPlugin as error:
+        raise click.BadParameter(str(error), param_hint="NAME") from None
+    return found
+
+
 def _run(
     plugins: Plugins,
+    found: Demo | Comparison,
     name: str,
     out: Path | None,
     options: _Options,
@@ -154,10 +170,6 @@ def _run(
 ) -> int:
     from pancakes.demo import Comparison
 
-    try:
-        found: Demo | Comparison = plugins.get("pancakes.demos", name)
-    except UnknownPlugin as error:
-        raise click.BadParameter(str(error), param_hint="NAME") from None
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
         return _compare(plugins, found, out, options, interrupted, page)

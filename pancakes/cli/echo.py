@@ -14,6 +14,8 @@ from pancakes.cli.options import asks_agents
 from pancakes.cli.streaming import Printer, count_option, for_option, one_line, plain, say, until_ended
 from pancakes.client import Client
 from pancakes.client.following import Following, Heard
+from pancakes.packet import body_class, field_names
+from pancakes.suggestion import suggestion
 
 WIDE: Final = 100
 """A list or mapping that takes more characters than this is shown on several lines."""
@@ -65,6 +67,7 @@ def echo(
     bounded = count is not None or for_s is not None
     paths = Paths(fields)
     doubt_types(types)
+    _check_fields(types, fields)
     with (
         until_ended(),
         Client(at, timeout) as client,
@@ -81,6 +84,20 @@ def echo(
                 printer.show(picked)
             if printer.printed == count:
                 break
+
+
+def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
+    """Refuses a field that no packet of the wanted types can have: it would be waited for in vain."""
+    classes = [body_class(name) for name in types]
+    known = [name for cls in classes if cls is not None for name in field_names(cls)]
+    if not types or None in classes:
+        return
+    for path in fields:
+        first = path.split(".")[0]
+        if not path.startswith(HEADER) and first not in known:
+            near = suggestion(first, known)
+            hint = f", did you mean {near!r}?" if near else f", only {', '.join(dict.fromkeys(known))}"
+            raise click.UsageError(f"{' and '.join(types)} has no field {first!r}{hint}")
 
 
 def record_of(heard: Heard) -> dict[str, Any]:

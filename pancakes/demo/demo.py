@@ -46,6 +46,7 @@ class Demo:
         records: the files that tasks of the world write, by the task's name.
         arrange: takes the folder of a run, and whether it is live; returns what is to be set in each agent's file for
             that, as `--set` takes it, by agent. None: nothing.
+        virtual: whether it runs in virtual time where nothing else is asked for.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Demo:
     radius_m: float = 0.0
     records: Mapping[str, str] = field(default_factory=lambda: {"Trajectory": "trajectory.csv"})
     arrange: Callable[[Path, bool], Mapping[str, Sequence[str]]] | None = None
+    virtual: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,8 @@ class Comparison:
             of the whole, with `verdict`, `reasons` and, for the terminal, `said`.
         draw: takes the folder, the runs and the summary, and draws the picture.
         picture: the name of that picture.
+        virtual: whether it runs in virtual time where nothing else is asked for; live, it takes as long as all of its
+            missions together.
     """
 
     name: str
@@ -97,3 +101,4 @@ class Comparison:
     judge: Callable[[Path, Mapping[str, Run], Mapping[str, Mapping[str, Any]]], dict[str, Any]]
     draw: Callable[[Path, Mapping[str, Run], Mapping[str, Any]], None]
     picture: str
+    virtual: bool = True

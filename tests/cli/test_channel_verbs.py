@@ -144,6 +144,12 @@ def test_for_people_a_packet_is_yaml(rig: Rig, agent: Running):
     ]
 
 
+def test_a_field_that_no_packet_of_a_type_has_is_not_waited_for(rig: Rig, agent: Running):
+    result = rig.pancakes("channel", "echo", "a/system", "--type", "load", "--field", "cpuu", "--count", "1")
+    assert result.returncode == 2
+    assert "load has no field 'cpuu', did you mean 'cpu'?" in result.stderr
+
+
 def test_fields_are_picked_and_packets_without_them_left_out(rig: Rig, agent: Running):
     result = rig.pancakes(
         "channel", "echo", "a/pond", "--field", "ranges_m.1", "--field", "packet.type", "--count", "2"

@@ -116,7 +116,7 @@ def test_an_unknown_key_at_the_top():
         ),
         (
             "[task.X]\ntype = 'x'\nrestart = { within_s = inf }\n",
-            "a.toml:6: [task.X] restart.within_s: expected a number of seconds > 0, not inf",
+            "a.toml:6: [task.X] restart.within_s: is not finite (inf)",
         ),
         (
             "[service.log]\nrestart = { at_most = -1 }\n",
@@ -133,7 +133,7 @@ def test_values_have_their_type_and_range(text: str, expected: str):
 
 def test_infinity_is_no_rate():
     assert faults(HEAD + "[device.d]\ndriver = 'x'\nrate_hz = inf\n") == [
-        "a.toml:6: [device.d] rate_hz: expected a number <= 1000000000, not inf"
+        "a.toml:6: [device.d] rate_hz: is not finite (inf)"
     ]
 
 
@@ -218,7 +218,7 @@ class TestMigrationRules:
             ("{ when = 'battery', below = 65 }", "migrate.below", "expected a number from 0 to 1"),
             ("{ when = 'battery', above = -1 }", "migrate.above", "expected a number from 0 to 1"),
             ("{ when = 'battery', below = nan }", "migrate.below", "is not a number (nan)"),
-            ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "expected a finite number, not inf"),
+            ("{ when = 'x', field = 'celsius', above = inf }", "migrate.above", "is not finite (inf)"),
             ("{ when = 'battery', below = 0.5, above = 0.4 }", "migrate.below", "is more than above (0.4)"),
             ("{ when = 'battery', below = 0.5, then = 'X' }", "migrate.then", "names the task itself"),
             ("{ when = 'battery', below = 0.5, cost = '' }", "migrate.cost", "is empty"),
@@ -231,7 +231,7 @@ class TestMigrationRules:
             (
                 "{ when = 'battery', below = 0.5, cost = { tasks = 1, load = inf } }",
                 "migrate.cost.load",
-                "a weight is a finite number of at least 0, not inf",
+                "is not finite (inf)",
             ),
             (
                 "{ when = 'battery', below = 0.5, cost = { tasks = nan } }",
