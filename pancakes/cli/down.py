@@ -110,15 +110,43 @@ class _Ending:
         with Client(at, self._timeout_s) as client:
             try:
                 found = client.survey(*names)
+                described, silent = found.agents, found.silent
             except Unreachable as error:
-                self._fail(str(error), UNREACHABLE)
-                return
-            for sentence in found.silent:
-                self._fail(sentence, UNREACHABLE)
-            targets = [_target(described, here) for described in found.agents]
+                described, silent = [], str(error).splitlines()
+            answered = {(told["fleet"], told["agent"]) for told in described}
+            # Whoever is named with an address may be on another machine, and its namesake here another agent.
+            mute = [] if at else [it for key, it in here.items() if it.name in names and key not in answered]
+            for sentence in silent:
+                click.echo(sentence, err=True)
+            if len(silent) > len(mute):
+                self.code = UNREACHABLE
+            self._end_processes(client, mute)
+            targets = [_target(told, here) for told in described]
             worlds = [target for target in targets if target.role == "environment"]
             for group in ([target for target in targets if target not in worlds], worlds):
                 self._await(client, [target for target in group if self._ask(client, target)])
+
+    def _end_processes(self, client: Client, mute: Sequence[Entry]) -> None:
+        """Ends agents of this machine that do not answer, such as those whose network sleeps: by their processes."""
+        import psutil
+
+        targets = []
+        for entry in mute:
+            target = _Target(entry.name, entry.fleet, entry.role, None)
+            if self._dry_run:
+                self._done(target, DRY_RUN)
+                continue
+            try:
+                target.process = psutil.Process(entry.pid)
+                target.process.terminate()
+            except psutil.NoSuchProcess:
+                target.gone = True
+            except psutil.AccessDenied:
+                self._fail(f"{entry.name} (process {entry.pid}) belongs to somebody else", REFUSED)
+                continue
+            click.echo(f"{entry.name} is told to end by a signal to its process {entry.pid}", err=True)
+            targets.append(target)
+        self._await(client, targets)
 
     def _ask(self, client: Client, target: _Target) -> bool:
         """Asks an agent to end; returns whether it does."""

@@ -52,8 +52,25 @@ def test_who_does_not_answer_is_named_and_the_others_end(
     result = rig.pancakes("down", *QUICK, "--format", "json")
 
     assert (result.returncode, rows(result.stdout)) == (3, [("a", "ended")])
-    assert result.stderr == f"b ({rig.address(pair[1])}) did not answer: nothing came within 1 s\n"
+    pid = pair[1].pid
+    assert result.stderr.splitlines() == [
+        f"b ({rig.address(pair[1])}) did not answer: nothing came within 1 s",
+        f"b is told to end by a signal to its process {pid}",
+        f"b (process {pid}) has not ended within 1 s",
+    ]
     assert pair[1].process.poll() is None
+
+
+def test_an_agent_whose_network_sleeps_ends_by_its_process(rig: Rig, pair: tuple[Running, Running]):
+    assert rig.pancakes("service", "stop", "b/network", "--for", "10min").returncode == 0
+
+    dry = rig.pancakes("down", *QUICK, "--dry-run", "--format", "json")
+    assert (dry.returncode, rows(dry.stdout)) == (0, [("b", "dry run"), ("a", "dry run")])
+    result = rig.pancakes("down", "--timeout", "10", "--format", "json")
+
+    assert (result.returncode, sorted(rows(result.stdout))) == (0, [("a", "ended"), ("b", "ended")])
+    assert f"b is told to end by a signal to its process {pair[1].pid}" in result.stderr
+    assert pair[1].ended() == 0
 
 
 STUCK = """
