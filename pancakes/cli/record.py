@@ -237,5 +237,5 @@ def _know_packets() -> None:
 
 def _moment(time_ns: int, virtual: bool) -> str:
     if virtual:
-        return f"{time_ns / 1e9:.3f} s of the mission"
+        return f"{time_ns / 1e9:.3f} s of virtual time"
     return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="milliseconds")

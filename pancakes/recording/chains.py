@@ -99,8 +99,9 @@ class Causes:
         first_ns = min(seen_ns.values())
         if effect is None:
             return Step(packet, first_ns, 0.0, 0.0)
-        arrived_ns = seen_ns.get(agent_of(effect[0]), first_ns)
         next_ns = min(self._seen_ns[effect].values())
+        # Who answered it had it, though whoever watches may have seen it there only later.
+        arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
         return Step(packet, first_ns, (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS)
 
 

@@ -26,8 +26,8 @@ class Entry(msgspec.Struct, frozen=True):
     """One packet as it was seen.
 
     Attributes:
-        time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, of mission time in virtual
-            time.
+        time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, since the agents were made
+            in virtual time.
         agent: the agent on whose channel it was seen; a packet that travels is seen where it comes from, and where it
             comes to.
         packet: the packet.

@@ -17,6 +17,7 @@ from pancakes.events import Event
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.handlers import on
 from pancakes.kernel.stream import Tap
+from pancakes.migration.record import TaskId
 from pancakes.packet import LOG, SYSCTRL, TO_TASK, Packet, agent_of, type_name
 from pancakes.recording.description import CHANNEL, TaskDescription
 from pancakes.recording.entry import NANOSECONDS, Entry
@@ -109,6 +110,8 @@ class Recorder(Task):
             raise PancakesError(
                 f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
             ) from None
+        if self.settings.task:
+            TaskId.parse(self.settings.task)  # a bare name would fit nothing, and nobody would be told
         self._taps: dict[str, Tap] = {}
         self._waiting: deque[tuple[float, Packet]] = deque(maxlen=WAITING)
         self._viewer = Viewer()

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from pancakes.packet import agent_of
 from pancakes.recording.entry import NANOSECONDS, Entry
+
+LEAST_SPAN_S: Final = 1.0
+"""A rate is told of packets that came over so long a time."""
 
 
 @dataclass
@@ -24,7 +27,8 @@ class Topic:
     def row(self) -> dict[str, Any]:
         """Returns it as plain values."""
         span_s = (self.last_ns - self.first_ns) / NANOSECONDS
-        rate_hz = (self.packets - 1) / span_s if self.packets > 1 and span_s > 0 else None
+        # Packets that came at once, and never again, have no rate.
+        rate_hz = (self.packets - 1) / span_s if self.packets > 1 and span_s >= LEAST_SPAN_S else None
         return {
             "agent": self.agent,
             "channel": self.channel,

@@ -63,7 +63,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     if findings.strange:
         notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
-    clock = "mission time" if virtual else "time since the recording began"
+    clock = "time since the recording began"  # also in virtual time: missions begin a little after their agents
     about = {
         "recording": ", ".join(file.name for file in reader.files),
         "agents": ", ".join(findings.agents),

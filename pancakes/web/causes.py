@@ -24,12 +24,12 @@ class Explaining:
     """Learns packets and explains commands. Times are seconds as they pass for whoever watches.
 
     Packets bear the mission time of their publisher. How that lies on the timeline is told by the packet of each agent
-    that was the least held up on its way here; so what happens inside an agent is exact, and what lies between two
-    agents is as exact as that.
+    that was the least held up on its way here, of all that were heard; so what happens inside an agent is exact, and
+    what lies between two agents is as exact as that.
     """
 
     def __init__(self, limit: int = REMEMBERED) -> None:
-        self._causes = Causes(limit)
+        self._heard: deque[tuple[str, Packet, float, float]] = deque(maxlen=limit)
         self._commands: dict[str, deque[tuple[str, int]]] = {}
         self._offsets: dict[str, float] = {}
 
@@ -48,10 +48,7 @@ class Explaining:
             self._offsets[source] = min(self._offsets.get(source, offset), offset)
         else:
             self._offsets.setdefault(source, offset)
-        published_s = self._offsets[source] + packet.stamp / speed
-        self._causes.add(Entry(round(published_s * NANOSECONDS), source, packet))
-        if source != agent:
-            self._causes.add(Entry(round(t * NANOSECONDS), agent, packet))
+        self._heard.append((agent, packet, t, packet.stamp / speed))
         if packet.channel == CTRL and source == agent and not isinstance(packet.body, Hold):
             self._commands.setdefault(agent, deque(maxlen=COMMANDS)).append((packet.source, packet.seq))
 
@@ -62,10 +59,9 @@ class Explaining:
         `travel_ms` (to the agent of the next step) and `handling_ms` (until the next was published). `alike`: of the
         commands with a chain of the same shape, `count`, and `p50_ms`, `p90_ms` and `max_ms` from end to end.
         """
+        causes = self._causes()
         chains = [
-            chain
-            for source, seq in self._commands.get(agent, ())
-            if (chain := self._causes.chain(source, seq)) is not None
+            chain for source, seq in self._commands.get(agent, ()) if (chain := causes.chain(source, seq)) is not None
         ]
         if not chains:
             return None
@@ -81,6 +77,16 @@ class Explaining:
                 "max_ms": _ms(alike.seconds[-1]),
             },
         }
+
+    def _causes(self) -> Causes:
+        """Only now: a packet that comes later may tell better how an agent's time lies on the timeline."""
+        causes = Causes(REMEMBERED)
+        for agent, packet, t, stamp_s in self._heard:
+            source = agent_of(packet.source)
+            causes.add(Entry(round((self._offsets[source] + stamp_s) * NANOSECONDS), source, packet))
+            if source != agent:
+                causes.add(Entry(round(t * NANOSECONDS), agent, packet))
+        return causes
 
 
 def _steps(chain: Chain) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from pancakes.devices.types import Load, Pose
 from pancakes.recording.description import TaskDescription
 from pancakes.recording.parts import Parts
 from pancakes.recording.reader import RecordingReader
-from pancakes.recording.summary import Summary
+from pancakes.recording.summary import Summary, Topic
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -191,6 +191,17 @@ def test_a_place_that_cannot_be_written_is_refused_with_the_reason(fleet, tmp_pa
     reply = agent.ask(Start(RECORDER, {"path": str(tmp_path / "file" / "r.mcap")}))
     assert "r.mcap cannot be written: File exists" in reply.reason
     assert "limit_mib: expected a number >= 0" in agent.ask(Start(RECORDER, {"limit_mib": -1})).reason
+    reason = agent.ask(Start(RECORDER, {"path": str(tmp_path / "r.mcap"), "task": "Count"})).reason
+    assert "'Count' is no task id: it must read birthplace/name" in reason
+    assert not (tmp_path / "r.mcap").exists()
+
+
+def test_packets_that_came_at_once_have_no_rate():
+    def topic(last_s):
+        return Topic("a", "sysctrl", "command", packets=3, first_ns=0, last_ns=round(last_s * 1e9)).row()
+
+    assert topic(0.001)["rate_hz"] is None
+    assert topic(1.0)["rate_hz"] == 2.0
 
 
 def test_the_table_record_starts_it_with_the_agent(fleet, tmp_path):

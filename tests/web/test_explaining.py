@@ -62,3 +62,27 @@ def test_a_safe_hold_is_no_command_and_who_was_not_commanded_has_no_chain():
 
     assert explaining.explain("a") is None
     assert explaining.explain("b") is None
+
+
+def test_the_steps_add_up_to_the_whole_though_whoever_watches_is_late():
+    explaining = Explaining()
+    # The first packets of both agents come 5 ms and 20 ms late, the next ones at once.
+    for number, late_s in ((1, 0.02), (2, 0.0)):
+        t = 10.0 + number
+        sent = packet("world/client/Capture", "system", "pose", POSE, stamp=t, seq=number)
+        explaining.hear("world", sent, t + late_s / 4, 1.0)
+        explaining.hear("a", sent, t + 0.008, 1.0)
+        cause = ("world/client/Capture", number)
+        read = packet("a/device/pose", "system", "pose", POSE, stamp=t + 0.002, seq=number, cause=cause)
+        explaining.hear("a", read, t + 0.002 + late_s, 1.0)
+        cause = ("a/device/pose", number)
+        steer = packet("a/client/T", "ctrl", "motors", Twist(0.1, 0.2), stamp=t + 0.003, seq=number, cause=cause)
+        explaining.hear("a", steer, t + 0.003 + late_s, 1.0)
+
+    found = explaining.explain("a")
+
+    assert found is not None
+    assert [step["at_ms"] for step in found["steps"]] == [0.0, 2.0, 3.0]
+    assert [step["travel_ms"] for step in found["steps"]] == [2.0, 0.0, 0.0]
+    assert [step["handling_ms"] for step in found["steps"]] == [0.0, 1.0, 0.0]
+    assert found["alike"] == {"count": 2, "p50_ms": 3.0, "p90_ms": 3.0, "max_ms": 3.0}

@@ -38,9 +38,11 @@ export class Events {
   }
 
   add(events) {
-    const last = this.events[this.events.length - 1];
+    const before = Math.max(0, this.events.length - 1);
     this.events.push(...events);
-    if (last && events.some((it) => it.t < last.t)) this.events.sort((a, b) => a.t - b.t || a.n - b.n);
+    // What was before the page came is told agent by agent.
+    const disorder = this.events.some((it, index) => index > before && it.t < this.events[index - 1].t);
+    if (disorder) this.events.sort((a, b) => a.t - b.t || a.n - b.n);
     if (this.events.length > 4000) this.events.splice(0, this.events.length - 4000);
     this.stale = true;
   }

@@ -25,7 +25,7 @@ function chain(steps, whole) {
     if (index < steps.length - 1) {
       const took = step.travel_ms + step.handling_ms;
       const bar = h("span.bar");
-      bar.style.width = `${Math.max(1, (100 * took) / Math.max(whole, 1e-6)).toFixed(1)}%`;
+      bar.style.width = `${Math.min(100, Math.max(1, (100 * took) / Math.max(whole, 1e-6))).toFixed(1)}%`;
       const travel = step.travel_ms > 0.005 ? `${step.travel_ms.toFixed(2)} ms on its way, ` : "";
       row.append(h("div.took", {}, bar, h("span.figure", {}, `${travel}${step.handling_ms.toFixed(2)} ms until the next`)));
     }
