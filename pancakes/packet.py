@@ -172,6 +172,21 @@ def body_from_plain(name: str, plain: Any) -> Any:
         raise RemoteProtocolError(f"a packet of the type {name!r} has a bad body: {error}") from None
 
 
+def body_to_plain(body: Any) -> Any:
+    """Returns a body, or a part of one, as mappings, lists (or tuples), strings and numbers; arrays become lists.
+
+    Raises:
+        TypeError: it holds what no packet may hold.
+    """
+    return msgspec.to_builtins(body, enc_hook=_plain_array, str_keys=True)
+
+
+def _plain_array(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # numpy's arrays and numbers
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__} is no plain value")
+
+
 def join(agent: str, service: str = "", task: str = "") -> str:
     """Returns the address of an agent, one of its services, or a task."""
     return "/".join(part for part in (agent, service, task) if part)

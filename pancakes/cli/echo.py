@@ -11,10 +11,10 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, listen, telling_losses
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
-from pancakes.cli.streaming import Printer, count_option, for_option, one_line, plain, say, until_ended
+from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say, until_ended
 from pancakes.client import Client
 from pancakes.client.following import Following, Heard
-from pancakes.packet import body_class, field_names
+from pancakes.packet import body_class, body_to_plain, field_names
 from pancakes.suggestion import suggestion
 
 WIDE: Final = 100
@@ -111,7 +111,7 @@ def record_of(heard: Heard) -> dict[str, Any]:
         "stamp": packet.stamp,
         "seq": packet.seq,
         "cause": list(packet.cause) if packet.cause is not None else None,
-        "body": plain(packet.body),
+        "body": body_to_plain(packet.body),
     }
 
 

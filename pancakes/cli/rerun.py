@@ -172,7 +172,8 @@ def _notes(stay: Stay) -> list[str]:
 
 
 def _plain(difference: Difference) -> dict[str, Any]:
-    from pancakes.replay.comparison import DIFFERENT, key_of, plain
+    from pancakes.packet import body_to_plain
+    from pancakes.replay.comparison import DIFFERENT, key_of
 
     packet = difference.packet
     return {
@@ -182,7 +183,7 @@ def _plain(difference: Difference) -> dict[str, Any]:
         "seq": packet.seq,
         "cause": list(packet.cause) if packet.cause is not None else None,
         "fields": [it._asdict() for it in difference.fields],
-        "body": None if difference.kind == DIFFERENT else plain(packet.body),
+        "body": None if difference.kind == DIFFERENT else body_to_plain(packet.body),
     }
 
 
@@ -208,12 +209,13 @@ def _print(stay: Stay, row: dict[str, Any], comparison: Comparison, most: int) -
 
 
 def _lines(difference: Difference) -> list[str]:
-    from pancakes.replay.comparison import DIFFERENT, key_of, plain
+    from pancakes.packet import body_to_plain
+    from pancakes.replay.comparison import DIFFERENT, key_of
 
     packet = difference.packet
     head = f"{packet.stamp:9.3f} s  {_named(key_of(packet))}"
     if difference.kind != DIFFERENT:
-        return [f"{head}: {difference.kind}: {_short(plain(packet.body))}"]
+        return [f"{head}: {difference.kind}: {_short(body_to_plain(packet.body))}"]
     return [f"{head}: {it.field} was {_short(it.recorded)}, is {_short(it.now)}" for it in difference.fields]
 
 

@@ -13,6 +13,7 @@ import click
 import msgspec
 
 from pancakes.cli.options import Duration
+from pancakes.packet import body_to_plain
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -20,20 +21,9 @@ STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else 
 """How all these verbs print JSON; for their help."""
 
 
-def plain(value: Any) -> Any:
-    """Returns a value, such as a packet's body, as JSON knows it: mappings, lists (or tuples), strings, numbers."""
-    return msgspec.to_builtins(value, enc_hook=_plain_array, str_keys=True)
-
-
 def one_line(value: Any) -> str:
     """Returns a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
-    return msgspec.json.encode(value, enc_hook=_plain_array).decode()
-
-
-def _plain_array(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy's arrays and numbers
-        return value.tolist()
-    raise NotImplementedError(f"{type(value).__name__} cannot be shown as JSON")
+    return msgspec.json.encode(body_to_plain(value)).decode()
 
 
 class Printer:

@@ -7,7 +7,6 @@ import random
 import shutil
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,6 +15,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.agent import Agent
+from pancakes.clock import MonotonicClock
 from pancakes.config import Config, parse
 from pancakes.demo.conductor import Conductor, Mission
 from pancakes.demo.demo import Run
@@ -25,6 +25,9 @@ from pancakes.fleet import VirtualFleet
 from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
+
+HOST = MonotonicClock()
+"""Processes live in the host's time, whatever the mission's clock does."""
 
 READY_S = 30.0
 """How long, in host time, the agents have to become ready."""
@@ -118,7 +121,7 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         PancakesError: the agents did not become ready.
     """
     processes = Processes(plan)
-    began_s = time.monotonic()
+    began_s = HOST.now()
     launcher: Launcher | None = None
     try:
         processes.start()
@@ -132,12 +135,12 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
             if gone:
                 launcher.end(gone)
             if mission.phase == "running" and running_s is None:
-                running_s = time.monotonic()
-            if mission.phase == "connecting" and time.monotonic() - began_s > READY_S:
+                running_s = HOST.now()
+            if mission.phase == "connecting" and HOST.now() - began_s > READY_S:
                 waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
                 raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
         _settle(mission)
-        ended_s = time.monotonic()
+        ended_s = HOST.now()
     finally:
         processes.stop()
         if launcher is not None:
@@ -198,7 +201,7 @@ def run_virtual(
     Raises:
         PancakesError: the agents did not become ready.
     """
-    began_s = time.monotonic()
+    began_s = HOST.now()
     fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
     for address in plan.buses():
         fleet.network.exempt(address)
@@ -211,14 +214,14 @@ def run_virtual(
         if not _run_while(fleet, lambda: mission.phase == "connecting" and not interrupted.is_set(), READY_S, onlooker):
             waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
             raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
-        running_s = time.monotonic()
+        running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
         at_most_s = plan.duration_s * 2 + READY_S
         _run_while(fleet, lambda: mission.phase != "over" and not interrupted.is_set(), at_most_s, onlooker)
         if interrupted.is_set():
             _settle(mission)
-        ended_s = time.monotonic()
+        ended_s = HOST.now()
     finally:
         if onlooker is not None:
             onlooker.end()

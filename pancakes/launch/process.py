@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import IO
+
+from pancakes.clock import MonotonicClock
+
+HOST = MonotonicClock()
+"""Processes live in the host's time, whatever the mission's clock does."""
 
 
 def start_agent(
@@ -47,10 +51,10 @@ def end_all(processes: Iterable[subprocess.Popen[bytes]], within_s: float) -> No
     running = [process for process in processes if process.poll() is None]
     for process in running:
         process.terminate()
-    deadline_s = time.monotonic() + within_s
+    deadline_s = HOST.now() + within_s
     for process in running:
         try:
-            process.wait(max(0.0, deadline_s - time.monotonic()))
+            process.wait(max(0.0, deadline_s - HOST.now()))
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -7,9 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-import msgspec
-
-from pancakes.packet import Packet
+from pancakes.packet import Packet, body_to_plain
 
 DIFFERENT: Final = "different"
 MISSING: Final = "missing"
@@ -195,18 +193,7 @@ def _by_time(before: Sequence[Packet], after: Sequence[Packet], time_s: float) -
 def _differences(recorded: Packet, now: Packet, tolerance: Tolerance) -> Iterator[FieldDifference]:
     if abs(recorded.stamp - now.stamp) > tolerance.time_s:
         yield FieldDifference(STAMP, recorded.stamp, now.stamp)
-    yield from _walk(plain(recorded.body), plain(now.body), "", tolerance.share)
-
-
-def plain(body: Any) -> Any:
-    """Returns a packet's body as mappings, lists and scalars."""
-    return msgspec.to_builtins(body, enc_hook=_plain_array, str_keys=True)
-
-
-def _plain_array(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy's arrays and numbers
-        return value.tolist()
-    raise NotImplementedError(f"a {type(value).__name__} is no plain value")
+    yield from _walk(body_to_plain(recorded.body), body_to_plain(now.body), "", tolerance.share)
 
 
 def _walk(recorded: Any, now: Any, path: str, share: float) -> Iterator[FieldDifference]:

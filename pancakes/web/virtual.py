@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Mapping
 from typing import Any, Final
 
 from pancakes.agent import Agent
 from pancakes.client.looks import Looks
+from pancakes.clock import MonotonicClock
 from pancakes.fleet import VirtualFleet
 from pancakes.kernel.component import Component
 from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
@@ -18,6 +18,9 @@ from pancakes.services.root import Root
 from pancakes.web.causes import Explaining
 from pancakes.web.feed import Feed
 from pancakes.web.watch import DETAIL_S, FOLLOWED, POSES
+
+HOST = MonotonicClock()
+"""Processes live in the host's time, whatever the mission's clock does."""
 
 LOOK_S: Final = 1.0
 """So often, in mission time, it looks what the agents are and run."""
@@ -42,7 +45,7 @@ class VirtualWatch:
         self._stopping = stopping
         self._fleet: VirtualFleet | None = None
         self._time_s = 0.0
-        self._began_s = time.monotonic()
+        self._began_s = HOST.now()
         self._over = False
         self._looks = Looks()
         self._looked_s = -LOOK_S
@@ -66,7 +69,7 @@ class VirtualWatch:
         self._time_s = self._fleet.now()
         self._look()
         self.feed.record()
-        self._stopping.wait(max(0.0, self._began_s + self._now() - time.monotonic()))
+        self._stopping.wait(max(0.0, self._began_s + self._now() - HOST.now()))
 
     def end(self) -> None:
         """Looks no more: that agents stop once a mission is over is no part of it."""

@@ -112,10 +112,10 @@ class UdpBench(Bench):
         return self._socket.recv(count)
 
     def unplug(self) -> None:
-        raise NotImplementedError
+        raise AssertionError("a UDP port cannot be unplugged: nobody would notice")
 
     def plug(self) -> None:
-        raise NotImplementedError
+        raise AssertionError("a UDP port cannot be unplugged: nobody would notice")
 
 
 class VirtualBench(Bench):
