@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from pancakes_sensor_field.frame import LENGTH, MOTION, PERIOD, SYNC, TEMPERATURE, Decoder, Frame, encode
 
@@ -69,9 +69,23 @@ def test_one_wrong_bit_never_makes_another_frame_and_the_next_one_is_heard(
 
 @given(frames, st.integers(1, LENGTH - 1), frames)
 def test_a_frame_that_breaks_off_costs_no_other(broken: Frame, cut: int, good: Frame) -> None:
+    line = encode(broken)[:cut] + encode(good)
+    # Where the sync byte of the next frame happens to be the byte that is missing, nobody can tell the two apart.
+    assume(not any(is_frame(line[start : start + LENGTH]) for start in range(cut)))
     decoder = Decoder()
-    assert decoder.feed(encode(broken)[:cut]) == []
-    assert decoder.feed(encode(good)) + decoder.feed(bytes(LENGTH)) == [good]
+    assert decoder.feed(line[:cut]) == []
+    assert decoder.feed(line[cut:]) + decoder.feed(bytes(LENGTH)) == [good]
+
+
+def is_frame(data: bytes) -> bool:
+    return data[0] == SYNC and crc_as_a_node_in_c_would(data[1:6]) == int.from_bytes(data[6:8], "big")
+
+
+def test_a_frame_whose_missing_byte_is_the_next_sync_byte_is_taken_for_whole_and_the_one_after_is_heard() -> None:
+    broken = Frame(33, 98, 185, -32768)
+    assert encode(broken)[-1] == SYNC
+    good = Frame(1, 0, 0, 0)
+    assert Decoder().feed(encode(broken)[:-1] + 2 * encode(good)) == [broken, good]
 
 
 @given(st.binary(max_size=200))

@@ -70,7 +70,8 @@ class Decoder:
     """Finds the frames in a stream of bytes, in which others may lie and some may be wrong.
 
     After anything that is no frame it looks for the next sync byte, also among the bytes that it took for a frame: so
-    it never loses a good frame that lies in one piece behind the bad one.
+    it does not lose a good frame that lies in one piece behind the bad one, unless the good one's first bytes happen to
+    be those that the bad one lacks.
 
     Attributes:
         frames: how many frames it has found.
