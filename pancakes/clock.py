@@ -60,6 +60,8 @@ class MissionClock:
         held: whether it waits at 0 for `begin`; otherwise it runs from its making on.
     """
 
+    __slots__ = ("_host_now", "_origin_s", "speed")  # every packet asks for the time
+
     def __init__(self, host: Clock, speed: float = 1.0, held: bool = False) -> None:
         if not (speed > 0 and math.isfinite(speed)):
             raise ValueError(f"a mission clock cannot run at {speed} times the host clock")

@@ -69,7 +69,7 @@ class Service(Supervisor):
         slot = self.slots.get(command.task) if command.task else None
         if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
-            slot.commands.append(lambda: self._begin_command(command, request))
+            slot.commands = (*slot.commands, lambda: self._begin_command(command, request))
             return
         self._begin_command(command, request)
 
@@ -80,9 +80,14 @@ class Service(Supervisor):
         except (PancakesError, ValueError) as error:
             self.reply(request, str(error))
 
+    def go_on(self, slot: Slot) -> None:
+        self.call(lambda: self._next_command(slot))
+
     def _next_command(self, slot: Slot) -> None:
         while slot.commands and not slot.busy:
-            slot.commands.popleft()()
+            following, *later = slot.commands
+            slot.commands = tuple(later)
+            following()
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
@@ -116,7 +121,7 @@ class Service(Supervisor):
     def _answer_all(self, reason: str) -> None:
         """Tells everybody who still waits for an answer that there will be none, as the service ends."""
         for slot in self.slots.values():
-            slot.commands.clear()
+            slot.commands = ()
         for request in list(self._unanswered.values()):
             self.reply(request, reason)
 
@@ -211,7 +216,7 @@ class Service(Supervisor):
             answered = True
             self.reply(request, reason)
             slot.busy = False
-            self.call(lambda: self._next_command(slot))
+            self.go_on(slot)
 
         return answer
 
@@ -265,19 +270,10 @@ class Service(Supervisor):
 
     def _describe_asked(self, slot: Slot, body: Describe, request: Request) -> None:
         detail = self.describe_in_detail(slot)
-        if not body.state:
+        if body.state:
+            self.in_task(slot, request, "", lambda task: with_state(detail, task))
+        else:
             self.reply(request, result=detail)
-            return
-
-        def look(task: Task) -> dict[str, Any]:
-            try:
-                carried = task.carry()
-            except Exception as error:  # what a task keeps in its state may be anything
-                raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
-            now = {"host_s": task.kernel.host.now(), "mission_s": task.now(), "began": task.began()}
-            return {**detail, **now, "settings": carried.settings, "state": carried.state}
-
-        self.in_task(slot, request, "", look)
 
     def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
         """Makes a change in a running task's own actor, then tells `log` and whoever asked.
@@ -298,6 +294,9 @@ class Service(Supervisor):
         def refuse(reason: str) -> None:
             self.reply(request, reason)
 
+        def no_longer_lost() -> None:
+            slot.on_lost = tuple(tell for tell in slot.on_lost if tell is not refuse)
+
         def make() -> None:
             try:
                 told = change(task)
@@ -308,14 +307,14 @@ class Service(Supervisor):
             self.call(lambda: done(told))
 
         def told_off(reason: str) -> None:
-            slot.on_lost.remove(refuse)
+            no_longer_lost()
             refuse(reason)
 
         def done(told: dict[str, Any]) -> None:
-            slot.on_lost.remove(refuse)
+            no_longer_lost()
             self._changed(slot, request, kind, told)
 
-        slot.on_lost.append(refuse)
+        slot.on_lost = (*slot.on_lost, refuse)
         task.call(make)
 
     def _changed(self, slot: Slot, request: Request, kind: str, told: dict[str, Any]) -> None:
@@ -325,6 +324,20 @@ class Service(Supervisor):
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
+
+
+def with_state(detail: Mapping[str, Any], task: Task) -> dict[str, Any]:
+    """Returns what `describe_in_detail` says of a task, and its state as it is now. In the task's actor.
+
+    Raises:
+        ControlRefused: what it keeps in its state cannot be written down.
+    """
+    try:
+        carried = task.carry()
+    except Exception as error:  # what a task keeps in its state may be anything
+        raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
+    now = {"host_s": task.kernel.host.now(), "mission_s": task.now(), "began": task.began()}
+    return {**detail, **now, "settings": carried.settings, "state": carried.state}
 
 
 def _request(command: Command) -> Request:

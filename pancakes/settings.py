@@ -13,6 +13,7 @@ import math
 import re
 import types
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -103,10 +104,33 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     Raises:
         SettingsError: they do not fit; it names every mistake.
     """
+    if _is_simple(cls, settings, allow_nan):
+        try:
+            return msgspec.convert(settings, cls) if settings else cls()
+        except (TypeError, ValueError):
+            pass  # the walk says what is wrong, and where
     problems = check_settings(cls, settings, allow_nan)
     if problems:
         raise SettingsError(_owner(cls), problems)
     return msgspec.convert(settings, cls)
+
+
+def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
+    """Returns whether msgspec alone knows whether settings are good: no tables or lists, no key that is not there.
+
+    Nearly all settings are like that, and a walk through them takes ten times as long (60 µs of the 75 that a task of
+    ten thousand may take to start).
+    """
+    if _fault_of_class(cls):
+        return False
+    known = known_keys(cls)
+    for key, value in settings.items():
+        kind = type(value)
+        if key not in known or not (kind is str or kind is int or kind is bool or kind is float):
+            return False
+        if kind is float and not allow_nan and not math.isfinite(value):
+            return False
+    return True
 
 
 def change_settings(settings: _T, changes: Mapping[str, Any]) -> _T:
@@ -135,8 +159,14 @@ def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
     """Suggests a key that is set already: whoever changes settings means one of those."""
     if problem.text != UNKNOWN_KEY or problem.suggestion or len(problem.path) != 1:
         return problem
-    keys = [field.name for field in dataclasses.fields(cls) if field.init and field.name not in changes]
+    keys = [name for name in known_keys(cls) if name not in changes]
     return msgspec.structs.replace(problem, suggestion=suggestion(str(problem.path[0]), keys))
+
+
+@cache
+def known_keys(cls: type) -> tuple[str, ...]:
+    """Returns the keys of a dataclass, in their order."""
+    return tuple(field.name for field in dataclasses.fields(cls) if field.init)
 
 
 def required_keys(cls: type) -> list[str]:
@@ -153,6 +183,7 @@ def _owner(cls: type) -> str:
     return cls.__qualname__.rpartition("<locals>.")[2].removesuffix(".Settings")
 
 
+@cache
 def _fault_of_class(cls: type) -> str:
     if not dataclasses.is_dataclass(cls):
         return f"{_owner(cls)} has Settings that are no dataclass: decorate them with @dataclass"
@@ -207,8 +238,8 @@ def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Probl
 
 
 def _fields(cls: type, value: Mapping[Any, Any], path: tuple[str | int, ...]) -> Iterator[Problem]:
-    hints = get_type_hints(cls, include_extras=True)
-    known = [field.name for field in dataclasses.fields(cls) if field.init]
+    hints = _hints(cls)
+    known = known_keys(cls)
     for key, item in value.items():
         if key in known:
             yield from _walk(hints[key], item, (*path, key))
@@ -217,6 +248,11 @@ def _fields(cls: type, value: Mapping[Any, Any], path: tuple[str | int, ...]) ->
     for key in required_keys(cls):
         if key not in value:
             yield Problem((*path, key), "is missing")
+
+
+@cache
+def _hints(cls: type) -> Mapping[str, Any]:
+    return get_type_hints(cls, include_extras=True)
 
 
 def _container(kind: Any, value: Any) -> Any:

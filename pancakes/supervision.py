@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
@@ -34,9 +33,11 @@ class Next(Enum):
 class Supervision:
     """The memory that a restart policy needs, for one task."""
 
+    __slots__ = ("_restarts_s", "spec")
+
     def __init__(self, spec: RestartSpec) -> None:
         self.spec = spec
-        self._restarts_s: deque[float] = deque()
+        self._restarts_s: tuple[float, ...] = ()
 
     def ended(self, failed: bool, now_s: float) -> Next:
         """Decides what follows an end that nobody asked for.
@@ -48,13 +49,12 @@ class Supervision:
         policy = self.spec.policy
         if policy == "temporary" or (policy == "transient" and not failed):
             return Next.GIVE_UP if failed else Next.REST
-        while self._restarts_s and self._restarts_s[0] <= now_s - self.spec.within_s:
-            self._restarts_s.popleft()
+        self._restarts_s = tuple(time_s for time_s in self._restarts_s if time_s > now_s - self.spec.within_s)
         if len(self._restarts_s) >= self.spec.at_most:
             return Next.GIVE_UP
-        self._restarts_s.append(now_s)
+        self._restarts_s = (*self._restarts_s, now_s)
         return Next.RESTART
 
     def forget(self) -> None:
         """Begins anew: somebody asked for a start."""
-        self._restarts_s.clear()
+        self._restarts_s = ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,6 +31,9 @@ STUCK_AT_THE_END_S = 0.4
 """Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
 
 
+STARTED_AT_ONCE = 64
+
+
 class Supervisor(Component):
     """Keeps a registry of tasks, starts and stops them, and stands by them (paper §3.3, duties 1 and 2).
 
@@ -41,6 +45,8 @@ class Supervisor(Component):
     """
 
     Settings: ClassVar[type] = Nothing
+    started_at_once: ClassVar[int] = STARTED_AT_ONCE
+    """So many of its tasks it starts in one turn."""
 
     settings: Any
 
@@ -62,6 +68,9 @@ class Supervisor(Component):
         self._kept = kept
         self._unsettled: set[str] = set()
         self._told_ready = False
+        # Made once: all tasks are given the same.
+        self._hear_start = self._start_heard
+        self._hear_end = self._end_heard
         self.closing = False
         self.slots: dict[str, Slot] = {}
         self.stopped_for_s: float | None = None
@@ -141,7 +150,7 @@ class Supervisor(Component):
         slot.incarnation += 1
         slot.reason = ""
         if then is not None:
-            slot.on_running.append(then)
+            slot.on_running = (*slot.on_running, then)
         try:
             component = self.kernel.spawn(
                 slot.spec.cls,
@@ -150,8 +159,8 @@ class Supervisor(Component):
                 carried=carried,
                 rate_hz=slot.spec.rate_hz,
                 fence=slot.fence,
-                started=lambda task: self.call(lambda: self._task_started(slot, task)),
-                exited=lambda task, error: self._hear_end(slot, task, error),
+                started=self._hear_start,
+                exited=self._hear_end,
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
@@ -184,18 +193,18 @@ class Supervisor(Component):
                 then()
             return
         if then is not None:
-            slot.on_ended.append(then)
+            slot.on_ended = (*slot.on_ended, then)
         if slot.state is TaskState.RESTARTING:
             self._rest(slot, reason)
             return
         if slot.state in (TaskState.STOPPING, TaskState.STUCK):
             return
         if stuck is not None:
-            slot.on_stuck.append(stuck)
+            slot.on_stuck = (*slot.on_stuck, stuck)
         slot.state = TaskState.STOPPING
         slot.reason = reason
         task = slot.task
-        if task is not None and task.actor_ref.is_alive():
+        if task is not None and not task.actor_stopped.is_set():
             task.stop()
             self.after_host(STUCK_S, lambda: self._look_for_end(slot, task))
 
@@ -209,7 +218,7 @@ class Supervisor(Component):
         text = f"{slot.address} is stuck: it was asked to stop and is still busy"
         self.log("error", text)
         self.event("task_stuck", task=slot.name)
-        waiting, slot.on_stuck = slot.on_stuck, []
+        waiting, slot.on_stuck = slot.on_stuck, ()
         for stuck in waiting:
             stuck(text)
 
@@ -332,11 +341,32 @@ class Supervisor(Component):
             if self.wants(slot):
                 self._unsettled.add(slot.name)
         self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
-        for slot in list(self.slots.values()):
-            if slot.name in self._unsettled:
-                self.start_configured(slot)
+        wanted = [slot for slot in self.slots.values() if slot.name in self._unsettled]
+        for slot in wanted:
+            slot.busy = True
+        self._start_some(iter(wanted))
         if not self._unsettled and not self._told_ready:
             self._tell_ready()
+
+    def _start_some(self, wanted: Iterator[Slot]) -> None:
+        """Starts the next few of many tasks; the others follow in turns of their own.
+
+        In one turn ten thousand would hold a thread of the pool for half a second, and fight with those that run
+        already for the interpreter: all then takes a third longer. What is asked of a task meanwhile waits.
+        """
+        some = list(islice(wanted, self.started_at_once))
+        for slot in some:
+            slot.busy = False
+            if self.closing:
+                continue
+            self.start_configured(slot)
+            if slot.commands:
+                self.go_on(slot)
+        if len(some) == self.started_at_once:
+            self.call(lambda: self._start_some(wanted))
+
+    def go_on(self, slot: Slot) -> None:
+        """For subclasses: what was asked of a task while it was busy may be carried out now."""
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         """Gives a task that has not started yet what it carried before the service was stopped.
@@ -371,11 +401,16 @@ class Supervisor(Component):
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         # As OTP does: the tasks of a service that failed end with it, and begin anew with its successor.
         for slot in self.slots.values():
-            if slot.task is not None and slot.task.actor_ref.is_alive():
+            if slot.task is not None and not slot.task.actor_stopped.is_set():
                 slot.task.stop()
 
-    def _task_started(self, slot: Slot, task: Task) -> None:
-        if slot.task is not task or slot.state is not TaskState.STARTING:
+    def _start_heard(self, task: Task) -> None:
+        """A task runs (in its thread)."""
+        self.call(lambda: self._task_started(task))
+
+    def _task_started(self, task: Task) -> None:
+        slot = self.slots.get(task.name)
+        if slot is None or slot.task is not task or slot.state is not TaskState.STARTING:
             return
         slot.state = TaskState.RUNNING
         self.event(
@@ -388,7 +423,7 @@ class Supervisor(Component):
         )
         self.settle(slot)
         self.task_running(slot)
-        waiting, slot.on_running = slot.on_running, []
+        waiting, slot.on_running = slot.on_running, ()
         for then in waiting:
             then("")
 
@@ -398,25 +433,26 @@ class Supervisor(Component):
     def task_ended(self, slot: Slot) -> None:
         """For subclasses: a task has ended, and what it carried last is in the slot."""
 
-    def _hear_end(self, slot: Slot, task: Component, error: BaseException | None) -> None:
+    def _end_heard(self, task: Component, error: BaseException | None) -> None:
         """A task's actor has ended (in that actor's thread)."""
         if self.actor_stopped.is_set():
-            self.kernel.stream.unsubscribe(slot.address)
-            self.kernel.registry.release(slot.address)
+            self.kernel.stream.unsubscribe(task.address)
+            self.kernel.registry.release(task.address)
             return
-        self.call(lambda: self._task_ended(slot, task, error))
+        self.call(lambda: self._task_ended(task, error))
 
-    def _task_ended(self, slot: Slot, task: Component, error: BaseException | None) -> None:
-        if slot.task is not task:
+    def _task_ended(self, task: Component, error: BaseException | None) -> None:
+        slot = self.slots.get(task.name)
+        if slot is None or slot.task is not task:
             return
         assert isinstance(task, Task)
         slot.task = None
         slot.carried = task.last or slot.carried
-        lost, slot.on_lost = slot.on_lost, []
+        lost, slot.on_lost = slot.on_lost, ()
         for tell in lost:
             tell(f"{slot.address} ended before it had done so" + (f": {describe(error)}" if error is not None else ""))
         asked = slot.state in (TaskState.STOPPING, TaskState.STUCK)
-        slot.on_stuck = []
+        slot.on_stuck = ()
         if error is not None and not asked:
             text = str(error) if isinstance(error, PancakesError) else describe(error)
             self._task_failed(slot, text)
@@ -438,7 +474,7 @@ class Supervisor(Component):
         restart = following is Next.RESTART and not self.closing
         if restart:
             slot.state = TaskState.RESTARTING
-        waiting, slot.on_running = slot.on_running, []
+        waiting, slot.on_running = slot.on_running, ()
         if failed:
             self.event("task_failed", task=slot.name, error=text, then=following.value)
         for then in waiting:
@@ -475,12 +511,12 @@ class Supervisor(Component):
         slot.state = TaskState.STOPPED
         self._let_go(slot)
         self.event("task_stopped", task=slot.name, service=self.name, reason=reason)
-        unstarted, slot.on_running = slot.on_running, []
+        unstarted, slot.on_running = slot.on_running, ()
         for then_not in unstarted:
             then_not(f"{slot.address} was stopped before it ran: {reason}")
         self.settle(slot)
         self.task_ended(slot)
-        waiting, slot.on_ended = slot.on_ended, []
+        waiting, slot.on_ended = slot.on_ended, ()
         for then in waiting:
             then()
 

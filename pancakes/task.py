@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
@@ -44,6 +46,28 @@ class Nothing:
     """Settings or state of a task that has none."""
 
 
+_LEAVES = frozenset((str, int, float, bool, type(None)))
+
+
+@cache
+def _field_names(cls: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(cls))
+
+
+def _plain(record: Any) -> dict[str, Any]:
+    """Returns settings or state as plain values."""
+    values = {name: getattr(record, name) for name in _field_names(record.__class__)}
+    if _LEAVES.issuperset(map(type, values.values())):
+        return values  # as nearly all are; every task's is looked at once in a second
+    # By way of `asdict`: msgspec leaves out what was never assigned, and another version may have other defaults.
+    plain: dict[str, Any] = msgspec.to_builtins(asdict(record))
+    return plain
+
+
+_NONE: Final[Mapping[str, Any]] = MappingProxyType({})
+"""One empty table for all that have none."""
+
+
 class TaskSpec(msgspec.Struct, frozen=True):
     """All that a service needs to start a task, as data.
 
@@ -65,13 +89,13 @@ class TaskSpec(msgspec.Struct, frozen=True):
     cls: type[Task]
     type: str = ""
     version: str = ""
-    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    settings: Mapping[str, Any] = _NONE
     rate_hz: float | None = None
     start: bool = True
     restart: RestartSpec = RestartSpec()
     durability: str = "lazy"
     rule: MigrationRule | None = None
-    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    arguments: Mapping[str, Any] = _NONE
 
 
 class Carried(msgspec.Struct, frozen=True):
@@ -86,8 +110,8 @@ class Carried(msgspec.Struct, frozen=True):
 
     settings: Mapping[str, Any]
     state: Mapping[str, Any]
-    periods_s: Mapping[str, float] = msgspec.field(default_factory=dict)
-    heard: Mapping[str, int] = msgspec.field(default_factory=dict)
+    periods_s: Mapping[str, float] = _NONE
+    heard: Mapping[str, int] = _NONE
 
 
 class Task(Component):
@@ -121,19 +145,20 @@ class Task(Component):
         handled: Callable[[Task], None] | None = None,
     ) -> None:
         super().__init__(kernel, address, mailbox)
-        carried = carried or Carried({}, {})
+        carried = carried or Carried(_NONE, _NONE)
         self.settings = make_settings(self.Settings, carried.settings)
         self.state = make_settings(self.State, carried.state, allow_nan=True)
-        self.__periods_s = carried.periods_s
         self.__heard = Incoming(carried.heard)
         self.__rate_hz = rate_hz
         self.fence = fence
         self.__on_started = started
-        self.__on_handled = handled
+        if handled is not None:
+            self.after_turn = lambda: handled(self)
         # A copy: what the state has lists in may share them.
         self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
         self.__carried = carried
         self.__began_s = (0.0, 0.0)
+        self.__settings_written: tuple[Any, Mapping[str, Any]] = (None, {})
         self.last: Carried | None = None
 
     def on_settings(self) -> None:
@@ -154,15 +179,10 @@ class Task(Component):
         self.publish(SYSCTRL, Migrate(f"{service}/{self.name}", to=to, then=then, cost=cost))
 
     def initial_period_s(self, method: str, period_s: float) -> float:
-        carried_s = self.__periods_s.get(method)
+        carried_s = self.__carried.periods_s.get(method)
         if carried_s is not None:
             return checked_period(carried_s)  # it may come from another agent
         return period_of(self.__rate_hz) if self.__rate_hz is not None and not self.timers else period_s
-
-    def take_turn(self, slice_s: float | None) -> None:
-        super().take_turn(slice_s)
-        if self.__on_handled is not None:
-            self.__on_handled(self)
 
     def before_start(self) -> None:
         super().before_start()
@@ -202,13 +222,20 @@ class Task(Component):
 
     def carry(self) -> Carried:
         """Returns what the task would carry to another actor now, as plain values. In the actor."""
-        # By way of `asdict`: msgspec leaves out what was never assigned, and another version may have other defaults.
         return Carried(
-            msgspec.to_builtins(asdict(self.settings)),
-            msgspec.to_builtins(asdict(self.state)),
+            self.__plain_settings(),
+            _plain(self.state),
             {name: timer.period_s for name, timer in self.timers.items()},
             self.__heard.heard(),
         )
+
+    def __plain_settings(self) -> Mapping[str, Any]:
+        # They are replaced as a whole where they are changed: so they are written down once, and not each second.
+        settings, plain = self.__settings_written
+        if settings is not self.settings:
+            settings, plain = self.settings, _plain(self.settings)
+            self.__settings_written = (settings, plain)
+        return plain
 
     def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None) -> bool:
         """Handles a packet addressed to this task wherever it is, if it is the next of its stream. In the actor.

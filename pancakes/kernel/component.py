@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import sys
 from collections.abc import Callable
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import pykka
@@ -14,9 +14,11 @@ from pykka.messages import _ActorStop
 
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import Event, LogLine
-from pancakes.kernel.handlers import Period, Subscription, Tick, period_of, periods_of, subscriptions_of
+from pancakes.kernel.handlers import Period, Subscription, period_of
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
-from pancakes.packet import LOG, Cause, Fence, Packet, covers, type_name
+from pancakes.kernel.plan import NO_HANDLERS, Handlers, plan_of
+from pancakes.kernel.task_timer import TaskTimer
+from pancakes.packet import LOG, Cause, Fence, Packet, type_name
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -25,104 +27,28 @@ if TYPE_CHECKING:
     from pancakes.kernel.timer import OneShot
 
 SLICE_CHECK = 16
-"""After how many packets a turn looks whether its time is up."""
+"""After how many packets, at the most, a turn looks whether its time is up: after 1, 2, 4, 8, 16, and each 16 more. So
+a slow handler's turn takes twice its time at the most, and a quick one's hardly asks.
+"""
 
 
 class Flag:
     """What pykka uses of a `threading.Event`, at a tenth of its cost: most actors' ends are awaited by nobody."""
 
-    __slots__ = ("_flag",)
+    __slots__ = ("on",)
 
     def __init__(self) -> None:
-        self._flag = False
+        self.on = False
 
     def is_set(self) -> bool:
-        return self._flag
+        return self.on
 
     def set(self) -> None:
-        self._flag = True
+        self.on = True
 
 
-class TaskTimer:
-    """One time-driven method of one component: what stands between the timer's thread and the actor."""
-
-    __slots__ = (
-        "_deadline_s",
-        "_handler",
-        "component",
-        "lateness_max_s",
-        "lateness_sum_s",
-        "method",
-        "missed",
-        "missed_total",
-        "pending",
-        "period_s",
-        "ticks",
-    )
-
-    def __init__(self, component: Component, method: str, period: Period) -> None:
-        self.component = component
-        self.method = method
-        self.period_s = period.period_s
-        self._handler = getattr(component, method)
-        self._deadline_s = 0.0
-        self.pending = False
-        self.missed = 0
-        self.missed_total = 0
-        self.ticks = 0
-        self.lateness_sum_s = 0.0
-        self.lateness_max_s = 0.0
-
-    @property
-    def rate_hz(self) -> float:
-        """Ticks for each second of mission time."""
-        return 1.0 / self.period_s
-
-    def describe(self) -> dict[str, Any]:
-        """Returns what is to be known about it, as plain values. Any thread."""
-        return {
-            "timer": self.method,
-            "rate_hz": self.rate_hz,
-            "ticks": self.ticks,
-            "missed": self.missed_total,
-            "lateness_mean_s": self.lateness_sum_s / self.ticks if self.ticks else 0.0,
-            "lateness_max_s": self.lateness_max_s,
-        }
-
-    def fire(self, deadline_s: float, missed: int) -> None:
-        """A deadline has come (the timer's thread). A tick that still waits is replaced, never joined by another."""
-        if self.pending:
-            self.missed += 1 + missed
-            self._deadline_s = deadline_s
-            return
-        self.missed += missed
-        self._deadline_s = deadline_s
-        self.pending = True
-        self.component.actor_inbox.put(self)
-
-    def run(self) -> None:
-        """Calls the method (the component's turn)."""
-        deadline_s = self._deadline_s
-        missed, self.missed = self.missed, 0
-        self.pending = False
-        if self.component.actor_inbox.paused:
-            return
-        lateness_s = max(0.0, self.component.now() - deadline_s)
-        self.ticks += 1
-        self.missed_total += missed
-        self.lateness_sum_s += lateness_s
-        if lateness_s > self.lateness_max_s:
-            self.lateness_max_s = lateness_s
-        heard = self.component.kernel.lateness_heard
-        if heard is not None:
-            heard(self, lateness_s)
-        self._handler(Tick(deadline_s, missed, lateness_s))
-
-
-@cache
-def plan_of(cls: type) -> tuple[list[tuple[Subscription, str]], dict[str, Period]]:
-    """Returns what the methods of a class react to; each class is read once."""
-    return subscriptions_of(cls), periods_of(cls)
+def _nobody_asks(component: Component, error: BaseException | None) -> None:
+    """Is told of an end that nobody waits for."""
 
 
 class Call:
@@ -149,12 +75,14 @@ class Component(pykka.Actor):
     Attributes:
         agent: the agent's name.
         name: the last part of the address.
+        after_turn: called in the actor after each of its turns; None: nobody asks.
     """
 
     blocking: bool = False
     """Whether it may wait, and therefore needs a thread of its own."""
 
     actor_inbox: Mailbox
+    actor_stopped: Flag  # type: ignore[assignment]
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
         # pykka's own __init__ would make a uuid and an Event, the most of an actor's cost, for nobody.
@@ -162,21 +90,22 @@ class Component(pykka.Actor):
         self.address = address
         self.agent = kernel.agent
         self.name = address.rpartition("/")[2]
-        self.actor_urn = address
         self.actor_inbox = mailbox if mailbox is not None else Mailbox()
         self.actor_inbox.closed = False
-        self.actor_stopped = Flag()  # type: ignore[assignment]
-        self._actor_ref = pykka.ActorRef(self)
+        self.actor_stopped = Flag()
         self.timers: dict[str, TaskTimer] = {}
-        self.__handlers: dict[str, dict[str | None, list[Callable[[Packet], None]]]] = {}
+        self.__handlers = plan_of(type(self)).handlers
+        self.__shares_handlers = True
         self.__started = False
         # Looked up once, because every packet needs them.
         self.__now = kernel.mission.now
         self.__take_seq = kernel.seq_of(address).take
-        self.__give = kernel.stream.publish
-        self.__cause: Cause | None = None
+        self.__stream = kernel.stream
+        self.__local = kernel.stream.local
+        self.__in_hand: Packet | None = None
         self.fence: Fence | None = None
-        self.exited: Callable[[Component, BaseException | None], None] = lambda component, error: None
+        self.exited: Callable[[Component, BaseException | None], None] = _nobody_asks
+        self.after_turn: Callable[[], None] | None = None
 
     # What a component uses -------------------------------------------------------------------------------------
 
@@ -207,18 +136,22 @@ class Component(pykka.Actor):
                 wait already; nobody got the packet.
             LocalProtocolError: the body is of no registered type, or too large to travel.
         """
+        in_hand = self.__in_hand
+        if cause is None and in_hand is not None:
+            cause = (in_hand.source, in_hand.seq)
+        route = None if to else self.__local.get((channel, body.__class__))
+        if route is not None:
+            packet = Packet(
+                channel, route.type, self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
+            )
+            route.give(packet)
+            return packet
         packet = Packet(
-            channel,
-            type_name(body),
-            self.address,
-            to,
-            self.__now(),
-            self.__take_seq(),
-            body,
-            cause or self.__cause,
-            self.fence,
+            channel, type_name(body), self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
         )
-        self.__give(packet)
+        self.__stream.publish(packet)
+        if not to:
+            self.__stream.remember(packet)
         return packet
 
     def log(self, level: str, text: str) -> None:
@@ -245,7 +178,11 @@ class Component(pykka.Actor):
             UnknownChannel: the stream has no such channel.
         """
         name = body if body is None or isinstance(body, str) else type_name(body)
-        self.__listen(Subscription(channel, name, keep or Keep(256)), handler)
+        if self.__shares_handlers:
+            self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}
+            self.__shares_handlers = False
+        self.__handlers.setdefault(channel, Handlers()).add(name, lambda component, packet: handler(packet))
+        self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, name, keep or Keep(256)))
 
     def open_channel(self, name: str) -> None:
         """Adds a channel to the information stream; one that is there already is left alone."""
@@ -269,13 +206,13 @@ class Component(pykka.Actor):
 
     def call(self, function: Callable[[], None]) -> None:
         """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
-        if not self.actor_stopped.is_set():
+        if not self.actor_stopped.on:
             self.actor_inbox.put(Call(self, function))
 
     def stop(self) -> None:
         """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
         # pykka's own raises where the actor ends just then.
-        if not self.actor_stopped.is_set():
+        if not self.actor_stopped.on:
             self.actor_inbox.put(Envelope(_ActorStop()))
 
     def reschedule(self, rate_hz: float, timer: str = "") -> None:
@@ -332,6 +269,16 @@ class Component(pykka.Actor):
 
     # How it runs -----------------------------------------------------------------------------------------------
 
+    @property
+    def actor_urn(self) -> str:  # type: ignore[override]
+        """The address: pykka's name for an actor."""
+        return self.address
+
+    @cached_property
+    def _actor_ref(self) -> pykka.ActorRef[Any]:  # type: ignore[override]
+        # Components talk by packets; few are ever asked for the pykka ref that pykka makes for each.
+        return pykka.ActorRef(self)
+
     @staticmethod
     def _create_actor_inbox() -> Any:
         return Mailbox()
@@ -352,23 +299,26 @@ class Component(pykka.Actor):
         try:
             if not self.__started:
                 self.__begin()
-            self.__handle_control()
             mailbox = self.actor_inbox
-            if mailbox.waiting and not mailbox.paused and not self.actor_stopped.is_set():
+            if mailbox.control:
+                self.__handle_control()
+            if mailbox.waiting and not mailbox.paused and not self.actor_stopped.on:
                 self.__handle_data(slice_s)
         except BaseException as error:  # SystemExit in one actor must not end the others.
             self.__fail(error)
+        if self.after_turn is not None:
+            self.after_turn()
 
     def __begin(self) -> None:
         self.__started = True
         # Its predecessor may have ended while it stood still.
         self.actor_inbox.paused = False
-        subscriptions, periods = plan_of(type(self))
+        plan = plan_of(type(self))
         self.before_start()
-        for subscription, method in subscriptions:
-            self.__listen(subscription, getattr(self, method))
+        for subscription in plan.subscriptions:
+            self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
         self.on_start()
-        for method, period in periods.items():
+        for method, period in plan.periods.items():
             timer = TaskTimer(self, method, Period(self.initial_period_s(method, period.period_s)))
             self.timers[method] = timer
             self.__tick(timer)
@@ -390,33 +340,19 @@ class Component(pykka.Actor):
         else:
             self.kernel.timer.cancel(timer)
 
-    def __listen(self, subscription: Subscription, handler: Callable[[Packet], None]) -> None:
-        channel = subscription.channel
-        if subscription.addressed:
-            handler = self._only_addressed(handler)
-        self.__handlers.setdefault(channel, {}).setdefault(subscription.type, []).append(handler)
-        self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
-
-    def _only_addressed(self, handler: Callable[[Packet], None]) -> Callable[[Packet], None]:
-        """Keeps from a handler what another subscription of this component to the same type brings in."""
-
-        def handle(packet: Packet) -> None:
-            if packet.destination not in ("", self.agent) and covers(packet.destination, self.address):
-                handler(packet)
-
-        return handle
-
     def __handle_control(self) -> None:
         control = self.actor_inbox.control
+        stopped = self.actor_stopped
         # Only what waits now: one that tells itself something must not starve the others.
-        for _ in range(len(control)):
-            if self.actor_stopped.is_set():
-                return
+        number = len(control)
+        while number > 0 and not stopped.on:
+            number -= 1
             item = control.popleft()
-            if item.__class__ is TaskTimer:
+            kind = item.__class__
+            if kind is TaskTimer:
                 if item.component is self:
                     item.run()
-            elif item.__class__ is Call:
+            elif kind is Call:
                 if item.component is self:
                     item.function()
             else:
@@ -438,49 +374,61 @@ class Component(pykka.Actor):
             envelope.reply_to.set(response)
 
     def __handle_data(self, slice_s: float | None) -> None:
-        mailbox = self.actor_inbox
-        waiting = mailbox.waiting
-        clock = self.kernel.host
-        until_s = clock.now() + slice_s if slice_s is not None else None
-        handled = 0
-        for _ in range(len(waiting)):
-            queue = waiting.popleft()
+        waiting = self.actor_inbox.waiting
+        number = len(waiting)
+        while number > 0:
+            number -= 1
+            queue = waiting.pop(0)
             queue.listed = False
-            handlers = self.__handlers.get(queue.channel, {})
-            for_all_types = handlers.get(None, ())
-            for _ in range(len(queue)):
-                packet = queue.pop()
-                if packet is None:
-                    break
-                self.__cause = (packet.source, packet.seq)
-                try:
-                    for handler in handlers.get(packet.type, ()):
-                        handler(packet)
-                    for handler in for_all_types:
-                        handler(packet)
-                except BaseException:
-                    self.kernel.letters.failed(self.address, queue, packet)
-                    raise
-                finally:
-                    self.__cause = None
-                if mailbox.control:
-                    self.__handle_control()
-                    if self.actor_stopped.is_set():
-                        self.__list_again(queue)
-                        return
-                if mailbox.paused:
-                    self.__list_again(queue)
-                    return
-                handled += 1
-                if until_s is not None and handled % SLICE_CHECK == 0 and clock.now() > until_s:
-                    self.__list_again(queue)
-                    return
-            self.__list_again(queue)
+            goes_on = self.__work_off(queue, slice_s)
+            if queue.items and not queue.listed:
+                queue.listed = True
+                waiting.append(queue)
+            if not goes_on:
+                return
 
-    def __list_again(self, queue: ChannelQueue) -> None:
-        if len(queue) and not queue.listed:
-            queue.listed = True
-            self.actor_inbox.waiting.append(queue)
+    def __work_off(self, queue: ChannelQueue, slice_s: float | None) -> bool:
+        """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
+        mailbox = self.actor_inbox
+        control = mailbox.control
+        handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
+        take = queue.take
+        left = len(queue.items)
+        # A turn of one packet, which most are, never asks for the time.
+        until_s = self.kernel.host.now() + slice_s if slice_s is not None and left > 1 else None
+        look, step = left - 1, 1
+        try:
+            while left > 0:
+                left -= 1
+                try:
+                    packet = take()
+                except IndexError:  # somebody else has emptied it
+                    return True
+                queue.handled += 1
+                if queue.heavy:
+                    queue.lighten(packet)
+                self.__in_hand = packet
+                for handler in handlers[packet.type]:
+                    handler(self, packet)
+                if control:
+                    self.__in_hand = None
+                    self.__handle_control()
+                    if self.actor_stopped.on:
+                        return False
+                if mailbox.paused:
+                    return False
+                if left == look and until_s is not None and left:
+                    if self.kernel.host.now() > until_s:
+                        return False
+                    look -= step
+                    step = min(2 * step, SLICE_CHECK)
+            return True
+        except BaseException:
+            if self.__in_hand is not None:  # else it was a tick or a call between two packets
+                self.kernel.letters.failed(self.address, queue, self.__in_hand)
+            raise
+        finally:
+            self.__in_hand = None
 
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
@@ -488,21 +436,20 @@ class Component(pykka.Actor):
 
     def run_handlers(self, packet: Packet) -> None:
         """Handles a packet at once, past the queues and their bounds. In the actor."""
-        handlers = self.__handlers.get(packet.channel, {})
-        self.__cause = (packet.source, packet.seq)
+        self.__in_hand = packet
         try:
-            for handler in (*handlers.get(packet.type, ()), *handlers.get(None, ())):
-                handler(packet)
+            for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
+                handler(self, packet)
         finally:
-            self.__cause = None
+            self.__in_hand = None
 
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
         for queue in self.actor_inbox.queues.values():
-            handlers = self.__handlers.get(queue.channel, {})
+            handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
             while (packet := queue.pop()) is not None:
-                for handler in (*handlers.get(packet.type, ()), *handlers.get(None, ())):
-                    handler(packet)
+                for handler in handlers[packet.type]:
+                    handler(self, packet)
 
     # How it ends -----------------------------------------------------------------------------------------------
 
@@ -515,7 +462,7 @@ class Component(pykka.Actor):
         self.end_actor(error)
 
     def __fail(self, error: BaseException) -> None:
-        if self.actor_stopped.is_set():
+        if self.actor_stopped.on:
             self.kernel.log("error", f"{self.address} failed while it stopped: {describe(error)}")
             return
         try:

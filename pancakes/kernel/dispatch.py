@@ -6,28 +6,48 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pancakes.kernel.mailbox import Mailbox
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
 
+_LOG: Final = logging.getLogger("pancakes.kernel")
 
-_TURN = threading.local()
-"""What the turn that a thread gives now has put off; a thread gives one turn at a time, of whatever dispatcher."""
+Deferred = list[Callable[[], None]]
+
+_THREAD = threading.local()
+"""What the turns that a thread gives have put off; a thread gives one turn at a time, of whatever dispatcher."""
 
 
 def defer(function: Callable[[], None]) -> None:
     """Runs `function` at the end of the turn that this thread gives now, or at once outside of a turn."""
-    deferred: list[Callable[[], None]] | None = getattr(_TURN, "deferred", None)
+    deferred: Deferred | None = getattr(_THREAD, "deferred", None)
     if deferred is None:
         function()
     else:
         deferred.append(function)
+
+
+def begin_turns() -> Deferred:
+    """Says that the calling thread gives turns from now on.
+
+    Returns:
+        What they put off, for `Dispatcher.give_turn`.
+    """
+    deferred: Deferred = []
+    _THREAD.deferred = deferred
+    return deferred
+
+
+def end_turns() -> None:
+    """Says that the calling thread gives no turns any more."""
+    _THREAD.deferred = None
 
 
 class Dispatcher(ABC):
@@ -48,25 +68,40 @@ class Dispatcher(ABC):
     def stop(self) -> None:
         """Ends the dispatcher's threads. Not to be called from one of them."""
 
-    def give_turn(self, mailbox: Mailbox, slice_s: float | None = None) -> None:
-        """Gives the component of `mailbox` one turn in this thread, then hands its token back."""
+    def give_turn(self, mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None) -> None:
+        """Gives the component of `mailbox` one turn in this thread, then hands its token back.
+
+        Args:
+            mailbox: its mailbox, whose token is held.
+            deferred: what this thread's turns put off (`begin_turns`).
+            slice_s: after this time the turn ends even if more waits; None: no limit.
+        """
         component = mailbox.component
         if component is None:
             return
-        deferred: list[Callable[[], None]] = []
-        _TURN.deferred = deferred
         try:
             component.take_turn(slice_s)
-        finally:
-            _TURN.deferred = None
-            for function in deferred:
-                try:
-                    function()
-                except Exception as error:  # the thread, and the component's right to turns, must outlive it
-                    text = f"what a turn of {component.address} had put off failed: {type(error).__name__}: {error}"
-                    component.kernel.log("error", text)
+        except BaseException as error:  # whoever was told of its end failed; the thread may be the timer's
+            component.kernel.log(
+                "error", f"the end of {component.address}'s turn failed: {type(error).__name__}: {error}"
+            )
+        if deferred:
+            self.run_deferred(deferred, component)
         # A stopped component keeps the token, so that what comes now waits for its successor.
         if mailbox.component is component:
             mailbox.token.release()
-            if mailbox.has_work() and mailbox.token.acquire(False):
+            if (mailbox.control or (mailbox.waiting and not mailbox.paused)) and mailbox.token.acquire(False):
                 self.ready(mailbox)
+
+    def run_deferred(self, deferred: Deferred, component: Component | None) -> None:
+        """Runs what a turn of `component` has put off; None: what its thread has put off between two turns."""
+        for function in deferred:
+            try:
+                function()
+            except Exception as error:  # the thread, and the component's right to turns, must outlive it
+                if component is None:
+                    _LOG.exception("what was put off between two turns failed")
+                    continue
+                text = f"what a turn of {component.address} had put off failed: {type(error).__name__}: {error}"
+                component.kernel.log("error", text)
+        deferred.clear()

@@ -13,14 +13,15 @@ from typing import Any
 from pancakes.clock import Clock, MissionClock, MonotonicClock
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.component import Component, TaskTimer
+from pancakes.kernel.component import Component
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.dispatch import Dispatcher
 from pancakes.kernel.letters import DeadLetters
 from pancakes.kernel.pinned import PinnedDispatcher
-from pancakes.kernel.pool import PoolDispatcher
+from pancakes.kernel.pool import Guest, PoolDispatcher
 from pancakes.kernel.registry import Registry
 from pancakes.kernel.stream import InformationStream
+from pancakes.kernel.task_timer import TaskTimer
 from pancakes.kernel.timer import Timer, VirtualTimer
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.packet import LOG, Packet, type_name
@@ -46,7 +47,7 @@ class Kernel:
         transport: how this agent reaches other processes (a `pancakes.net.transport.Transport`).
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
-        lateness_heard: told of each tick of a task how late it was, in the task's turn; None: nobody wants to know.
+        lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
 
     def __init__(
@@ -69,17 +70,18 @@ class Kernel:
         self.transport: Any = None
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
-        self.lateness_heard: Callable[[TaskTimer, float], None] | None = None
+        self.lateness_heard: tuple[Callable[[TaskTimer, float], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
-        self._seqs_lock = threading.Lock()
+        self._lock = threading.Lock()
         self.timer: Timer
+        self._shared: Dispatcher
         if virtual is not None:
             self.timer = VirtualTimer(agent, self.mission, virtual)
-            self._shared: Dispatcher = virtual
+            self._shared = virtual
             self._pinned: Dispatcher = virtual
         else:
-            self.timer = Timer(agent, self.mission, self.host)
-            self._shared = PoolDispatcher(agent, self.host, self._hogged)
+            self._shared = pool = PoolDispatcher(agent, self.host, self._hogged)
+            self.timer = Timer(agent, self.mission, self.host, pool)
             self._pinned = PinnedDispatcher(agent)
         self.timer.launch()
 
@@ -109,13 +111,18 @@ class Kernel:
         component._start_actor_loop()
         return component
 
+    def guest(self, relieve: Callable[[], None]) -> Guest:
+        """Makes the calling thread a guest of the pool, see `Guest`. Not in virtual time, which has no threads."""
+        assert isinstance(self._shared, PoolDispatcher)
+        return Guest(self._shared, relieve)
+
     def attach(self, component: Component) -> None:
         """Puts a component on the dispatcher that suits it."""
         (self._pinned if component.blocking else self._shared).attach(component)
 
     def seq_of(self, address: str) -> Counter:
         """Returns the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""
-        with self._seqs_lock:
+        with self._lock:
             counter = self._seqs.get(address)
             if counter is None:
                 counter = self._seqs[address] = Counter(1)
@@ -123,10 +130,23 @@ class Kernel:
 
     def continue_seq(self, address: str, next_seq: int) -> None:
         """Lets the packets of a source go on where they were, elsewhere or before a reboot; never back."""
-        with self._seqs_lock:
+        with self._lock:
             counter = self._seqs.get(address)
             if counter is None or counter.value < next_seq:
                 self._seqs[address] = Counter(next_seq)
+
+    def hear_lateness(self, heard: Callable[[TaskTimer, float], None]) -> None:
+        """Calls `heard` with each tick of a task and how late it was, in mission time; in the task's turn.
+
+        It must not block. Any thread.
+        """
+        with self._lock:
+            self.lateness_heard = (*self.lateness_heard, heard)
+
+    def unhear_lateness(self, heard: Callable[[TaskTimer, float], None]) -> None:
+        """Ends what `hear_lateness` began."""
+        with self._lock:
+            self.lateness_heard = tuple(other for other in self.lateness_heard if other != heard)
 
     def random_for(self, name: str) -> random.Random:
         """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""

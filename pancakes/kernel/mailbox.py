@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 from pykka import ActorDeadError
@@ -25,8 +26,15 @@ if TYPE_CHECKING:
     from pancakes.kernel.component import Component
 
 
+MOST_BYTES: Final = 16 * 1024 * 1024
+"""So many bytes of bodies wait under a subscription, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
+
+# Held for a few operations, and only for a heavy packet, so one for all queues will do.
+_SCALES: Final = threading.Lock()
+
+
 class Keep(msgspec.Struct, frozen=True):
-    """What a subscription does when its reader is slow.
+    """What a subscription does when its reader is slow, or the bodies that wait take more than `MOST_BYTES`.
 
     Attributes:
         limit: how many packets wait at the most.
@@ -61,11 +69,32 @@ class Dispatch(Protocol):
 
 
 class ChannelQueue:
-    """What waits for one reader on one channel, under one subscription."""
+    """What waits for one reader on one channel, under one subscription.
 
-    __slots__ = ("_offered", "bounds", "channel", "handled", "items", "keep", "listed", "mailbox")
+    Attributes:
+        heavy: the bytes of each heavy packet that waits, by its `id`; None until the first has come.
+        heavy_bytes: their sum.
+        refused: packets from other agents that found no room under a `reliable` subscription.
+    """
 
-    def __init__(self, mailbox: Mailbox, channel: str, bounds: dict[str | None, Keep]) -> None:
+    __slots__ = (
+        "_offered",
+        "append",
+        "bounds",
+        "channel",
+        "count",
+        "handled",
+        "heavy",
+        "heavy_bytes",
+        "items",
+        "keep",
+        "listed",
+        "mailbox",
+        "refused",
+        "take",
+    )
+
+    def __init__(self, mailbox: Mailbox, channel: str, bounds: Mapping[str | None, Keep]) -> None:
         self.mailbox = mailbox
         self.channel = channel
         self.bounds = bounds
@@ -73,7 +102,14 @@ class ChannelQueue:
         self.items: deque[Packet] = deque(maxlen=None if keep.reliable else keep.limit)
         self.listed = False
         self.handled = 0
+        self.refused = 0
+        self.heavy: dict[int, int] | None = None
+        self.heavy_bytes = 0
         self._offered = Counter()
+        # What `put` does, for a publisher that has many to do it for (`Route.give`), and `pop`, for the reader's turn.
+        self.count = self._offered.take
+        self.append = self.items.append
+        self.take: Callable[[], Packet] = self.items.popleft
 
     @property
     def has_reliable(self) -> bool:
@@ -84,29 +120,85 @@ class ChannelQueue:
         """Returns whether `packet` came under a subscription that may lose none."""
         return self.keep.reliable
 
-    def full(self, packet: Packet) -> bool:
-        """Returns whether `packet` would be refused."""
-        return self.keep.reliable and len(self.items) >= self.keep.limit
+    def full(self, packet: Packet, weight: int = 0) -> bool:
+        """Returns whether `packet` would be refused; `weight`: its bytes, where it is a heavy one."""
+        if not self.keep.reliable:
+            return False
+        waiting = len(self.items)
+        return waiting >= self.keep.limit or (waiting > 0 and weight > 0 and self.heavy_bytes + weight > MOST_BYTES)
 
     def put(self, packet: Packet) -> None:
-        self._offered.take()
-        self.items.append(packet)
-        mailbox = self.mailbox
-        # Two publishers may both list the queue: an empty queue in the list harms nobody, a forgotten one would.
+        self.count()
+        self.append(packet)
         # Whoever finds it listed need not ask for a turn: who listed it does, and a reader unlists before it counts.
         if not self.listed:
-            self.listed = True
-            mailbox.waiting.append(self)
-            if mailbox.token.acquire(False):
-                mailbox.dispatch.ready(mailbox)
+            self.enlist()
+
+    def put_all(self, packets: Sequence[Packet]) -> None:
+        """Puts several packets, none of them heavy, in their order."""
+        self._offered.take_many(len(packets))
+        self.items.extend(packets)
+        if not self.listed:
+            self.enlist()
+
+    def put_heavy(self, packet: Packet, weight: int) -> None:
+        """Puts a packet of so many bytes; the oldest fall out until there is room, except under `reliable`."""
+        with _SCALES:
+            if self.heavy is None or not self.items:
+                self.heavy = {}
+                self.heavy_bytes = 0
+            if not self.keep.reliable:
+                self._make_room(weight)
+            # One that was pushed out unseen may have borne this `id`.
+            self.heavy_bytes += weight - self.heavy.get(id(packet), 0)
+            self.heavy[id(packet)] = weight
+            self.count()
+            self.append(packet)
+        if not self.listed:
+            self.enlist()
+
+    def lighten(self, packet: Packet) -> None:
+        """Forgets the weight of a packet that was taken out; called where `heavy` has something in it."""
+        if self.heavy is not None and id(packet) in self.heavy:
+            with _SCALES:
+                self._unload(packet)
+
+    def _make_room(self, weight: int) -> None:
+        while self.items and (len(self.items) >= self.keep.limit or self.heavy_bytes + weight > MOST_BYTES):
+            try:
+                oldest = self.items.popleft()
+            except IndexError:  # its reader was faster
+                return
+            if not self._unload(oldest) and self.heavy_bytes + weight > MOST_BYTES:
+                # Light packets are put without a lock, and may have pushed heavy ones out whose weight is still here.
+                waiting = {id(packet) for packet in list(self.items)}
+                self.heavy = {key: its for key, its in (self.heavy or {}).items() if key in waiting}
+                self.heavy_bytes = sum(self.heavy.values())
+
+    def _unload(self, packet: Packet) -> bool:
+        """Returns whether the packet was heavy."""
+        weight = self.heavy.pop(id(packet), 0) if self.heavy is not None else 0
+        self.heavy_bytes -= weight
+        return weight > 0
+
+    def enlist(self) -> None:
+        """Tells the reader that something waits here; for who has put something in and found it not listed."""
+        # Two publishers may both list the queue: an empty queue in the list harms nobody, a forgotten one would.
+        self.listed = True
+        mailbox = self.mailbox
+        mailbox.waiting.append(self)
+        if mailbox.token.acquire(False):
+            mailbox.dispatch.ready(mailbox)
 
     def pop(self) -> Packet | None:
         """Takes the oldest packet out; None where nothing waits."""
         try:
-            packet = self.items.popleft()
+            packet = self.take()
         except IndexError:
             return None
         self.handled += 1
+        if self.heavy:
+            self.lighten(packet)
         return packet
 
     def push_back(self, packet: Packet) -> None:
@@ -122,8 +214,8 @@ class ChannelQueue:
         return self._offered.value
 
     def dropped(self) -> int:
-        """Returns how many packets fell out, derived so that no publisher has to count under a lock."""
-        return max(0, self.offered() - self.handled - len(self.items))
+        """Returns how many packets fell out (derived, so that no publisher counts under a lock), or were refused."""
+        return max(0, self.offered() - self.handled - len(self.items)) + self.refused
 
 
 class SharedQueue(ChannelQueue):
@@ -132,13 +224,16 @@ class SharedQueue(ChannelQueue):
     One order for all types, therefore a lock: held for a few operations on a dict, never over a call out.
     """
 
-    __slots__ = ("_entries", "_keys", "_lock")
+    __slots__ = ("_bytes", "_keys", "_lock", "_weights")
 
-    def __init__(self, mailbox: Mailbox, channel: str, bounds: dict[str | None, Keep]) -> None:
+    def __init__(self, mailbox: Mailbox, channel: str, bounds: Mapping[str | None, Keep]) -> None:
         super().__init__(mailbox, channel, bounds)
-        self._entries: OrderedDict[int, Packet] = OrderedDict()
+        self.items: OrderedDict[int, Packet] = OrderedDict()  # type: ignore[assignment]  # by number, in order
         self._keys: dict[str | None, deque[int]] = {name: deque() for name in bounds}
         self._lock = threading.Lock()
+        self._weights: dict[int, int] = {}  # of the heavy ones, by number
+        self._bytes: dict[str | None, int] = {}  # their sum, for each bound
+        self.take = self._take
 
     def _bound(self, packet: Packet) -> str | None:
         return packet.type if packet.type in self.bounds else None
@@ -150,50 +245,95 @@ class SharedQueue(ChannelQueue):
     def reliable_for(self, packet: Packet) -> bool:
         return self.bounds[self._bound(packet)].reliable
 
-    def full(self, packet: Packet) -> bool:
+    def full(self, packet: Packet, weight: int = 0) -> bool:
         bound = self._bound(packet)
-        keep = self.bounds[bound]
-        return keep.reliable and len(self._keys[bound]) >= keep.limit
+        return self.bounds[bound].reliable and self._is_full(bound, weight)
+
+    def _is_full(self, bound: str | None, weight: int) -> bool:
+        waiting = len(self._keys[bound])
+        if waiting >= self.bounds[bound].limit:
+            return True
+        return waiting > 0 and weight > 0 and self._bytes.get(bound, 0) + weight > MOST_BYTES
 
     def put(self, packet: Packet) -> None:
+        bound = packet.type if packet.type in self.bounds else None
+        keep = self.bounds[bound]
+        keys = self._keys[bound]
+        with self._lock:
+            number = self.count()
+            if len(keys) >= keep.limit and not keep.reliable:
+                self._drop_oldest(bound)
+            keys.append(number)
+            self.items[number] = packet
+        if not self.listed:
+            self.enlist()
+
+    def put_all(self, packets: Sequence[Packet]) -> None:
+        bound = self._bound(packets[0])
+        keep = self.bounds[bound]
+        keys = self._keys[bound]
+        with self._lock:
+            numbers = self._offered.take_many(len(packets))
+            keys.extend(numbers)
+            self.items.update(zip(numbers, packets, strict=True))
+            while len(keys) > keep.limit and not keep.reliable:
+                self._drop_oldest(bound)
+        if not self.listed:
+            self.enlist()
+
+    def _drop_oldest(self, bound: str | None) -> None:
+        number = self._keys[bound].popleft()
+        del self.items[number]
+        self._unweigh(bound, number)
+
+    def put_heavy(self, packet: Packet, weight: int) -> None:
         bound = self._bound(packet)
         with self._lock:
             number = self._offered.take()
             keys = self._keys[bound]
-            if len(keys) >= self.bounds[bound].limit and not self.bounds[bound].reliable:
-                del self._entries[keys.popleft()]
+            if not self.bounds[bound].reliable:
+                while self._is_full(bound, weight):
+                    self._drop_oldest(bound)
             keys.append(number)
-            self._entries[number] = packet
-        mailbox = self.mailbox
+            self.items[number] = packet
+            if weight:
+                self._weights[number] = weight
+                self._bytes[bound] = self._bytes.get(bound, 0) + weight
+                self.heavy_bytes += weight
         if not self.listed:
-            self.listed = True
-            mailbox.waiting.append(self)
-            if mailbox.token.acquire(False):
-                mailbox.dispatch.ready(mailbox)
+            self.enlist()
 
-    def pop(self) -> Packet | None:
+    def _unweigh(self, bound: str | None, number: int) -> None:
+        weight = self._weights.pop(number, 0)
+        if weight:
+            self._bytes[bound] -= weight
+            self.heavy_bytes -= weight
+
+    def _take(self) -> Packet:
         with self._lock:
-            if not self._entries:
-                return None
-            _, packet = self._entries.popitem(last=False)
-            self._keys[self._bound(packet)].popleft()
-            self.handled += 1
+            if not self.items:
+                raise IndexError
+            number, packet = self.items.popitem(last=False)
+            bound = packet.type if packet.type in self.bounds else None
+            self._keys[bound].popleft()
+            if self._weights:
+                self._unweigh(bound, number)
             return packet
 
     def push_back(self, packet: Packet) -> None:
         with self._lock:
             self.handled -= 1
-            number = min(self._entries, default=0) - 1
-            self._entries[number] = packet
-            self._entries.move_to_end(number, last=False)
+            number = min(self.items, default=0) - 1
+            self.items[number] = packet
+            self.items.move_to_end(number, last=False)
             self._keys[self._bound(packet)].appendleft(number)
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self.items)
 
     def dropped(self) -> int:
         with self._lock:
-            return max(0, self.offered() - self.handled - len(self._entries))
+            return max(0, self.offered() - self.handled - len(self.items)) + self.refused
 
 
 class Mailbox:
@@ -214,7 +354,8 @@ class Mailbox:
 
     def __init__(self) -> None:
         self.control: deque[Any] = deque()
-        self.waiting: deque[ChannelQueue] = deque()
+        # A list: it is never longer than the task has channels, and a deque takes 760 bytes.
+        self.waiting: list[ChannelQueue] = []
         self.queues: dict[str, ChannelQueue] = {}
         self.token = threading.Lock()
         # Nobody reads it yet: the token is taken until a dispatcher attaches a component.
@@ -260,7 +401,7 @@ class Mailbox:
         """Returns whether anything waits that may be handled now."""
         return bool(self.control or (self.waiting and not self.paused))
 
-    def subscribe(self, channel: str, bounds: dict[str | None, Keep]) -> ChannelQueue:
+    def subscribe(self, channel: str, bounds: Mapping[str | None, Keep]) -> ChannelQueue:
         """Returns the queue for a channel, bounded as `bounds` says for each type; None means any other type.
 
         What waits in an earlier queue for this channel is kept, and so are the bounds of types that `bounds` does not

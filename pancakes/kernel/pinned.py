@@ -6,7 +6,7 @@ import threading
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.dispatch import Dispatcher, begin_turns
 from pancakes.kernel.mailbox import Mailbox
 
 if TYPE_CHECKING:
@@ -51,8 +51,9 @@ class PinnedDispatcher(Dispatcher):
 
     def _run(self, component: Component, wake: SimpleQueue[bool]) -> None:
         mailbox = component.actor_inbox
+        deferred = begin_turns()
         while not component.actor_stopped.is_set() and wake.get():
-            self.give_turn(mailbox)
+            self.give_turn(mailbox, deferred)
         with self._lock:
             self._threads.pop(id(component), None)
             if self._wakes.get(id(mailbox)) is wake:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import count
 from typing import Any
 
@@ -12,15 +12,15 @@ import msgspec
 
 
 class Due(msgspec.Struct, frozen=True, gc=False):
-    """One tick of one timer.
+    """A tick.
 
     Attributes:
-        target: whom it is for.
+        targets: whom it is for; whoever ticks them takes them out.
         deadline_s: when it was due.
         missed: how many ticks before it never happened because the timer itself was late.
     """
 
-    target: Any
+    targets: Iterator[Any]
     deadline_s: float
     missed: int
 
@@ -95,8 +95,7 @@ class Schedule:
                 continue
             missed = max(0, math.floor(now_s / entry.period_s + 1e-9) - entry.number)
             entry.number += missed
-            last_s = entry.deadline_s
-            out.extend(Due(target, last_s, missed) for target in entry.targets.values())
+            out.append(Due(iter(tuple(entry.targets.values())), entry.deadline_s, missed))
             entry.number += 1
             heapq.heappush(self._heap, (entry.deadline_s, next(self._order), entry))
         return out

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection
-from typing import Any
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import MailboxFull, UnknownChannel
+from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
-from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
+from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox, SharedQueue
+from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
+from pancakes.weight import LIGHT_BYTES, Weigher, weigher
 
 Tap = Callable[[Packet], None]
 
@@ -24,8 +26,8 @@ class _Reader(msgspec.Struct):
 
     address: str
     mailbox: Mailbox
-    bounds: dict[str | None, Keep] = msgspec.field(default_factory=dict)
-    open_types: set[str | None] = msgspec.field(default_factory=set)
+    bounds: Mapping[str | None, Keep] = {}  # never changed but replaced: its queue has the same
+    open_types: tuple[str | None, ...] = ()
     queue: ChannelQueue | None = None
 
     def reads(self, type_name: str, addressed: bool) -> bool:
@@ -40,6 +42,8 @@ class _Reader(msgspec.Struct):
     def bounds_and_queue(self) -> dict[str, Any]:
         """Returns how it reads, as plain values: types are None for all of them; `limit` counts packets.
 
+        `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
+
         Of `types` it gets `open_types` from everybody, the others only where a packet's destination names it.
         """
         bounds = list(self.bounds.values())
@@ -49,16 +53,95 @@ class _Reader(msgspec.Struct):
             "keep": "reliable" if any(keep.reliable for keep in bounds) else "newest",
             "limit": sum(keep.limit for keep in bounds),
             "waiting": len(self.queue) if self.queue is not None else 0,
+            "waiting_bytes": self.queue.heavy_bytes if self.queue is not None else 0,
             "dropped": self.queue.dropped() if self.queue is not None else 0,
         }
 
 
-class _Route(msgspec.Struct, frozen=True):
-    """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock."""
+class Route(msgspec.Struct, frozen=True):
+    """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock.
 
+    Attributes:
+        type: the name of the packets' type.
+        queues: the queues of those who are given each packet, as long as each has one bound only.
+        shared: the others.
+        reliable: those of all of them that may refuse a packet.
+        taps: who sees the packets besides.
+        weigh: returns how heavy a packet's body is, where that is not the same, and little, for all of this type.
+    """
+
+    type: str
     queues: tuple[ChannelQueue, ...]
+    shared: tuple[ChannelQueue, ...]
     reliable: tuple[ChannelQueue, ...]
     taps: tuple[Tap, ...]
+    weigh: Weigher | None = None
+
+    def give(self, packet: Packet) -> None:
+        """Gives a packet to all of them, or to none.
+
+        Raises:
+            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
+        """
+        if self.weigh is not None and (weight := self.weigh(packet.body)) > LIGHT_BYTES:
+            self._give_heavy(packet, weight)
+            return
+        # All reliable readers are asked before anybody is given the packet: a retry must not double it.
+        if self.reliable:
+            self._ask(packet)
+        # As `ChannelQueue.put`, but without a call: half of what a delivery costs the publisher.
+        for queue in self.queues:
+            queue.count()
+            queue.append(packet)
+            if not queue.listed:
+                queue.enlist()
+        for queue in self.shared:
+            queue.put(packet)
+        for tap in self.taps:
+            tap(packet)
+
+    def takes_many(self, packets: Sequence[Packet]) -> bool:
+        """Returns whether these packets may be put one after the other: nobody can refuse one, and none is heavy."""
+        if self.reliable or self.taps or not (self.queues or self.shared):
+            return False
+        weigh = self.weigh
+        return weigh is None or all(weigh(packet.body) <= LIGHT_BYTES for packet in packets)
+
+    def _give_heavy(self, packet: Packet, weight: int) -> None:
+        if self.reliable:
+            self._ask(packet, weight)
+        for queue in (*self.queues, *self.shared):
+            queue.put_heavy(packet, weight)
+        for tap in self.taps:
+            tap(packet)
+
+    def give_where_room(self, packet: Packet) -> None:
+        """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
+        weight = self.weigh(packet.body) if self.weigh is not None else 0
+        weight = weight if weight > LIGHT_BYTES else 0
+        for queue in (*self.queues, *self.shared):
+            if queue.full(packet, weight):
+                queue.refused += 1
+            elif weight:
+                queue.put_heavy(packet, weight)
+            else:
+                queue.put(packet)
+        for tap in self.taps:
+            tap(packet)
+
+    def _ask(self, packet: Packet, weight: int = 0) -> None:
+        for queue in self.reliable:
+            if queue.full(packet, weight):
+                reader = queue.mailbox.component
+                raise MailboxFull(
+                    f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
+                    f" {packet.source} on {packet.channel!r}: {len(queue)}"
+                    + (f" ({queue.heavy_bytes} bytes) wait already" if weight else " wait already")
+                )
+
+
+NOBODY: Final = Route("", (), (), (), ())
+"""The route of what is for nobody."""
 
 
 class InformationStream:
@@ -74,6 +157,8 @@ class InformationStream:
         gateway: takes packets whose destination is another agent; the Network Service sets it. Called in
             the publisher's thread, must not block.
         courier: takes packets whose destination is a task, wherever it is; likewise.
+        local: where packets without a destination go, by their channel and the class of their body: for publishers,
+            as far as `remember` was told of them.
     """
 
     def __init__(self, agent: str) -> None:
@@ -84,7 +169,8 @@ class InformationStream:
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[Tap, ...]] = {}
         self._outgoing: tuple[Tap, ...] = ()
-        self._routes: dict[tuple[str, str, str], _Route] = {}  # by channel, type and destination
+        self.local: dict[tuple[str, type], Route] = {}
+        self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
         self.undelivered = 0
 
     def channels(self) -> list[str]:
@@ -139,16 +225,54 @@ class InformationStream:
             tap(packet)
         return 0
 
+    def remember(self, packet: Packet) -> None:
+        """Notes in `local` where a packet without a destination went that was just published."""
+        body_type = type(packet.body)
+        with self._lock:
+            route = self._routes.get((packet.channel, packet.type, ""))
+            # What came from elsewhere may bear a name that its body's class does not have here.
+            if route is not None and body_class(packet.type) is body_type:
+                self.local[packet.channel, body_type] = route
+
     def inject(self, packet: Packet) -> int:
         """Publishes a packet that came from another agent, on its own channel here.
 
         Returns:
-            How many components of this agent got it.
+            How many components of this agent it was for.
 
         Raises:
-            UnknownChannel, MailboxFull: as `publish`.
+            UnknownChannel: as `publish`.
+            MailboxFull: a `reliable` subscriber has no room. The publisher cannot be asked to wait, so all others get
+                the packet, and for this one it counts as dropped.
         """
-        return self._give(packet, "" if packet.destination == NEIGHBOURS else packet.destination)
+        destination = "" if packet.destination == NEIGHBOURS else packet.destination
+        try:
+            return self._give(packet, destination)
+        except MailboxFull:
+            self._routes.get((packet.channel, packet.type, destination), NOBODY).give_where_room(packet)
+            raise
+
+    def inject_all(self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None]) -> None:
+        """Publishes packets that came from another agent: on one channel, of one type and with one destination.
+
+        Who gets them is looked up once, and each reader is told once that something waits.
+
+        Args:
+            packets: the packets, in their order.
+            refused: called with each packet that found no room, or no channel, and why; see `inject`.
+        """
+        first = packets[0]
+        destination = "" if first.destination == NEIGHBOURS else first.destination
+        route = self._routes.get((first.channel, first.type, destination), NOBODY)
+        if route.takes_many(packets):
+            for queue in (*route.queues, *route.shared):
+                queue.put_all(packets)
+            return
+        for packet in packets:
+            try:
+                self.inject(packet)
+            except PancakesError as error:
+                refused(packet, error)
 
     def tap(self, channel: str, tap: Tap) -> None:
         """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
@@ -194,10 +318,13 @@ class InformationStream:
             reader = readers.get(address)
             if reader is None:
                 reader = readers[address] = _Reader(address, mailbox)
-            reader.bounds[subscription.type] = subscription.keep
-            if not subscription.addressed:
-                reader.open_types.add(subscription.type)
-            reader.queue = mailbox.subscribe(subscription.channel, dict(reader.bounds))
+            if reader.bounds:
+                reader.bounds = {**reader.bounds, subscription.type: subscription.keep}
+            else:
+                reader.bounds = _bounds_of_one(subscription.type, subscription.keep)
+            if not subscription.addressed and subscription.type not in reader.open_types:
+                reader.open_types = (*reader.open_types, subscription.type)
+            reader.queue = mailbox.subscribe(subscription.channel, reader.bounds)
             self._forget(subscription.channel)
 
     def unsubscribe(self, address: str) -> None:
@@ -214,7 +341,8 @@ class InformationStream:
                 readers.clear()
             self._taps.clear()
             self._outgoing = ()
-            self._routes = {}
+            self._routes.clear()
+            self.local.clear()
             self.gateway = None
             self.courier = None
 
@@ -242,49 +370,46 @@ class InformationStream:
 
     def _forget(self, channel: str) -> None:
         """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
-        self._routes = {key: route for key, route in self._routes.items() if key[0] != channel}
+        # In place: components keep `local`.
+        for key in [key for key in self._routes if key[0] == channel]:
+            del self._routes[key]
+        for known in [known for known in self.local if known[0] == channel]:
+            del self.local[known]
 
-    def _route(self, packet: Packet, destination: str) -> _Route:
+    def _route(self, packet: Packet, destination: str) -> Route:
         """Makes the snapshot for packets like this one; an empty destination means whoever subscribes here."""
         with self._lock:
             readers = self._readers.get(packet.channel)
             if readers is None:
                 raise self._unknown(packet)
             names_somebody = destination not in ("", self.agent)
-            queues = tuple(
+            queues = [
                 reader.queue
                 for reader in readers.values()
                 if reader.queue is not None
                 and (not destination or covers(destination, reader.address))
                 and reader.reads(packet.type, addressed=names_somebody)
+            ]
+            route = Route(
+                packet.type,
+                tuple(queue for queue in queues if not isinstance(queue, SharedQueue)),
+                tuple(queue for queue in queues if isinstance(queue, SharedQueue)),
+                tuple(queue for queue in queues if queue.has_reliable),
+                self._taps.get(packet.channel, ()),
+                weigher(type(packet.body)),
             )
-            route = _Route(queues, _reliable(queues), self._taps.get(packet.channel, ()))
             if len(self._routes) >= MOST_ROUTES:
-                self._routes = {}
+                self._routes.clear()
             self._routes[packet.channel, packet.type, destination] = route
             return route
 
     def _give(self, packet: Packet, destination: str) -> int:
         route = self._routes.get((packet.channel, packet.type, destination)) or self._route(packet, destination)
-        # All reliable readers are asked before anybody is given the packet: a retry must not double it.
-        if route.reliable:
-            self._ask(route.reliable, packet)
-        for queue in route.queues:
-            queue.put(packet)
-        for tap in route.taps:
-            tap(packet)
-        if destination and not route.queues and not route.taps:
+        route.give(packet)
+        readers = len(route.queues) + len(route.shared)
+        if destination and not readers and not route.taps:
             self.undelivered += 1
-        return len(route.queues)
-
-    def _ask(self, queues: tuple[ChannelQueue, ...], packet: Packet) -> None:
-        for queue in queues:
-            if queue.full(packet):
-                reader = queue.mailbox.component
-                raise MailboxFull(
-                    f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
-                    f" {packet.source} on {packet.channel!r}: {queue.keep.limit} wait already"
-                )
+        return readers
 
     def _unknown(self, packet: Packet) -> UnknownChannel:
         return UnknownChannel(
@@ -293,10 +418,12 @@ class InformationStream:
         )
 
 
+@lru_cache(maxsize=1024)
+def _bounds_of_one(type_name: str | None, keep: Keep) -> Mapping[str | None, Keep]:
+    """Returns the bounds of who has subscribed to one type; all tasks of a class share them."""
+    return {type_name: keep}
+
+
 def _names(types: Collection[str | None]) -> list[str] | None:
     """Returns the names of types, sorted; None where all types are meant."""
     return None if None in types else sorted(str(name) for name in types)
-
-
-def _reliable(queues: tuple[ChannelQueue, ...]) -> tuple[ChannelQueue, ...]:
-    return tuple(queue for queue in queues if queue.has_reliable)

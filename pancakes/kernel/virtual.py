@@ -10,7 +10,7 @@ from itertools import count
 
 from pancakes.clock import VirtualClock
 from pancakes.errors import PancakesError
-from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.dispatch import Dispatcher, begin_turns, end_turns
 from pancakes.kernel.mailbox import Mailbox
 
 MOST_TURNS = 1_000_000
@@ -56,7 +56,8 @@ class VirtualDispatcher(Dispatcher):
     def call_at(self, time_s: float, function: Callable[[], None]) -> VirtualCall:
         """Runs `function` when the clock reaches `time_s`; at the present time if that has passed."""
         call = VirtualCall(function)
-        heapq.heappush(self._calls, (max(time_s, self.clock.now()), next(self._numbers), call))
+        now_s = self.clock.now()
+        heapq.heappush(self._calls, (time_s if time_s > now_s else now_s, next(self._numbers), call))
         return call
 
     def next_s(self) -> float:
@@ -71,20 +72,25 @@ class VirtualDispatcher(Dispatcher):
         Raises:
             PancakesError: that never ends: somebody tells himself something again and again.
         """
-        work = self._work
+        work, random, give_turn = self._work, self._random.random, self.give_turn
         turns = 0
-        while work:
-            turns += 1
-            if turns > MOST_TURNS:
-                component = work[-1].component
-                who = component.address if component is not None else "a task between restarts"
-                raise PancakesError(
-                    f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {who} still has work"
-                )
-            if len(work) > 1:
-                index = int(self._random.random() * len(work))
-                work[index], work[-1] = work[-1], work[index]
-            self.give_turn(work.pop())
+        deferred = begin_turns()
+        try:
+            while work:
+                turns += 1
+                if turns > MOST_TURNS:
+                    component = work[-1].component
+                    who = component.address if component is not None else "a task between restarts"
+                    raise PancakesError(
+                        f"virtual time stands still at {self.clock.now()} s:"
+                        f" after {MOST_TURNS} turns {who} still has work"
+                    )
+                if len(work) > 1:
+                    index = int(random() * len(work))
+                    work[index], work[-1] = work[-1], work[index]
+                give_turn(work.pop(), deferred)
+        finally:
+            end_turns()
 
     def step(self) -> bool:
         """Lets everybody work, then moves to the next time at which something happens.
@@ -93,14 +99,17 @@ class VirtualDispatcher(Dispatcher):
             False where nothing will ever happen again by itself.
         """
         self.settle()
-        while self._calls:
-            time_s, _, call = heapq.heappop(self._calls)
-            if call.function is None:
-                continue
-            self.clock.advance_to(time_s)
-            call.function()
-            return True
-        return False
+        time_s = self.next_s()
+        if time_s == math.inf:
+            return False
+        self.clock.advance_to(time_s)
+        self._take_next()
+        return True
+
+    def _take_next(self) -> None:
+        function = heapq.heappop(self._calls)[2].function
+        if function is not None:
+            function()
 
     def run_until(self, time_s: float) -> None:
         """Runs everything that happens up to and at `time_s`, and leaves the clock there."""
@@ -112,11 +121,15 @@ class VirtualDispatcher(Dispatcher):
         Returns:
             Whether the condition ceased to hold; False where the time ran out first.
         """
+        work, clock = self._work, self.clock
         self.settle()
         while condition():
-            if self.next_s() > until_s:
-                self.clock.advance_to(max(until_s, self.clock.now()))
+            time_s = self.next_s()
+            if time_s > until_s:
+                clock.advance_to(max(until_s, clock.now()))
                 return False
-            self.step()
-            self.settle()
+            clock.advance_to(time_s)
+            self._take_next()
+            if work:
+                self.settle()
         return True

@@ -21,6 +21,8 @@ from pancakes.packet import packet_type
 
 WINDOW: Final = 1024
 """Most letters to one task that wait for their acknowledgement."""
+WINDOW_BYTES: Final = 4 * 1024 * 1024
+"""Most bytes of these letters; one may always wait. A sender that moves takes them along, in its snapshot."""
 IN_FLIGHT: Final = 64
 """Most letters to one task that are on their way at once; the others wait until one of these is acknowledged."""
 RESEND_S: Final = 0.3
@@ -95,6 +97,7 @@ class _Correspondence(msgspec.Struct):
         host: where the task is thought to be.
         epoch_n: how fresh that is.
         packets: what is not acknowledged, by number.
+        size_bytes: how much they take.
         next_seq: number of the next letter.
         in_flight: how many of `packets`, from the first on, have been sent.
         due_s: when these are sent again.
@@ -104,6 +107,7 @@ class _Correspondence(msgspec.Struct):
     host: str
     epoch_n: int = -1
     packets: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
+    size_bytes: int = 0
     next_seq: int = 1
     in_flight: int = 0
     due_s: float = 0.0
@@ -142,7 +146,8 @@ class Outgoing:
         for to in posted.to:
             first = to.next_seq - len(to.packets)
             packets = OrderedDict(enumerate(to.packets, first))
-            stream._to[to.task_id] = _Correspondence(to.host, to.epoch_n, packets, to.next_seq)
+            size = sum(map(len, to.packets))
+            stream._to[to.task_id] = _Correspondence(to.host, to.epoch_n, packets, size, to.next_seq)
         return stream
 
     def posted(self) -> Posted:
@@ -173,12 +178,16 @@ class Outgoing:
             MailboxFull: too many wait for this task already.
         """
         to = self._to.setdefault(str(task_id), _Correspondence(host))
-        if len(to.packets) >= WINDOW:
-            raise MailboxFull(f"{WINDOW} packets for the task {task_id} wait for their acknowledgement already")
+        if len(to.packets) >= WINDOW or (to.packets and to.size_bytes + len(packet) > WINDOW_BYTES):
+            raise MailboxFull(
+                f"{len(to.packets)} packets for the task {task_id} ({to.size_bytes} bytes) wait for their"
+                " acknowledgement already"
+            )
         if not to.packets:
             to.pause_s = RESEND_S
             to.due_s = now_s + RESEND_S
         to.packets[to.next_seq] = packet
+        to.size_bytes += len(packet)
         to.next_seq += 1
         return self._fill(str(task_id), to)
 
@@ -190,7 +199,7 @@ class Outgoing:
         if receipt.epoch_n >= to.epoch_n:
             to.host, to.epoch_n = peer, receipt.epoch_n
         while to.packets and next(iter(to.packets)) <= receipt.seq:
-            to.packets.popitem(last=False)
+            to.size_bytes -= len(to.packets.popitem(last=False)[1])
             to.in_flight = max(0, to.in_flight - 1)
             to.pause_s = RESEND_S
             to.due_s = now_s + RESEND_S
@@ -257,8 +266,10 @@ class Incoming:
         heard: what it begins with, by stream.
     """
 
+    __slots__ = ("_heard",)
+
     def __init__(self, heard: Mapping[str, int] | None = None) -> None:
-        self._heard: OrderedDict[str, int] = OrderedDict(heard or {})
+        self._heard = dict(heard or {})
 
     def is_next(self, stream: str, seq: int, first: int) -> bool:
         """Returns whether a letter is the next of its stream.
@@ -274,10 +285,11 @@ class Incoming:
 
     def took(self, stream: str, seq: int) -> None:
         """A letter has had its effect."""
+        # To the end of the table, which is in the order in which they were heard.
+        self._heard.pop(stream, None)
         self._heard[stream] = seq
-        self._heard.move_to_end(stream)
         while len(self._heard) > STREAMS:
-            self._heard.popitem(last=False)
+            del self._heard[next(iter(self._heard))]
 
     def heard(self) -> dict[str, int]:
         """Returns the whole filter, what was heard from last at its end."""

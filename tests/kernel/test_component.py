@@ -564,3 +564,24 @@ def test_lines_and_events_reach_the_log_and_an_agent_without_a_log_goes_on(rig):
     rig.settle()
     assert rig.probe.packets(LogLine)[0].body == LogLine("warning", "hot")
     assert rig.probe.packets(Event)[0].body == Event("melted", {"degrees": 900})
+
+
+@pytest.mark.parametrize(("takes_s", "handled"), [(0.02, 1), (0.002, 4), (0.0004, 16), (0.0, 100)])
+def test_a_turn_ends_when_its_time_is_up_however_long_each_packet_takes(takes_s, handled):
+    """A turn that looked at the clock after each so many packets only would last as long as they do."""
+
+    class Slow(Component):
+        count = 0
+
+        @on("system", Number)
+        def take(self, packet):
+            self.count += 1
+            rig.dispatcher.clock.advance_to(rig.dispatcher.clock.now() + takes_s)
+
+    rig = Rig()
+    slow = rig.spawn(Slow, "a/client/Slow")
+    rig.send(*map(Number, range(100)))
+    slow.take_turn(0.005)
+    assert slow.count == handled
+    slow.take_turn(None)
+    assert slow.count == 100

@@ -12,6 +12,7 @@ from pancakes.migration.post import (
     RESEND_S,
     STREAMS,
     WINDOW,
+    WINDOW_BYTES,
     ForwardTo,
     Incoming,
     Letter,
@@ -184,3 +185,16 @@ def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effec
                 if source.random() < 0.8:
                     lose_and_double(out.acknowledged(receipt(len(effects), epoch_n), host, now_s))
     assert effects == list(range(1, 301))
+
+
+def test_what_waits_is_bounded_in_bytes_too_but_one_may_always_wait():
+    outgoing = Outgoing("s", "a")
+    outgoing.post(SCAN, bytes(WINDOW_BYTES + 1), "b", 0.0)
+    with pytest.raises(MailboxFull, match=r"1 packets for the task a/Scan \(\d+ bytes\) wait"):
+        outgoing.post(SCAN, b"x", "b", 0.0)
+    outgoing.acknowledged(Receipt(str(SCAN), "s", 1, 0), "b", 0.0)
+    outgoing.post(SCAN, bytes(WINDOW_BYTES - 1), "b", 0.0)
+    moved = Outgoing.of(outgoing.posted(), "c")
+    moved.post(SCAN, b"x", "b", 0.0)
+    with pytest.raises(MailboxFull):
+        moved.post(SCAN, b"x", "b", 0.0)

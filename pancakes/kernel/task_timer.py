@@ -1,0 +1,94 @@
+"""The ticks of one time-driven method (paper §3.2)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pancakes.kernel.handlers import Period, Tick
+
+if TYPE_CHECKING:
+    from pancakes.kernel.component import Component
+
+
+class TaskTimer:
+    """One time-driven method of one component: what stands between the timer's thread and the actor."""
+
+    __slots__ = (
+        "_deadline_s",
+        "_handler",
+        "_kernel",
+        "_mailbox",
+        "_now",
+        "component",
+        "lateness_max_s",
+        "lateness_sum_s",
+        "method",
+        "missed",
+        "missed_total",
+        "pending",
+        "period_s",
+        "ticks",
+    )
+
+    def __init__(self, component: Component, method: str, period: Period) -> None:
+        self.component = component
+        self.method = method
+        self.period_s = period.period_s
+        self._handler = getattr(component, method)
+        self._kernel = component.kernel
+        self._mailbox = component.actor_inbox
+        self._now = component.kernel.mission.now
+        self._deadline_s = 0.0
+        self.pending = False
+        self.missed = 0
+        self.missed_total = 0
+        self.ticks = 0
+        self.lateness_sum_s = 0.0
+        self.lateness_max_s = 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks for each second of mission time."""
+        return 1.0 / self.period_s
+
+    def describe(self) -> dict[str, Any]:
+        """Returns what is to be known about it, as plain values. Any thread."""
+        return {
+            "timer": self.method,
+            "rate_hz": self.rate_hz,
+            "ticks": self.ticks,
+            "missed": self.missed_total,
+            "lateness_mean_s": self.lateness_sum_s / self.ticks if self.ticks else 0.0,
+            "lateness_max_s": self.lateness_max_s,
+        }
+
+    def fire(self, deadline_s: float, missed: int) -> None:
+        """A deadline has come (the timer's thread). A tick that still waits is replaced, never joined by another."""
+        # In this order: a turn may run the waiting tick meanwhile, and must not be given this one twice.
+        if self.pending:
+            self.missed += 1 + missed
+            self._deadline_s = deadline_s
+            return
+        self.missed += missed
+        self._deadline_s = deadline_s
+        self.pending = True
+        self._mailbox.put(self)
+
+    def run(self) -> None:
+        """Calls the method (the component's turn)."""
+        deadline_s = self._deadline_s
+        missed, self.missed = self.missed, 0
+        self.pending = False
+        if self._mailbox.paused:
+            return
+        lateness_s = self._now() - deadline_s
+        if lateness_s < 0.0:
+            lateness_s = 0.0
+        self.ticks += 1
+        self.missed_total += missed
+        self.lateness_sum_s += lateness_s
+        if lateness_s > self.lateness_max_s:
+            self.lateness_max_s = lateness_s
+        for heard in self._kernel.lateness_heard:
+            heard(self, lateness_s)
+        self._handler(Tick(deadline_s, missed, lateness_s))

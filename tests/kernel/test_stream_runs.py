@@ -1,0 +1,111 @@
+"""Packets of one stream that came from another agent together are put into the mailboxes together."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.errors import MailboxFull, UnknownChannel
+from pancakes.kernel.handlers import Subscription
+from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.kernel.stream import InformationStream
+from pancakes.packet import Packet
+from pancakes.weight import LIGHT_BYTES
+
+
+class Dispatch:
+    """Counts who is told that something waits."""
+
+    def __init__(self):
+        self.readied = []
+
+    def ready(self, mailbox):
+        self.readied.append(mailbox)
+
+
+class Reader:
+    """A component as the stream sees it, which waits for something to do."""
+
+    def __init__(self, stream, address, **keeps):
+        self.mailbox = Mailbox()
+        self.mailbox.dispatch = self.dispatch = Dispatch()
+        self.mailbox.token.release()
+        for name, keep in keeps.items():
+            stream.subscribe(address, self.mailbox, Subscription("system", name, keep))
+
+    @property
+    def queue(self):
+        return self.mailbox.queues["system"]
+
+    def got(self):
+        return [taken.seq for taken in iter(self.queue.pop, None)]
+
+
+def packets(*seqs, to="*", body=None):
+    return [Packet("system", "pose", "b/client/S", to, 0.0, seq, body) for seq in seqs]
+
+
+def nobody(packet, error):
+    pytest.fail(f"{packet.seq}: {error}")
+
+
+KEEPS = {
+    "one subscription": {"pose": queue(5)},
+    "several": {"pose": queue(5), "ir": queue(2)},
+    "several, one of them reliable": {"pose": queue(5), "ir": reliable(2)},
+}
+
+
+@pytest.mark.parametrize("keeps", KEEPS.values(), ids=KEEPS)
+@pytest.mark.parametrize("body", [None, bytes(LIGHT_BYTES + 1)], ids=["light", "heavy"])
+def test_all_come_in_their_order_and_the_reader_is_told_once(keeps, body):
+    stream = InformationStream("a")
+    reader = Reader(stream, "a/client/T", **keeps)
+    for run in (packets(1, 2, body=body), packets(3, body=body)):  # the second finds the way known
+        stream.inject_all(run, nobody)
+    assert reader.dispatch.readied == [reader.mailbox]
+    assert reader.got() == [1, 2, 3] and reader.queue.dropped() == 0
+
+
+@pytest.mark.parametrize("keeps", KEEPS.values(), ids=KEEPS)
+def test_where_there_are_too_many_the_oldest_fall_out_and_are_counted(keeps):
+    stream = InformationStream("a")
+    reader = Reader(stream, "a/client/T", **keeps)
+    stream.inject_all(packets(1), nobody)
+    stream.inject_all(packets(*range(2, 10)), nobody)
+    assert reader.queue.dropped() == 4
+    assert reader.got() == [5, 6, 7, 8, 9] and reader.queue.offered() == 9
+
+
+def test_a_destination_is_kept_to():
+    stream = InformationStream("a")
+    one, other = Reader(stream, "a/client/T", pose=queue(9)), Reader(stream, "a/client/U", pose=queue(9))
+    for _ in range(2):
+        stream.inject_all(packets(1, 2, to="a/client/U"), nobody)
+    assert one.got() == [] and other.got() == [1, 2, 1, 2]
+    stream.inject_all(packets(1, 2, to="a/client/V"), nobody)
+    assert stream.undelivered == 2
+
+
+def test_a_tap_hears_each_of_them():
+    stream = InformationStream("a")
+    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), []
+    stream.tap("system", heard.append)
+    for run in (packets(1, 2), packets(3, 4)):
+        stream.inject_all(run, nobody)
+    assert reader.got() == [it.seq for it in heard] == [1, 2, 3, 4]
+
+
+def test_what_finds_no_room_is_told_one_by_one():
+    stream = InformationStream("a")
+    Reader(stream, "a/client/T", pose=reliable(2))
+    other, refused = Reader(stream, "a/client/U", pose=queue(9)), []
+    stream.inject_all(packets(1, 2, 3, 4), lambda packet, error: refused.append((packet.seq, type(error))))
+    assert refused == [(3, MailboxFull), (4, MailboxFull)]
+    assert other.got() == [1, 2, 3, 4]
+
+
+def test_what_is_for_no_channel_is_told_one_by_one():
+    stream, refused = InformationStream("a"), []
+    run = [Packet("nowhere", "pose", "b/client/S", "", 0.0, seq, None) for seq in (1, 2)]
+    stream.inject_all(run, lambda packet, error: refused.append((packet.seq, type(error))))
+    assert refused == [(1, UnknownChannel), (2, UnknownChannel)]
