@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import uuid
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +26,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
-from pancakes.net.mesh import Mesh
+from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, join
 from pancakes.plugins import Plugins
@@ -39,7 +42,9 @@ from pancakes.services.network import NetworkService
 from pancakes.services.postbox import COURIER
 from pancakes.services.records import Records
 from pancakes.services.root import Root
+from pancakes.services.wanted_recording import WantedRecording
 from pancakes.task import Task, TaskSpec
+from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Hello, Identity
 
 ORDER = ("log", "device", "network")
@@ -102,6 +107,8 @@ class Agent:
         self._born_s = self.kernel.host.now()
         self._root: Root | None = None
         self._clients: set[str] = set()
+        self._drop_said_s = -math.inf
+        self._unsaid: deque[Callable[[], None]] = deque(maxlen=1024)
         self.skipped: list[str] = []
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
@@ -115,6 +122,8 @@ class Agent:
     def _compose(self, config: Config, journal: Journal, virtual: Virtual | None) -> None:
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
+        if virtual is None:
+            transport.lend_thread(self.kernel.guest)
         store: RecordStore
         if virtual is not None:
             store = VirtualStore(journal, transport.call_later)
@@ -126,6 +135,8 @@ class Agent:
         self.skipped.extend(self.ledgers.unread)
         self.fences = Fences(journal, store)
         self.skipped.extend(self.fences.unread)
+        self.recording = WantedRecording(journal, store)
+        self.skipped.extend(self.recording.unread)
         self.skipped.extend(str(aside) for aside in journal.set_aside)
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
@@ -134,12 +145,13 @@ class Agent:
             config.agent.peers,
             self.kernel.random_for("mesh"),
             self.kernel.host,
-            on_packet=self._on_packet,
+            on_packets=self._on_packets,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
             on_refused=self._stop_for,
-            on_log=self.kernel.log,
+            on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
+            times=self._link_times(),
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self._outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
@@ -197,6 +209,7 @@ class Agent:
                 "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and nobody is checked"
             )
         self.ready.set()
+        self._say_unsaid()
 
     def stop(self) -> None:
         """Stops everything in reverse, and waits for it. Not from one of its own threads."""
@@ -280,28 +293,47 @@ class Agent:
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
-    def _on_packet(self, peer: str, packet: Packet) -> None:
-        try:
-            self.kernel.stream.inject(packet)
-        except PancakesError as error:
-            reason, root = str(error), self._root
-            if isinstance(packet.body, CONTROLS) and root is not None:
-                root.call(lambda: root.refuse(packet, reason))
-            else:
-                self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
+    def _say(self, say: Callable[[], None]) -> None:
+        """Says something on `log`, once there is a Log Service to hear it: links may stand before that."""
+        self._unsaid.append(say)
+        if self.ready.is_set():
+            self._say_unsaid()
+
+    def _say_unsaid(self) -> None:
+        # In the transport's thread, and once in the root's: each takes what it finds.
+        while self._unsaid:
+            try:
+                say = self._unsaid.popleft()
+            except IndexError:
+                return
+            say()
+
+    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
+        self.kernel.stream.inject_all(packets, partial(self._refused, peer))
+
+    def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
+        reason, root = str(error), self._root
+        if isinstance(packet.body, CONTROLS) and root is not None:
+            root.call(lambda: root.refuse(packet, reason))
+            return
+        now_s = self.kernel.host.now()
+        # There may be thousands a second, and a line for each would be a load of its own.
+        if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
+            self._drop_said_s = now_s
+            self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
 
     def _on_peer_up(self, hello: Hello) -> None:
         if hello.role == "client":
             # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
             self._clients.add(hello.name)
         else:
-            self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role}))
+            self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         if name in self._clients:
             self._clients.discard(name)
         else:
-            self.kernel.say(Event("peer_down", {"peer": name, "reason": reason}))
+            self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
         service = self.kernel.registry.get(join(self.name, "network"))
         if isinstance(service, NetworkService):
             service.call(lambda: service.peer_down(name))
@@ -322,6 +354,12 @@ class Agent:
         make = self._plugins.get("pancakes.transports", address.partition("://")[0])
         transport: Transport = make(self.kernel.host, self.name)
         return transport
+
+    def _link_times(self) -> LinkTimes:
+        # The mesh is there before the service, and outlives it.
+        network = self.config.services.get("network")
+        known = LinkTimes()
+        return LinkTimes(heartbeat_s=network.settings.get("heartbeat_s", known.heartbeat_s)) if network else known
 
     def _services(self) -> list[ServiceSpec]:
         by_service: dict[str, list[TaskSpec]] = {}
@@ -347,7 +385,7 @@ class Agent:
             arguments = {"devices": known, "fences": self.fences}
         elif config.name == "log":
             record = self.config.record
-            arguments = {"record": asdict(record) if record is not None else None}
+            arguments = {"record": asdict(record) if record is not None else None, "wanted": self.recording}
         elif config.name == "network":
             hosting = Hosting(self.config.agent.role, self._has_type, self._costs)
             arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}

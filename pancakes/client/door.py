@@ -49,7 +49,7 @@ class Door:
             (),
             random.Random(),
             clock,
-            on_packet=self._on_packet,
+            on_packets=self._on_packets,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
         )
@@ -147,12 +147,13 @@ class Door:
         if self._asked.pop(number, None) is not None:
             self._answers[number] = answer
 
-    def _on_packet(self, peer: str, packet: Packet) -> None:
-        if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
-            self._settle(packet.cause[1], packet.body)
-        else:
-            for listener in self._listeners:
-                listener(peer, packet)
+    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
+        for packet in packets:
+            if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
+                self._settle(packet.cause[1], packet.body)
+            else:
+                for listener in self._listeners:
+                    listener(peer, packet)
         self._changed()
 
     def _on_peer_up(self, hello: Hello) -> None:

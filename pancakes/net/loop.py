@@ -1,4 +1,9 @@
-"""One thread that waits for sockets and for points in time, and runs what was put off."""
+"""One thread that waits for sockets and for points in time, and runs what was put off.
+
+It may also give the turns of those to whom it has brought something, as a guest of the kernel's pool: a packet then
+reaches its task, and the task's answer the socket, without a hop to another thread (counted: one wake-up a packet on
+each side of a round trip, instead of two). Where a turn holds it, another thread takes the loop over.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +16,7 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
+from pancakes.kernel.pool import GUEST_S, Guest
 
 READ: Final = selectors.EVENT_READ
 WRITE: Final = selectors.EVENT_WRITE
@@ -47,13 +53,20 @@ class Loop:
         self._count = 0
         self._stopping = False
         self._ended = False
+        self._over = threading.Event()
         self._woken = False
         self._wake_reader, self._wake_writer = socket.socketpair()
         self._wake_reader.setblocking(False)
         self._wake_writer.setblocking(False)
         self._selector.register(self._wake_reader, READ, self._take_wake)
+        self._name = name
+        self._make_guest: Callable[[Callable[[], None]], Guest] | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
+
+    def lend(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
+        """Lets the loop's thread give turns as a guest from now on; `make_guest` is called with what relieves it."""
+        self._make_guest = make_guest
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Timer:
         """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.
@@ -96,6 +109,8 @@ class Loop:
                 heapq.heappush(self._timers, (self._clock.now(), self._count, Timer(lambda: self._end(last))))
                 self._wake()
         if not self.is_here():
+            # Not yet for the thread: a turn may hold it, and another one then ends in its place.
+            self._over.wait()
             self._thread.join()
 
     def _end(self, last: Callable[[], None]) -> None:
@@ -114,27 +129,51 @@ class Loop:
 
     def _run(self) -> None:
         try:
-            while not self._ended:
-                # Sockets come before timers, so that after a pause of this process (a debugger, SIGSTOP) what
-                # peers sent in the meantime is read before their silence is judged.
-                for key, events in self._selector.select(self._wait_s()):
-                    self._guard(key.data, events)
-                self._run_timers()
+            self._serve()
         finally:
-            self._selector.close()
-            self._wake_reader.close()
-            self._wake_writer.close()
+            if self.is_here():  # nobody has taken over
+                self._selector.close()
+                self._wake_reader.close()
+                self._wake_writer.close()
+                self._over.set()
+
+    def _serve(self) -> None:
+        """Does all that is to be done, until the end or until another thread has taken over."""
+        guest: Guest | None = None
+        while not self._ended:
+            # Sockets come before timers, so that after a pause of this process (a debugger, SIGSTOP) what
+            # peers sent in the meantime is read before their silence is judged.
+            ready = self._selector.select(self._wait_s())
+            if guest is None and self._make_guest is not None:
+                guest = self._make_guest(self._take_over)
+            if ready and guest is not None and guest.arrive():
+                try:
+                    for key, events in ready:
+                        self._guard(key.data, events)
+                    guest.work(self._clock.now() + GUEST_S)
+                finally:
+                    self._guard(guest.leave)
+                if not guest.stays:
+                    return
+            else:
+                for key, events in ready:
+                    self._guard(key.data, events)
+            self._run_timers()
+
+    def _take_over(self) -> None:
+        """A turn holds the loop's thread: lets another one be the loop's. From any thread."""
+        with self._lock:  # who puts something off meanwhile is either seen by the new thread or wakes it
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+        self._thread.start()
 
     def _wait_s(self) -> float | None:
-        with self._lock:
-            return max(0.0, self._timers[0][0] - self._clock.now()) if self._timers else None
+        # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
+        return max(0.0, self._timers[0][0] - self._clock.now()) if self._timers else None
 
     def _run_timers(self) -> None:
         now_s = self._clock.now()
-        while not self._ended:
+        while self._timers and self._timers[0][0] <= now_s and not self._ended:
             with self._lock:
-                if not self._timers or self._timers[0][0] > now_s:
-                    return
                 timer = heapq.heappop(self._timers)[2]
             if timer.function is not None:
                 self._guard(timer.function)

@@ -76,7 +76,7 @@ class MemoryNetwork:
         self._random = source
         self._default = quality or Quality()
         self._qualities: dict[tuple[str, str], Quality] = {}
-        self._partitions: list[_Partition] = []
+        self.partitions: list[_Partition] = []
         self._listeners: dict[str, tuple[MemoryTransport, Callable[[], Handler]]] = {}
         self._exempt: dict[str, None] = {}
         self._pipes: dict[_Pipe, None] = {}
@@ -116,7 +116,7 @@ class MemoryNetwork:
         """
         begin_s = self.now() if from_s is None else from_s
         cut = _Partition(frozenset(one), None if other is None else frozenset(other), begin_s, until_s)
-        self._partitions.append(cut)
+        self.partitions.append(cut)
 
         def begin() -> None:
             for pipe in list(self._pipes):
@@ -130,7 +130,7 @@ class MemoryNetwork:
 
     def heal(self) -> None:
         """Ends all partitions, those to come too."""
-        self._partitions.clear()
+        self.partitions.clear()
 
     def break_links(self, a: str, b: str, at_once: bool = True) -> None:
         """Breaks all connections between two agents; what was on its way is lost. They may dial again.
@@ -147,18 +147,19 @@ class MemoryNetwork:
     def parted(self, a: str, b: str) -> bool:
         """Returns whether two agents do not hear each other now."""
         now_s = self.now()
-        return any(cut.parts(a, b, now_s) for cut in self._partitions)
+        return any(cut.parts(a, b, now_s) for cut in self.partitions)
 
     # For the transports
 
     def quality(self, a: str, b: str) -> Quality:
         """Returns how well two agents hear each other."""
-        return self._qualities.get((a, b), self._default)
+        return self._qualities.get((a, b), self._default) if self._qualities else self._default
 
     def travel_s(self, quality: Quality) -> float:
         """Draws how long something travels."""
-        jitter_s = self._random.uniform(0.0, quality.jitter_s) if quality.jitter_s > 0 else 0.0
-        return quality.latency_s + jitter_s
+        if quality.jitter_s > 0:
+            return quality.latency_s + self._random.uniform(0.0, quality.jitter_s)
+        return quality.latency_s
 
     def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], Handler]) -> str:
         """See `Transport.listen`."""
@@ -272,7 +273,7 @@ class _Pipe:
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""
-        if not self.exempt and not self.cut:
+        if self.network.partitions and not self.cut and not self.exempt:
             self.cut = self.network.parted(*self.agents)
         return self.cut
 
@@ -299,6 +300,8 @@ class _End(Connection):
         self._unsent = 0
         self._free_s = 0.0  # when the bytes before have left
         self._arrival_s = 0.0  # of what was sent last
+        self.coming: list[bytes] = []  # what comes in at one time, at once: as it may in a stream
+        self.coming_s = -1.0
 
     def begin(self, handler: Handler) -> None:
         self._handler = handler
@@ -321,9 +324,18 @@ class _End(Connection):
             self._send_part(part, self._free_s, quality)
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
-        self._arrival_s = max(self._arrival_s, left_s + self._network.travel_s(quality))
-        if not self._pipe.is_cut():
-            self._network.call_at(self._arrival_s, partial(self.other.arrived, data))
+        arrival_s = left_s + (self._network.travel_s(quality) if quality.jitter_s else quality.latency_s)
+        if arrival_s < self._arrival_s:
+            arrival_s = self._arrival_s
+        self._arrival_s = arrival_s
+        if self._pipe.is_cut():
+            return
+        other = self.other
+        if arrival_s == other.coming_s:
+            other.coming.append(data)
+            return
+        other.coming, other.coming_s = [data], arrival_s
+        self._network.call_at(arrival_s, partial(other.arrived, other.coming))
 
     def unsent(self) -> int:
         return self._unsent
@@ -342,9 +354,11 @@ class _End(Connection):
         self._closing = True
         self._network.call_at(self._network.now(), lambda: self._finish(reason))
 
-    def arrived(self, data: bytes) -> None:
+    def arrived(self, parts: list[bytes]) -> None:
+        if parts is self.coming:
+            self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
         if not self._closing and not self._pipe.is_cut() and self._handler is not None:
-            self._handler.received(data)
+            self._handler.received(parts[0] if len(parts) == 1 else b"".join(parts))
 
     def hang_up(self) -> None:
         if not self._closing and not self._pipe.is_cut():

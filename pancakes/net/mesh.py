@@ -14,12 +14,12 @@ from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
-from pancakes.net.outbox import Counters, Message, PeerBusy
+from pancakes.net.outbox import Counters
 from pancakes.net.peers import Admit, Decision, Dial, Peers, reachable
+from pancakes.net.sending import Sending
 from pancakes.net.session import Session
 from pancakes.net.transport import Connection, Handler, Scheduled, Transport
-from pancakes.packet import NEIGHBOURS, Packet, agent_of
-from pancakes.wire.codec import Encoder
+from pancakes.packet import Packet, agent_of
 from pancakes.wire.link import (
     Action,
     Learnt,
@@ -34,8 +34,16 @@ from pancakes.wire.link import (
 )
 from pancakes.wire.messages import Goodbye, Hello, Identity
 
-MAX_HANDSHAKES: Final = 64
-"""Most connections from others that have not yet come to be links."""
+MAX_HANDSHAKES: Final = 256
+"""Most connections from others that have not yet come to be links; a whole fleet may come at once."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what everybody knows: a new link gets them all.
+"""
+GOSSIP_ADDRESSES: Final = 64
+"""Most addresses in one message to a new link."""
+TOGETHER: Final = 0.1
+"""So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
 DROPS_REPORTED_EVERY_S: Final = 5.0
 """A slow peer is named in the log at most that often, in seconds of host time."""
 
@@ -53,14 +61,6 @@ class _Unwanted:
         pass
 
 
-class _Sender(threading.local):
-    """What each thread that sends has for itself."""
-
-    def __init__(self) -> None:
-        self.encoder = Encoder()
-        self.unflushed: list[Session] = []
-
-
 class Mesh:
     """The links of one agent.
 
@@ -74,7 +74,7 @@ class Mesh:
         peers: addresses that are always dialled.
         source: random numbers, for the spread of retries.
         host_clock: the clock of hand-shakes and heartbeats.
-        on_packet: takes (peer's name, packet).
+        on_packets: takes (peer's name, packets): all of one channel, type, source and destination, in their order.
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
@@ -94,7 +94,7 @@ class Mesh:
         peers: Sequence[str],
         source: random.Random,
         host_clock: Clock,
-        on_packet: Callable[[str, Packet], None],
+        on_packets: Callable[[str, list[Packet]], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
         on_blob: Callable[[str, str, bytes], None] = lambda peer, kind, data: None,
@@ -110,26 +110,27 @@ class Mesh:
         self._static = tuple(peers)
         self._random = source
         self._now = host_clock.now
-        self._on_packet = on_packet
+        self._on_packets = on_packets
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._on_blob = on_blob
         self._on_refused = on_refused
         self._on_log = on_log
-        self._defer = defer
         self._times = times or LinkTimes()
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
         self._up: dict[str, Session] = {}  # replaced, never changed: read by all threads
-        self._neighbours: tuple[Session, ...] = ()
         self._counters: dict[str, Counters] = {}
         self._state = "new"
         self._asleep_until_s = 0.0
         self._established = False
         self._timer: Scheduled | None = None
         self._timer_s = math.inf
-        self._sender = _Sender()
+        self._sending = Sending(self._session_for, defer)
+        self._links_timer: Scheduled | None = None
+        self._links_timer_s = math.inf
+        self._beacons = 0
         self._tally_lock = threading.Lock()
         self._mission_packets = 0
         self._last_words: dict[str, str] = {}
@@ -165,31 +166,7 @@ class Mesh:
             PeerLost: the agent is not connected; the sentence says whether it sleeps.
             PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
         """
-        sender = self._sender
-        destination = packet.destination
-        if destination == NEIGHBOURS:
-            sessions = self._neighbours
-        else:
-            agent = agent_of(destination)
-            session = self._up.get(agent)
-            sessions = (session or self._session(agent, f"the packet {packet.type!r} of {packet.source}"),)
-        data = sender.encoder.packet(packet)
-        key = (packet.source, packet.type, destination)
-        given = 0
-        for session in sessions:
-            try:
-                session.offer(packet.channel, key, Message(data, not retry))
-            except PeerBusy:
-                if destination != NEIGHBOURS:
-                    raise
-                continue
-            given += 1
-            if not sender.unflushed:
-                sender.unflushed.append(session)
-                self._defer(self._flush)
-            elif session not in sender.unflushed:
-                sender.unflushed.append(session)
-        return given
+        return self._sending.send(packet, retry)
 
     def send_blob(self, peer: str, kind: str, data: bytes, retry: bool = False) -> None:
         """Sends a snapshot of a task: up to 16 MiB, in pieces that let other packets pass.
@@ -233,7 +210,7 @@ class Mesh:
 
     def neighbours(self) -> list[str]:
         """Returns the names of the connected peers in the role `agent`, sorted."""
-        return [session.peer for session in self._neighbours]
+        return [session.peer for session in self._sending.neighbours]
 
     def connected(self) -> list[Hello]:
         """Returns what all connected peers said about themselves, by name."""
@@ -302,11 +279,8 @@ class Mesh:
         there = ", ".join(sorted(self._up)) or "nobody"
         raise PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
 
-    def _flush(self) -> None:
-        """Sends what this thread has offered."""
-        unflushed = self._sender.unflushed
-        while unflushed:
-            unflushed.pop().flush()
+    def _session_for(self, packet: Packet) -> Session:
+        return self._session(agent_of(packet.destination), f"the packet {packet.type!r} of {packet.source}")
 
     def _tally(self, packets: int) -> None:
         with self._tally_lock:
@@ -364,7 +338,12 @@ class Mesh:
         if self._peers is None:
             return
         own = reachable(self._own.listen, "") if self._own.role != "client" else ""
-        addresses = ((own,) if own else ()) + self._peers.gossip()
+        others = self._peers.gossip()
+        if len(others) > BEACON_ADDRESSES:
+            first = self._beacons * BEACON_ADDRESSES % len(others)
+            others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        addresses = ((own,) if own else ()) + others
         for _, session in sorted(self._up.items()):
             if self._gossip(session, addresses):
                 self._tally(1)
@@ -412,14 +391,32 @@ class Mesh:
     def _watch(self, session: Session) -> None:
         """Sees to it that `_tick` runs when the link has something to do."""
         if session.link is not None and session.number in self._sessions:
-            delay_s = max(0.0, session.link.due_s() - self._now())
-            session.timer = self._transport.call_later(delay_s, lambda: self._tick(session))
+            session.due_s = session.link.due_s()
+            if session.due_s < self._links_timer_s:
+                self._arm_links(session.due_s)
 
-    def _tick(self, session: Session) -> None:
+    def _arm_links(self, due_s: float) -> None:
+        if self._links_timer is not None:
+            self._links_timer.cancel()
+        self._links_timer, self._links_timer_s = None, due_s
+        if due_s < math.inf:
+            delay_s = max(0.0, due_s + TOGETHER * self._times.heartbeat_s - self._now())
+            self._links_timer = self._transport.call_later(delay_s, self._run_links)
+
+    def _run_links(self) -> None:
+        self._links_timer, self._links_timer_s = None, -math.inf  # not to be armed for each link
+        now_s = self._now()
+        try:
+            for session in list(self._sessions.values()):
+                if session.due_s <= now_s:
+                    self._tick(session, now_s)
+        finally:
+            self._arm_links(min((session.due_s for session in self._sessions.values()), default=math.inf))
+
+    def _tick(self, session: Session, now_s: float) -> None:
         link = session.link
         if link is None or session.number not in self._sessions:
             return
-        now_s = self._now()
         if session.is_up:
             if session.stuck_s(now_s) >= self._times.stuck_s:
                 reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
@@ -439,8 +436,7 @@ class Mesh:
                     session.send_link(message)
                 case Received(packets):
                     session.counters.packets_in += len(packets)
-                    for packet in packets:
-                        self._call(self._on_packet, session.peer, packet)
+                    self._call(self._on_packets, session.peer, packets)
                 case ReceivedBlob(kind, data):
                     self._call(self._on_blob, session.peer, kind, data)
                 case Met(hello):
@@ -448,7 +444,9 @@ class Mesh:
                 case Up():
                     self._stood_up(session)
                 case Learnt(addresses):
-                    self._carry_out(self._peers.learnt(addresses, self._now()))
+                    decisions = self._peers.learnt(addresses, self._now())
+                    if decisions:
+                        self._carry_out(decisions)
                 case Over():
                     self._over(session, action)
 
@@ -474,8 +472,11 @@ class Mesh:
         level = "debug" if hello.role == "client" else "info"
         self._on_log(level, f"{name} ({hello.role}, {session.remote}) is connected")
         self._call(self._on_peer_up, hello)
-        self._gossip(session, self._peers.gossip())
-        if hello.listen and hello.role != "client":
+        addresses = self._peers.gossip()
+        for first in range(0, len(addresses), GOSSIP_ADDRESSES):
+            self._gossip(session, addresses[first : first + GOSSIP_ADDRESSES])
+        # Who was found by what others have said is known to those, and who comes hears of all and dials them.
+        if hello.listen and hello.role != "client" and self._peers.is_news(session.number):
             for other in self._up.values():
                 self._gossip(other, (hello.listen,))
 
@@ -556,9 +557,8 @@ class Mesh:
 
     def _set_up(self, up: dict[str, Session]) -> None:
         self._up = up
-        self._neighbours = tuple(
-            up[name] for name in sorted(up) if (hello := up[name].hello) is not None and hello.role == "agent"
-        )
+        peers = [(up[name], up[name].hello) for name in sorted(up)]
+        self._sending.change(up, tuple(it for it, hello in peers if hello is not None and hello.role == "agent"))
 
     def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
         """Tells a peer the addresses that are not its own; returns whether there were any."""

@@ -4,7 +4,8 @@ Pure. As long as a link is not congested nothing waits here: its messages go out
 were sent. When the peer, or the network, does not keep up:
 
 * `sysctrl` and `network` (migration) go first;
-* of `system` the newest waits, for each (source, type, destination): readings grow stale;
+* of `system` the newest waits, for each (source, type, destination): readings grow stale; what waits of one source
+  goes together, in the order in which it was published;
 * of `log` the oldest fall out;
 * every other channel has a window; where it is full the publisher is told so, and nothing is lost in silence;
 * the channels take turns, and blobs (the snapshots of tasks) with them, piece by piece.
@@ -12,7 +13,7 @@ were sent. When the peer, or the network, does not keep up:
 
 from __future__ import annotations
 
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Iterator
 from typing import Final
 
@@ -54,15 +55,17 @@ class Counters(msgspec.Struct):
 
 
 class Message(msgspec.Struct):
-    """An encoded packet that waits.
+    """An encoded packet that waits, or a whole message of the link.
 
     Attributes:
-        data: the encoded packet.
+        data: the packet as a row of a run; the message.
         counts: whether it is a mission packet (a retry is not).
+        head: what a run of such packets begins with; empty for a message.
     """
 
     data: bytes
     counts: bool
+    head: bytes = b""
 
 
 class _Lane:
@@ -70,45 +73,82 @@ class _Lane:
 
     def __init__(self, channel: str) -> None:
         self.channel = channel
-        self._max_bytes = MIGRATION_BYTES if channel == NETWORK else MAX_BYTES
-        self.waiting: deque[tuple[Key, Message]] = deque()
         self.bytes = 0
-        self._newest: dict[Key, Message] = {}
+        self._max_bytes = MIGRATION_BYTES if channel == NETWORK else MAX_BYTES
+        self._waiting: deque[Message] = deque()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
 
     def put(self, key: Key, message: Message, counters: Counters, peer: str) -> None:
-        if self.channel == SYSTEM and (older := self._newest.get(key)) is not None:
-            self.bytes += len(message.data) - len(older.data)
-            older.data, older.counts = message.data, message.counts  # it keeps its place, so it cannot starve
-            counters.drop(self.channel)
-        elif self.channel in (SYSTEM, LOG):
-            self._append(key, message)
+        """Adds a packet; `counters` counts what falls out for it.
+
+        Raises:
+            PeerBusy: there is no room, and nothing may fall out.
+        """
+        if self.channel == LOG:
+            self._append(message)
+            self._make_room(counters)
         elif self._full(len(message.data)):
-            raise PeerBusy(
-                f"{peer} is slow: {len(self.waiting)} packets ({self.bytes} bytes) on {self.channel} wait for it"
-            )
+            raise PeerBusy(f"{peer} is slow: {len(self)} packets ({self.bytes} bytes) on {self.channel} wait for it")
         else:
-            self._append(key, message)
-        while len(self.waiting) > 1 and self._full(0):
+            self._append(message)
+
+    def pop(self) -> Message:
+        """Takes out what is to go next."""
+        message = self._waiting.popleft()
+        self.bytes -= len(message.data)
+        return message
+
+    def _append(self, message: Message) -> None:
+        self._waiting.append(message)
+        self.bytes += len(message.data)
+
+    def _make_room(self, counters: Counters) -> None:
+        while len(self) > 1 and self._full(0):
             self.pop()
             counters.drop(self.channel)
 
-    def pop(self) -> Message:
-        key, message = self.waiting.popleft()
-        self.bytes -= len(message.data)
-        if self._newest.get(key) is message:
-            del self._newest[key]
-        return message
-
-    def _append(self, key: Key, message: Message) -> None:
-        self.waiting.append((key, message))
-        self.bytes += len(message.data)
-        if self.channel == SYSTEM:
-            self._newest[key] = message
-
     def _full(self, more_bytes: int) -> bool:
         """Whether `more_bytes` are too many (with 0: whether there are too many already)."""
-        count = len(self.waiting) + (more_bytes > 0)
+        count = len(self) + (more_bytes > 0)
         return count > MAX_PACKETS or (count > 1 and self.bytes + more_bytes > self._max_bytes)
+
+
+class _NewestLane(_Lane):
+    """The queue of `system`: the newest of each (source, type, destination).
+
+    Sources take turns, and in its turn a source sends all that waits of it. So neither does a source that publishes
+    all the time starve, because its place is always the last, nor does one type of it overtake another.
+    """
+
+    def __init__(self, channel: str) -> None:
+        super().__init__(channel)
+        self._sources: OrderedDict[str, dict[tuple[str, str], Message]] = OrderedDict()
+        self._count = 0  # of those that are not on the point of leaving, in `_waiting`
+
+    def __len__(self) -> int:
+        return len(self._waiting) + self._count
+
+    def put(self, key: Key, message: Message, counters: Counters, peer: str) -> None:
+        source, *what = key
+        mine = self._sources.setdefault(source, {})
+        older = mine.pop((what[0], what[1]), None)
+        if older is not None:
+            self.bytes -= len(older.data)
+            self._count -= 1
+            counters.drop(self.channel)
+        mine[what[0], what[1]] = message  # behind what this source has published since the older one
+        self.bytes += len(message.data)
+        self._count += 1
+        self._make_room(counters)
+
+    def pop(self) -> Message:
+        if not self._waiting:
+            _, mine = self._sources.popitem(last=False)
+            self._waiting.extend(mine.values())
+            self._count -= len(mine)
+        return super().pop()
 
 
 class Outbox:
@@ -140,8 +180,8 @@ class Outbox:
         """
         lane = self._lanes.get(channel)
         if lane is None:
-            lane = self._lanes[channel] = _Lane(channel)
-        was_empty = not lane.waiting
+            lane = self._lanes[channel] = (_NewestLane if channel == SYSTEM else _Lane)(channel)
+        was_empty = not lane
         lane.put(key, message, self.counters, self.peer)
         if was_empty and channel not in FIRST:
             self._turns.append(lane)
@@ -156,26 +196,21 @@ class Outbox:
             raise PeerBusy(f"{self.peer} is slow: {len(self._blobs)} snapshots wait for it")
         self._blobs.append(pieces)
 
-    def take(self, limit_bytes: int) -> tuple[list[bytes], int]:
-        """Takes what is to be sent next, at least one message if any waits.
-
-        Returns:
-            The messages, and how many of them are mission packets.
-        """
-        messages: list[bytes] = []
-        size = counted = 0
+    def take(self, limit_bytes: int) -> list[Message]:
+        """Takes what is to be sent next, at least one message if any waits."""
+        messages: list[Message] = []
+        size = 0
         while size < limit_bytes:
             message = self._next()
             if message is None:
                 break
-            messages.append(message.data)
-            size += len(message.data)
-            counted += message.counts
-        return messages, counted
+            messages.append(message)
+            size += len(message.head) + len(message.data)
+        return messages
 
     def _next(self) -> Message | None:
         for channel in FIRST:
-            if self._lanes[channel].waiting:
+            if self._lanes[channel]:
                 return self._lanes[channel].pop()
         if self._blobs and (self._blob_is_next or not self._turns):
             self._blob_is_next = False
@@ -189,10 +224,10 @@ class Outbox:
         self._blob_is_next = True
         lane = self._turns.popleft()
         message = lane.pop()
-        if lane.waiting:
+        if lane:
             self._turns.append(lane)
         return message
 
     def waiting(self) -> dict[str, int]:
         """Returns how many packets wait on each channel where any do."""
-        return {channel: len(lane.waiting) for channel, lane in sorted(self._lanes.items()) if lane.waiting}
+        return {channel: len(lane) for channel, lane in sorted(self._lanes.items()) if lane}

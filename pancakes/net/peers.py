@@ -20,11 +20,11 @@ import msgspec
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Goodbye, Hello, Refusal
 
-MAX_AGENTS: Final = 64
+MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
 """Most clients connected to one agent."""
-MAX_LEARNT: Final = 256
+MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
 FORGET_AFTER: Final = 20
 """A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
@@ -71,6 +71,7 @@ class _Candidate(msgspec.Struct):
     link: int
     hello: Hello
     address: str  # that we dialled, or empty
+    is_news: bool  # nobody had named the address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
 
@@ -93,6 +94,9 @@ class Peers:
         self._random = source
         self._times = times
         self._book = {address: _Address(True, now_s) for address in static if address != own.listen}
+        self._learnt = 0  # of the book's addresses
+        self._dials: dict[int, str] = {}  # the addresses of dials under way
+        self._met_at: dict[str, int] = {}  # of the candidates that we dialled
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
         self._asleep: dict[str, float] = {}
@@ -132,8 +136,10 @@ class Peers:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
-        dials = (it.due_s for address, it in self._book.items() if self._wanted(address, it))
-        holds = (candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None)
+        dials = [it.due_s for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        if len(self._candidates) == len(self._up):  # as nearly always
+            return min(dials, default=math.inf)
+        holds = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
         return min((*dials, *holds), default=math.inf)
 
     def tick(self, now_s: float) -> list[Decision]:
@@ -142,6 +148,7 @@ class Peers:
         for address, it in self._book.items():
             if self._wanted(address, it) and now_s >= it.due_s:
                 it.link = self.new_link()
+                self._dials[it.link] = address
                 decisions.append(Dial(address, it.link))
         for candidate in list(self._candidates.values()):
             if candidate.up_s is None and now_s >= candidate.until_s:
@@ -158,7 +165,7 @@ class Peers:
             remote: address of the other end of the connection, to stand in for a wildcard in `hello.listen`.
             now_s: host time.
         """
-        address = next((address for address, it in self._book.items() if it.link == link), "")
+        address = self._dials.pop(link, "")
         if address:
             self._book[address].link = None
         own, name = self._own, hello.name
@@ -167,10 +174,11 @@ class Peers:
         if address:
             self._book[address].name = name
         hello = _with_listen(hello, reachable(hello.listen, remote))
-        if hello.role != "client" and hello.listen:
-            self._learn(hello.listen, now_s, name)
+        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
         self._asleep.pop(name, None)
-        candidate = self._candidates[link] = _Candidate(link, hello, address)
+        candidate = self._candidates[link] = _Candidate(link, hello, address, is_news)
+        if address:
+            self._met_at[address] = link
         decisions: list[Decision] = []
         known = self._up.get(name)
         if known is not None and known.hello.journal != hello.journal:
@@ -238,13 +246,14 @@ class Peers:
         hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
         if candidate is None:
-            address = next((address for address, it in self._book.items() if it.link == link), "")
+            address = self._dials.pop(link, "")
             if not address:
                 return []
             self._book[address].link = None
             self._failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
+        self._met_at.pop(candidate.address, None)
         name = candidate.hello.name
         was_up = self._up.get(name) is candidate
         if was_up:
@@ -273,9 +282,14 @@ class Peers:
 
     def learnt(self, addresses: Sequence[str], now_s: float) -> list[Decision]:
         """A peer named addresses of other agents."""
-        for address in addresses:
-            self._learn(address, now_s)
-        return self.tick(now_s)
+        # Beacons name what is known already, from each peer and all the time.
+        unknown = [address for address in addresses if address not in self._book]
+        new = [address for address in unknown if self._learn(address, now_s)]
+        return self.tick(now_s) if new else []
+
+    def is_news(self, link: int) -> bool:
+        """Returns whether a peer listens where nobody had said that somebody does: others may not know it either."""
+        return self._candidates[link].is_news
 
     def redial(self, now_s: float) -> None:
         """Makes all addresses due now (this agent woke up)."""
@@ -286,7 +300,7 @@ class Peers:
         if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
             return False
         # Whom we met there is still to say whether the link stands, or when to come again.
-        return all(candidate.address != address for candidate in self._candidates.values())
+        return address not in self._met_at
 
     def _dialling(self, listen: str) -> bool:
         it = self._book.get(listen)
@@ -328,20 +342,24 @@ class Peers:
             if address and candidate.until_s < math.inf and candidate.hello.listen == address:
                 candidate.until_s = now_s
 
-    def _learn(self, address: str, now_s: float, name: str = "") -> None:
+    def _learn(self, address: str, now_s: float, name: str = "") -> bool:
+        """Writes an address down; returns whether it is a new one."""
         it = self._book.get(address)
+        is_new = it is None
         if it is None:
-            learnt = sum(not it.static for it in self._book.values())
-            if not address or address == self._own.listen or learnt >= MAX_LEARNT:
-                return
+            if not address or address == self._own.listen or self._learnt >= MAX_LEARNT:
+                return False
             it = self._book[address] = _Address(False, now_s)
+            self._learnt += 1
         it.name = name or it.name
+        return is_new
 
     def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
         it = self._book[address]
         it.failures += 1
         if not it.static and it.failures >= FORGET_AFTER and it.name not in self._up:
             del self._book[address]
+            self._learnt -= 1
         elif hopeless:
             it.due_s = now_s + self._times.retry_longest_s
         else:

@@ -1,26 +1,53 @@
 """One connection of the mesh: where a link's messages meet a transport.
 
-`Session` carries what the mesh decides to the connection and back. Packets may be offered from any thread;
+`Session` carries what the mesh decides to the connection and back. Packets may be sent from any thread;
 all else happens in the transport's thread.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
+import msgspec
+
 from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox, PeerBusy
-from pancakes.net.transport import Connection, Scheduled
+from pancakes.net.transport import Connection
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame, split
 from pancakes.wire.link import Link
 from pancakes.wire.messages import Hello
+from pancakes.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
 one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
 """
+
+
+class Train(msgspec.Struct):
+    """Packets that one turn of a task has for a peer, or for several: of one type, channel, source and destination.
+
+    Attributes:
+        channel: their channel.
+        head: what their run begins with.
+        rows: the encoded packets.
+        counted: how many of them are mission packets.
+        run: all of them as one message, made when it is first sent.
+    """
+
+    channel: str
+    head: bytes
+    rows: list[bytes]
+    counted: int
+    run: bytes = b""
+
+    def message(self) -> bytes:
+        """Returns it as one message of a frame. It must not grow after that."""
+        if not self.run:
+            self.run = run_of(self.head, self.rows)
+        return self.run
 
 
 class Owner(Protocol):
@@ -56,20 +83,18 @@ class Session:
         self.peer = ""
         self.hello: Hello | None = None
         self.is_up = False
-        self.timer: Scheduled | None = None
+        self.due_s = float("inf")  # when the link has something to do, or before that
         self.counters = Counters()
+        self.congested = False
         self.reported_drops = 0
         self.reported_s = float("-inf")
         self._owner = owner
         self._now = now
         self._tally = tally
         self._connection: Connection | None = None
+        self._remote = address
         self._lock = threading.Lock()
         self._outbox = Outbox("", self.counters)
-        self._first: list[Message] = []
-        self._rest: list[Message] = []
-        self._turn_bytes = 0
-        self._congested = False
         self._closed = False
         self._blobs = 0
         self._written = 0
@@ -79,7 +104,7 @@ class Session:
     @property
     def remote(self) -> str:
         """Address of the other end, for messages to people."""
-        return self._connection.remote if self._connection is not None else self.address
+        return self._remote
 
     def stood_up(self, hello: Hello, counters: Counters) -> None:
         """The link to the agent that said `hello` is up: from now on packets may be offered."""
@@ -96,7 +121,7 @@ class Session:
 
     def opened(self, connection: Connection) -> None:
         """See `Handler`."""
-        self._connection = connection
+        self._connection, self._remote = connection, connection.remote
         self._owner.session_opened(self)
 
     def received(self, data: bytes) -> None:
@@ -122,8 +147,23 @@ class Session:
         with self._lock:
             self._write([message])
 
+    def send(self, trains: Sequence[Train]) -> None:
+        """Sends what one turn has for this peer, at once. From any thread.
+
+        Who finds `congested` set must `offer` instead; what was published before that goes before what waits.
+        """
+        with self._lock:
+            if self._closed:
+                for train in trains:
+                    self.counters.drop(train.channel, len(train.rows))
+                return
+            if len(trains) > 1:
+                trains = sorted(trains, key=_comes_first)
+            messages = [train.message() for train in trains]
+            self._write(messages, sum(len(train.rows) for train in trains), sum(train.counted for train in trains))
+
     def offer(self, channel: str, key: Key, message: Message) -> None:
-        """Takes a packet, to be sent at `flush` or when there is room. From any thread.
+        """Takes a packet, to be sent when there is room. From any thread.
 
         Raises:
             PeerBusy: the peer is slow, and the channel's window full.
@@ -131,17 +171,14 @@ class Session:
         with self._lock:
             if self._closed:
                 self.counters.drop(channel)
-            elif self._congested:
+            elif self.congested:
                 try:
                     self._outbox.put(channel, key, message)
                 except PeerBusy:
                     self.counters.drop(channel)
                     raise
             else:
-                (self._first if channel in FIRST else self._rest).append(message)
-                self._turn_bytes += len(message.data)
-                if self._turn_bytes > BATCH_BYTES:  # do not let a turn pile up what could be on its way
-                    self._flush()
+                self._write([run_of(message.head, [message.data])], 1, message.counts)
 
     def offer_blob(self, kind: str, data: bytes, counts: bool) -> None:
         """Takes a blob and begins to send it. From any thread.
@@ -155,28 +192,19 @@ class Session:
             pieces = split(self._blobs, kind, data)
             encode = self._blob_encoder.link_message
             self._outbox.put_blob(Message(encode(piece), counts) for piece in pieces)
-            if not self._congested:
-                self._flush()
+            if not self.congested:
                 self._pump()
-
-    def flush(self) -> None:
-        """Sends what was offered in this turn. From any thread."""
-        with self._lock:
-            self._flush()
 
     def end(self, reason: str) -> None:
         """Closes the connection once what it was given is sent."""
         with self._lock:
-            if not self._closed:
-                self._flush()
             self._closed = True
             for channel, packets in self._outbox.waiting().items():
                 self.counters.drop(channel, packets)
-        if self.timer is not None:
-            self.timer.cancel()
-            self.timer = None
-        if self._connection is not None:
-            self._connection.close(reason)
+            # They know each other; so they would stay until garbage is collected, which is seldom.
+            connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close(reason)
 
     def stuck_s(self, now_s: float) -> float:
         """Returns for how long the peer has taken none of the bytes that wait for it."""
@@ -192,21 +220,14 @@ class Session:
         with self._lock:
             return self._outbox.waiting()
 
-    def _flush(self) -> None:
-        if not self._turn_bytes:
-            return
-        messages = self._first + self._rest if self._first else self._rest
-        self._first, self._rest, self._turn_bytes = [], [], 0
-        self._write([message.data for message in messages], len(messages), sum(it.counts for it in messages))
-
     def _pump(self) -> None:
-        self._congested = True  # keeps the order: what is offered now goes behind what waits
+        self.congested = True  # keeps the order: what is offered now goes behind what waits
         while True:
-            messages, counted = self._outbox.take(BATCH_BYTES)
+            messages = self._outbox.take(BATCH_BYTES)
             if not messages:
-                self._congested = False
+                self.congested = False
                 return
-            self._write(messages, len(messages), counted)
+            self._write(_in_runs(messages), len(messages), sum(message.counts for message in messages))
             if self._unsent():
                 return
 
@@ -223,7 +244,28 @@ class Session:
         if self.link is not None:
             self.link.sent(self._now())
         if self._unsent():
-            self._congested = True
+            self.congested = True
 
     def _unsent(self) -> int:
         return self._connection.unsent() if self._connection is not None else 0
+
+
+def _comes_first(train: Train) -> bool:
+    return train.channel not in FIRST
+
+
+def _in_runs(messages: Sequence[Message]) -> list[bytes]:
+    """Joins packets that follow each other and have the same head."""
+    joined: list[bytes] = []
+    rows: list[bytes] = []
+    size = 0
+    for message, following in zip(messages, (*messages[1:], None), strict=True):
+        if not message.head:
+            joined.append(message.data)
+            continue
+        rows.append(message.data)
+        size += len(message.data)
+        if following is None or following.head != message.head or size + len(following.data) > BATCH_BYTES:
+            joined.append(run_of(message.head, rows))
+            rows, size = [], 0
+    return joined

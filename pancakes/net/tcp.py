@@ -18,6 +18,8 @@ from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import PancakesError
+from pancakes.kernel.pool import Guest
+from pancakes.net.buffers import bound_buffers
 from pancakes.net.loop import READ, WRITE, Loop
 from pancakes.net.transport import Connection, Handler, Scheduled, Transport
 
@@ -110,6 +112,9 @@ class TcpTransport(Transport):
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
+
+    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
+        self.loop.lend(make_guest)
 
     def close(self) -> None:
         self.loop.stop(self._close_all)
@@ -282,6 +287,7 @@ class _TcpConnection(Connection, _Socket):
         self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             self._sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
+        bound_buffers(self._sock)
         self._transport.open[self] = None
         self._transport.loop.watch(self._sock, READ, self._ready)
         self._handler.opened(self)

@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
+from pancakes.kernel.pool import Guest
+
 
 class Connection(ABC):
     """One open connection: a first-in, first-out stream of bytes each way."""
@@ -88,6 +90,15 @@ class Transport(ABC):
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
+
+    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
+        """Lets this transport's thread give the turns of those to whom it has brought something.
+
+        A transport that has no thread of its own, or would rather not, need not do anything.
+
+        Args:
+            make_guest: makes the thread a guest of the kernel's pool; called with what relieves the thread.
+        """
 
     @abstractmethod
     def close(self) -> None:

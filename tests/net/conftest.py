@@ -220,7 +220,7 @@ class Agent:
             peers,
             random.Random(name),
             rig.clock,
-            on_packet=lambda peer, packet: self._note(self.packets, packet),
+            on_packets=lambda peer, packets: self._note_all(packets),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
             on_blob=lambda *blob: self._note(self.blobs, blob),
@@ -234,6 +234,10 @@ class Agent:
     def _note(self, kept: list[Any], news: Any) -> None:
         kept.append(news)
         self._rig.note()
+
+    def _note_all(self, packets: Sequence[Packet]) -> None:
+        for packet in packets:
+            self._note(self.packets, packet)
 
     def say(self, to: str, body: Any = None, channel: str = "chat", kind: str = "words", retry: bool = False) -> int:
         self._seq += 1

@@ -35,6 +35,19 @@ def test_bytes_take_their_latency(memory_rig):
     assert times == [1.25]
 
 
+def test_what_is_sent_at_one_time_arrives_at_once(memory_rig):
+    here, there = join(memory_rig)
+    times = arrivals(memory_rig, there)
+    memory_rig.timeline.run_until(1.0)
+    here.connection.send(b"one, ")
+    here.connection.send(b"two, ")
+    memory_rig.timeline.run_until(2.0)
+    here.connection.send(b"three")
+    memory_rig.timeline.run_until(3.0)
+    assert there.data == b"one, two, three"
+    assert times == [1.0005, 2.0005]
+
+
 def test_jitter_delays_but_never_reorders(memory_rig):
     memory_rig.network.set_quality("a", "b", Quality(latency_s=0.01, jitter_s=1.0))
     here, there = join(memory_rig)

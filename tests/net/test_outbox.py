@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pancakes.errors import MailboxFull
 from pancakes.migration.pieces import PIECE_BYTES
@@ -19,9 +21,12 @@ def put(outbox, channel, data, source="a", counts=True):
     outbox.put(channel, (source, "type", "b"), Message(data, counts))
 
 
+def take(outbox, limit_bytes):
+    return [message.data for message in outbox.take(limit_bytes)]
+
+
 def take_all(outbox):
-    messages, _ = outbox.take(1 << 40)
-    return messages
+    return take(outbox, 1 << 40)
 
 
 def number(index):
@@ -116,12 +121,60 @@ def test_only_so_many_blobs_wait():
         outbox.put_blob(iter([]))
 
 
-def test_a_batch_ends_where_the_limit_is_reached_and_counts_what_counts():
+def test_a_batch_ends_where_the_limit_is_reached():
     outbox, _ = make()
     for counts in (True, False, True, True):
         put(outbox, "chat", b"12345", counts=counts)
-    assert outbox.take(10) == ([b"12345"] * 2, 1)
+    assert outbox.take(10) == [Message(b"12345", True), Message(b"12345", False)]
     assert outbox.waiting() == {"chat": 2}
-    assert outbox.take(1) == ([b"12345"], 1)
-    assert outbox.take(100) == ([b"12345"], 1)
-    assert outbox.take(100) == ([], 0)
+    assert outbox.take(1) == [Message(b"12345", True)]
+    assert outbox.take(100) == [Message(b"12345", True)]
+    assert outbox.take(100) == []
+
+
+def test_two_types_of_one_source_never_overtake_each_other():
+    outbox, counters = make()
+    for data, kind in [(b"1", "pose"), (b"2", "battery"), (b"3", "pose")]:
+        outbox.put("system", ("a", kind, "b"), Message(data, True))
+    assert take_all(outbox) == [b"2", b"3"]
+    assert counters.dropped == {"system": 1}
+
+
+def test_a_source_that_publishes_all_the_time_does_not_starve():
+    """Nor do the types of a source of which one has become newer each time that the link has room."""
+    outbox, _ = make()
+    sent: list[bytes] = []
+    for round_ in range(20):
+        for source in ("x", "y"):
+            for kind in (b"a", b"b"):
+                outbox.put("system", (source, kind.decode(), "b"), Message(source.encode() + kind, True))
+                sent += take(outbox, 1) if round_ else []
+    counts = {data: sent.count(data) for data in (b"xa", b"xb", b"ya", b"yb")}
+    assert min(counts.values()) >= 10, counts
+
+
+@given(st.data())
+def test_whatever_waits_leaves_in_the_order_of_its_source(data):
+    """And of each type of each source the newest is never lost."""
+    outbox, counters = make()
+    newest: dict[tuple[str, str], int] = {}
+    taken: list[tuple[str, str, int]] = []
+
+    def take_some() -> None:
+        for message in take(outbox, data.draw(st.integers(1, 3))):
+            source, kind, text = message.decode().split()
+            taken.append((source, kind, int(text)))
+
+    puts = data.draw(st.lists(st.tuples(st.sampled_from("xy"), st.sampled_from("abc"), st.booleans()), max_size=40))
+    for seq, (source, kind, takes) in enumerate(puts):
+        outbox.put("system", (source, kind, "b"), Message(f"{source} {kind} {seq}".encode(), True))
+        newest[source, kind] = seq
+        if takes:
+            take_some()
+    while outbox.waiting():
+        take_some()
+    for source in "xy":
+        numbers = [seq for whose, _, seq in taken if whose == source]
+        assert numbers == sorted(set(numbers))
+    assert {(source, kind): seq for source, kind, seq in taken} == newest
+    assert len(taken) + counters.dropped.get("system", 0) == len(puts)

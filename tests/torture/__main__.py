@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 from torture.live_commands import cuts, gap, kills
+from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
 from torture.report import json_option, spread, write
 from torture.schedules import run_schedule, run_schedules
@@ -132,7 +133,7 @@ COUNTED = (
 """What is counted in fault schedules: how it is called, and its key in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap):
+for live in (kills, cuts, gap, load):
     torture.add_command(live)
 
 

@@ -11,9 +11,12 @@ from typing import Any
 
 import msgspec
 
-from pancakes.wire.codec import rows_from_payload
+from pancakes.wire.bodies import unpacked
 from pancakes.wire.framing import FrameReader
 from pancakes.wire.messages import HELLO_NUMBER, Peers
+
+RUN = 0
+"""What the array of a run of packets begins with; see `pancakes.wire.runs`."""
 
 LISTEN = 7  # where a hello has the address at which its sender may be dialled
 
@@ -29,7 +32,7 @@ class Verdict(Enum):
 
 
 Watch = Callable[[list[Any]], Verdict]
-"""Is shown each packet, as the row that it is on the wire."""
+"""Is shown each packet: [channel, type, source, destination, stamp, seq, cause, body, fence]."""
 
 
 class Proxy:
@@ -128,14 +131,13 @@ class Proxy:
         try:
             while data := source.recv(1 << 18):
                 for payload in reader.feed(data):
-                    rows = rows_from_payload(payload)
-                    if self._is_cut_by(rows):
+                    messages = unpacked(payload)
+                    if self._is_cut_by(messages):
                         return
-                    kept, ends = self._judged(rows)
-                    if kept != rows:
-                        payload = msgspec.msgpack.encode(kept)
+                    kept, ends = self._judged(messages)
                     if kept:
-                        sink.sendall(struct.pack(">I", len(payload)) + payload)
+                        whole = bytes(payload) if kept == messages else msgspec.msgpack.encode(kept)
+                        sink.sendall(struct.pack(">I", len(whole)) + whole)
                     if ends:
                         return
         except OSError:
@@ -147,8 +149,8 @@ class Proxy:
                 except OSError:  # it is closed already
                     pass
 
-    def _is_cut_by(self, rows: list[list[Any]]) -> bool:
-        if not self._word or not any(isinstance(row[0], str) and row[1] == self._word for row in rows):
+    def _is_cut_by(self, messages: list[list[Any]]) -> bool:
+        if not self._word or not any(message[0] == RUN and message[2] == self._word for message in messages):
             return False
         with self._lock:
             self._word, self._open = "", False
@@ -156,19 +158,29 @@ class Proxy:
         self.cut.set()
         return True
 
-    def _judged(self, rows: list[list[Any]]) -> tuple[list[list[Any]], bool]:
-        """Returns the rows that arrive, and whether they are the last ones."""
+    def _judged(self, messages: list[list[Any]]) -> tuple[list[list[Any]], bool]:
+        """Returns the messages that arrive, and whether they are the last ones."""
         kept: list[list[Any]] = []
-        for row in rows:
-            if row[0] == HELLO_NUMBER:
-                row = row[:LISTEN] + [""]
-            elif row[0] == Peers.__struct_config__.tag:
-                continue
-            elif self._watch is not None and isinstance(row[0], str):
-                verdict = self._watch(row)
-                if verdict is Verdict.END:
+        for message in messages:
+            if message[0] == HELLO_NUMBER:
+                kept.append(message[:LISTEN] + [""])
+            elif message[0] == RUN and self._watch is not None:
+                rows, ends = self._judged_run(message, self._watch)
+                if rows:
+                    kept.append([*message[:-1], rows])
+                if ends:
                     return kept, True
-                if verdict is Verdict.LOSE:
-                    continue
-            kept.append(row)
+            elif message[0] != Peers.__struct_config__.tag:
+                kept.append(message)
+        return kept, False
+
+    def _judged_run(self, run: list[Any], watch: Watch) -> tuple[list[list[Any]], bool]:
+        """Returns the rows of a run that arrive, and whether they are the last ones."""
+        kept: list[list[Any]] = []
+        for row in run[-1]:
+            verdict = watch([*run[1:-1], *row])
+            if verdict is Verdict.END:
+                return kept, True
+            if verdict is Verdict.PASS:
+                kept.append(row)
         return kept, False

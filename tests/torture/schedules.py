@@ -25,8 +25,10 @@ from torture.story import Story
 
 from pancakes.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.journal import Entry
+from pancakes.kernel.dispatch import Deferred
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
@@ -110,10 +112,10 @@ class Schedule:
         self._probes: dict[str, Probe] = {}
         give_turn = self.fleet.dispatcher.give_turn
 
-        def turn(mailbox: Mailbox, slice_s: float | None = None) -> None:
+        def turn(mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None) -> None:
             """A turn, then a look at all tasks: between two turns is where anything may be seen by anybody."""
             component = mailbox.component
-            give_turn(mailbox, slice_s)
+            give_turn(mailbox, deferred, slice_s)
             self.oracle.check()
             if self._doomed and component is not None:
                 self._step(component.agent, "turn")
@@ -156,7 +158,8 @@ class Schedule:
         probe = agent.kernel.spawn(Probe, join(name, "test", "Probe"), channels=(CTRL,))
         assert isinstance(probe, Probe)
         self._probes[name] = probe
-        agent.kernel.stream.inject = partial(self._inject, name, agent.kernel.stream.inject)  # type: ignore[method-assign]
+        inject = partial(self._inject, name, agent.kernel.stream.inject)
+        agent.kernel.stream.inject_all = partial(_one_by_one, inject)  # type: ignore[method-assign]
         write = virtual.journal.write
 
         def write_and_tell(batch: Sequence[Entry]) -> None:
@@ -196,7 +199,7 @@ class Schedule:
 
     # The network -----------------------------------------------------------------------------------------------
 
-    def _inject(self, name: str, inject: Callable[[Packet], None], packet: Packet) -> None:
+    def _inject(self, name: str, inject: Callable[[Packet], object], packet: Packet) -> None:
         """Lets a packet of the hand-over come not at all, twice, or late and behind those that were sent after it."""
         if packet.channel != NETWORK or not packet.type.startswith("migration."):
             inject(packet)
@@ -448,3 +451,14 @@ def run_schedules(seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
         return
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
         yield from pool.imap_unordered(run_schedule, seeds, chunksize=4)
+
+
+def _one_by_one(
+    inject: Callable[[Packet], None], packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None]
+) -> None:
+    """What `InformationStream.inject_all` does, with an `inject` of our own."""
+    for packet in packets:
+        try:
+            inject(packet)
+        except PancakesError as error:
+            refused(packet, error)

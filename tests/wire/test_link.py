@@ -9,17 +9,30 @@ from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame, split
 from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, ReceivedBlob, Send, State, Up
-from pancakes.wire.messages import Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
+from pancakes.wire.messages import VERSION, Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
+from pancakes.wire.runs import head_of, row_of, run_of
 
 
 def hello(name, **more):
-    values = {"version": 1, "fleet": "default", "role": "agent", "journal": f"journal of {name}", "boot": 1, **more}
+    values = {
+        "version": VERSION,
+        "fleet": "default",
+        "role": "agent",
+        "journal": f"journal of {name}",
+        "boot": 1,
+        **more,
+    }
     return Hello(name=name, **values)
+
+
+def run(*packets):
+    head = head_of(packets[0])
+    return run_of(head, [row_of(packet, head) for packet in packets])
 
 
 def wire(*messages):
     encoder = Encoder()
-    return frame([encoder.packet(it) if isinstance(it, Packet) else encoder.link_message(it) for it in messages])
+    return frame([run(it) if isinstance(it, Packet) else encoder.link_message(it) for it in messages])
 
 
 def sent(actions):
@@ -78,11 +91,17 @@ def test_packets_and_messages_keep_their_order():
     link = up()
     actions = link.receive(wire(PACKET, PACKET, Peers(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
     assert actions == [
-        Received([PACKET, PACKET]),
+        Received([PACKET]),
+        Received([PACKET]),
         Learnt(("tcp://c:1",)),
         Received([PACKET]),
         Received([PACKET]),
     ]
+
+
+def test_the_packets_of_a_run_come_together():
+    others = [Packet("chat", "words", "b/c/d", "a", 0.5, seq, {"n": seq}, ("b/c/d", 1)) for seq in range(2, 20)]
+    assert up().receive(frame([run(PACKET, *others)]), 1.0) == [Received([PACKET, *others])]
 
 
 def test_blobs_come_whole():
@@ -114,7 +133,7 @@ def test_what_came_before_the_fault_is_delivered_and_the_peer_is_told():
 @pytest.mark.parametrize(
     ("more", "code", "words"),
     [
-        ({"version": 2}, "version", "version 1 of the protocol and the other side version 2"),
+        ({"version": 1}, "version", f"version {VERSION} of the protocol and the other side version 1"),
         ({"fleet": "east"}, "fleet", "'default' and b of 'east'"),
     ],
 )
@@ -195,6 +214,23 @@ def test_silence_of_two_seconds_ends_the_link_and_any_byte_is_life():
     link.receive(wire(PACKET)[:1], 1.9)
     assert rest(link.tick(3.8)) == []
     assert link.tick(3.9) == [Over("nothing was heard from b for 2 s")]
+
+
+def test_who_is_late_itself_waits_for_a_heartbeat_more_and_only_once():
+    """As on a machine without a processor to spare: what the peer has sent may come right behind."""
+    link = up()
+    assert rest(link.tick(2.6)) == []
+    assert link.due_s() <= 3.1
+    link.receive(wire(PACKET)[:1], 3.0)
+    assert rest(link.tick(4.9)) == [], "it was alive all the time"
+    assert rest(link.tick(6.0)) == []
+    assert rest(link.tick(6.6)) == [Over("nothing was heard from b for 2 s")]
+
+
+def test_who_is_late_itself_does_not_turn_away_who_could_not_say_hello_in_time():
+    link = opened()
+    assert rest(link.tick(3.0)) == []
+    assert link.tick(3.5) == [Over("no hello came within 2 s")]
 
 
 def test_a_hello_is_waited_for_two_seconds_whatever_else_trickles_in():

@@ -1,0 +1,262 @@
+"""What the body of a packet may hold, and what it becomes on the wire.
+
+The sender refuses whatever the decoder at the other end would refuse, so that the mistake is an error at the one who
+publishes and never costs a link. A dataclass travels as a map of its fields; a numpy array as the one extension type,
+which holds its dtype, shape and raw bytes.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from operator import attrgetter
+from typing import Annotated, Any, Final
+
+import msgpack
+import msgspec
+
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.packet import body_from_plain, field_names, has_fields
+
+MAX_DEPTH: Final = 32
+"""How deep arrays and maps may be nested, two levels round the body counted."""
+MAX_ARRAY_LENGTH: Final = 65_536
+MAX_MAP_LENGTH: Final = 4_096
+ARRAY_EXTENSION: Final = 1
+"""Number of the msgpack extension type that holds a numpy array."""
+
+BODY_DEPTH: Final = 3
+"""The level at which a body stands."""
+
+_LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
+_STRINGS: Final = frozenset((str,))
+_FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the classes that were sent: asking for them each time is slow
+_VALUES: Final[dict[type, Callable[[Any], Iterable[Any]]]] = {}  # likewise, what takes the values of all fields at once
+_DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
+
+_Side = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
+
+
+class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
+    """What the extension type of numpy arrays holds."""
+
+    dtype: str
+    shape: Annotated[tuple[_Side, ...], msgspec.Meta(max_length=32)]
+    raw: bytes
+
+
+def encodable(body: Any) -> Any:
+    """Returns a body as msgspec may encode it: the body itself where that can be, else plain values made of it.
+
+    Raises:
+        LocalProtocolError: it holds what does not travel; the sentence says where.
+    """
+    take = _VALUES.get(body.__class__)
+    if take is not None and _LEAVES.issuperset(map(type, take(body))):  # most are: no more calls for these
+        return body
+    return body if _stands(body, BODY_DEPTH) else _plain(body, BODY_DEPTH, "its body")
+
+
+def _stands(value: Any, depth: int) -> bool:
+    """Returns whether a value is sure to travel, and is encoded as it stands in the same way as what `_plain` makes.
+
+    Looking is three times as fast as making plain values of a body of two numbers.
+    """
+    kind = type(value)
+    take = _VALUES.get(kind)
+    if take is not None:
+        items = take(value)
+    elif kind in _LEAVES:
+        return True
+    elif kind is tuple or kind is list:
+        if len(value) > MAX_ARRAY_LENGTH:
+            return False
+        items = value
+    elif kind is dict:
+        if len(value) > MAX_MAP_LENGTH or not _STRINGS.issuperset(map(type, value)):
+            return False
+        items = value.values()
+    else:
+        return False
+    if depth > MAX_DEPTH:
+        return False
+    return _LEAVES.issuperset(map(type, items)) or all(_stands(item, depth + 1) for item in items)
+
+
+def _plain(value: Any, depth: int, where: str) -> Any:
+    """Turns a body into what is encoded as it stands; `where` leads to `value` in an error."""
+    kind = type(value)
+    if kind in _LEAVES:
+        return value
+    names = _FIELDS.get(kind)
+    if names is not None:
+        _check_depth(depth, where)
+        items = {name: getattr(value, name) for name in names}
+        if not _LEAVES.issuperset(map(type, items.values())):
+            for name, item in items.items():
+                items[name] = _plain(item, depth + 1, f"{where}.{name}")
+        return items
+    if kind is dict:
+        _check_depth(depth, where)
+        if len(value) > MAX_MAP_LENGTH:
+            raise LocalProtocolError(f"{where} is a map of {len(value)}, and {MAX_MAP_LENGTH} is the most")
+        if not _STRINGS.issuperset(map(type, value)):
+            return _plain({_key(key, where): item for key, item in value.items()}, depth, where)
+        if _LEAVES.issuperset(map(type, value.values())):
+            return value
+        return {key: _plain(item, depth + 1, f"{where}.{key}") for key, item in value.items()}
+    if kind is list or kind is tuple:
+        _check_depth(depth, where)
+        if len(value) > MAX_ARRAY_LENGTH:
+            raise LocalProtocolError(f"{where} is a list of {len(value)}, and {MAX_ARRAY_LENGTH} is the most")
+        if _LEAVES.issuperset(map(type, value)):
+            return value
+        return [_plain(item, depth + 1, f"{where}[{index}]") for index, item in enumerate(value)]
+    return _plain_object(value, depth, where)
+
+
+def _plain_object(value: Any, depth: int, where: str) -> Any:
+    if has_fields(type(value)):
+        _remember(type(value))
+        return _plain(value, depth, where)
+    if isinstance(value, msgspec.Struct):
+        items = {name: getattr(value, name) for name in value.__struct_fields__}
+        return _plain(list(items.values()) if value.__struct_config__.array_like else items, depth, where)
+    if isinstance(value, Enum):
+        return _plain(value.value, depth, where)
+    numpy = sys.modules.get("numpy")  # an array can only be there if numpy is
+    if numpy is not None:
+        if isinstance(value, numpy.ndarray):
+            return _extension_from_array(value, where)
+        if isinstance(value, numpy.generic) and value.dtype.kind in "biuf":
+            return value.item()
+    if isinstance(value, dict):
+        return _plain(dict(value), depth, where)
+    if isinstance(value, (list, tuple)) and not isinstance(value, msgpack.ExtType):  # a named tuple, say
+        return _plain(list(value), depth, where)
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, int):
+        return int(value)
+    if isinstance(value, float):
+        return float(value)
+    if isinstance(value, (bytes, bytearray, memoryview)):
+        return bytes(value)
+    raise LocalProtocolError(f"{where} is of the type {type(value).__name__}, which does not travel")
+
+
+def _remember(cls: type) -> None:
+    names = _FIELDS[cls] = field_names(cls)
+    if issubclass(cls, msgspec.Struct):
+        if not cls.__struct_config__.omit_defaults:
+            _VALUES[cls] = msgspec.structs.astuple
+    elif is_dataclass(cls) and all(field.init for field in fields(cls)):
+        # msgspec leaves out a field that no instance has for itself.
+        _VALUES[cls] = attrgetter(*names) if len(names) > 1 else lambda body: [getattr(body, name) for name in names]
+
+
+def _key(key: Any, where: str) -> str:
+    if isinstance(key, Enum):
+        key = key.value
+    if not isinstance(key, str):
+        raise LocalProtocolError(f"{where} has the key {key!r}, and keys must be strings")
+    return str(key)
+
+
+def _check_depth(depth: int, where: str) -> None:
+    if depth > MAX_DEPTH:
+        raise LocalProtocolError(f"{where[:80]} is nested deeper than {MAX_DEPTH}")
+
+
+# What came in --------------------------------------------------------------------------------------------------
+
+
+def unpacked(data: bytes | memoryview | msgspec.Raw) -> Any:
+    """Takes msgpack of any form apart, within the limits of memory.
+
+    Raises:
+        RemoteProtocolError: it is not msgpack, or breaks a limit.
+    """
+    length = memoryview(data).nbytes
+    try:
+        return msgpack.unpackb(
+            data,
+            ext_hook=_array_from_extension,
+            max_array_len=MAX_ARRAY_LENGTH,
+            max_map_len=MAX_MAP_LENGTH,
+            max_str_len=length,
+            max_bin_len=length,
+            max_ext_len=length,
+        )
+    except (ValueError, TypeError, MemoryError) as error:
+        raise RemoteProtocolError(f"a frame is not valid msgpack: {error or type(error).__name__}") from None
+
+
+def received_body(kind: str, plain: Any, source: str) -> Any:
+    """Makes the body of a packet of the type `kind` from what came in; where the type is unknown it stays plain.
+
+    Raises:
+        RemoteProtocolError: it holds what may not be in a packet, or does not fit its type.
+    """
+    if type(plain) not in _LEAVES:
+        _check_received(plain, BODY_DEPTH)
+    try:
+        return body_from_plain(kind, plain)
+    except RemoteProtocolError as error:
+        raise RemoteProtocolError(f"{error} (from {source})") from None
+    except Exception as error:  # a registered class may run code of its own in __post_init__
+        raise RemoteProtocolError(
+            f"a packet of the type {kind!r} from {source} has a bad body: {type(error).__name__}: {error}"
+        ) from None
+
+
+def _check_received(value: Any, depth: int) -> None:
+    kind = type(value)
+    if kind is dict:
+        if not _STRINGS.issuperset(map(type, value)):
+            raise RemoteProtocolError("a packet holds a map with a key that is no string")
+        inner = value.values()
+    elif kind is list:
+        inner = value
+    elif kind is msgpack.Timestamp:  # msgpack makes these by itself, before it asks for our types
+        raise RemoteProtocolError("a packet holds an extension type that is not ours: -1")
+    else:
+        return  # one of our arrays
+    if depth > MAX_DEPTH:
+        raise RemoteProtocolError(f"a packet is nested deeper than {MAX_DEPTH}")
+    if not _LEAVES.issuperset(map(type, inner)):
+        for item in inner:
+            if type(item) not in _LEAVES:
+                _check_received(item, depth + 1)
+
+
+def _extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
+    dtype = array.dtype.str
+    if not _DTYPE.match(dtype):
+        raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans travel")
+    return msgspec.msgpack.Ext(ARRAY_EXTENSION, msgspec.msgpack.encode((dtype, array.shape, array.tobytes())))
+
+
+def _array_from_extension(code: int, data: bytes) -> Any:
+    """Makes a read-only numpy array; its memory is the frame's own bytes."""
+    if code != ARRAY_EXTENSION:
+        raise RemoteProtocolError(f"a frame holds an extension type that is not ours: {code}")
+    limit = len(data)
+    try:
+        array = msgspec.convert(
+            msgpack.unpackb(data, max_array_len=64, max_map_len=0, max_str_len=8, max_bin_len=limit, max_ext_len=0),
+            _ArrayRow,
+        )
+    except (ValueError, TypeError) as error:  # msgspec's ValidationError is a ValueError
+        raise RemoteProtocolError(f"a frame holds a malformed array: {error}") from None
+    if not _DTYPE.match(array.dtype):
+        raise RemoteProtocolError(f"a frame holds an array of {array.dtype!r}, and only numbers and booleans travel")
+    if math.prod(array.shape) * int(array.dtype[2:]) != len(array.raw):
+        raise RemoteProtocolError(f"a frame holds an array of the shape {array.shape} in {len(array.raw)} bytes")
+    import numpy
+
+    return numpy.frombuffer(array.raw, dtype=array.dtype).reshape(array.shape)

@@ -1,0 +1,31 @@
+"""Heartbeats that are not the usual ones."""
+
+from __future__ import annotations
+
+from pancakes.testing import FleetInTest
+from pancakes.wire.link import LinkTimes
+
+
+def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
+    """Whoever expects to hear something sooner asks, and the other answers."""
+    a = memory_rig.agent("a", times=LinkTimes(heartbeat_s=0.5))
+    b = memory_rig.agent("b", [a.mesh.listen], times=LinkTimes(heartbeat_s=20.0))
+    c = memory_rig.agent("c", [a.mesh.listen], times=LinkTimes(heartbeat_s=0.5))
+    memory_rig.timeline.run_until(120.0)
+    assert all(len(each.mesh.connected()) == 2 and each.downs == [] for each in (a, b, c))
+
+
+def test_the_configuration_says_how_long_a_peer_may_be_silent():
+    def gone_after_s(settings):
+        with FleetInTest() as fleet:
+            silent = {"network": {"settings": {"discovery_hz": 0.0, **settings}}}
+            a = fleet.start("a", services=silent)
+            fleet.start("b", services=silent)
+            a.wait_for_event("peer_up", peer="b")
+            cut_s = fleet.now()
+            fleet.network.partition(["a"], ["b"])
+            a.wait_for_event("peer_down", at_most_s=100.0, peer="b")
+            return fleet.now() - cut_s
+
+    assert 1.0 < gone_after_s({}) <= 2.1
+    assert 10.0 < gone_after_s({"heartbeat_s": 5.0}) <= 20.6

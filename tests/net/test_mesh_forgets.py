@@ -1,0 +1,26 @@
+"""What a mesh keeps of links that have ended: nothing."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+from pancakes.packet import NEIGHBOURS
+
+
+def test_a_session_that_has_ended_is_kept_by_nobody_whoever_was_sent_something(memory_rig):
+    a = memory_rig.agent("a")
+    gone = []
+    for boot in (1, 2, 3):
+        b = memory_rig.agent("b", [a.mesh.listen], boot=boot)
+        memory_rig.until(lambda b=b: a.knows("b") and b.knows("a"))
+        # Each life is sent something under a destination that is never used again.
+        a.say(f"b/client/life{boot}", boot)
+        a.say(NEIGHBOURS, boot)
+        memory_rig.until(lambda b=b: len(b.packets) == 2)
+        gone.append(weakref.ref(next(iter(a.mesh._up.values()))))
+        b.mesh.stop()
+        memory_rig.until(lambda: not a.knows("b"))
+        memory_rig.timeline.run_until(memory_rig.clock.now() + 10.0)
+    gc.collect()
+    assert [session() for session in gone] == [None, None, None]

@@ -1,0 +1,130 @@
+"""Real agents in processes of their own, loaded by the tasks of `load_tasks`, and what is seen of them from outside."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cli.processes import READY, Rig, Running
+from torture import load_tasks
+from torture.live import free_ports
+
+from pancakes.client import Client
+from pancakes.control import Configure
+
+ENTRY_POINTS = "[pancakes.packets]\nload = plugin_load\n\n[pancakes.tasks]\n" + "".join(
+    f"load.{name} = plugin_load:{name}\n"
+    for name in ("Flood", "QueueReader", "ReliableReader", "SystemReader", "Pulse", "Asker", "Pinger", "Ponger")
+)
+PATIENCE_S = 30.0
+
+Tasks = Mapping[str, Mapping[str, Any]]
+"""Settings of the tasks of an agent, by name; the type is the name up to a dash."""
+
+
+class LoadedFleet:
+    """Agents that listen at free ports of this machine.
+
+    Args:
+        directory: all of their files.
+        tasks: their tasks, by the agent's name.
+        peers: whom each dials; not named: all others.
+        addresses: where each listens; None: at free ports.
+
+    Attributes:
+        running: their processes.
+        addresses: where they listen.
+        client: a client of theirs, as a terminal is one.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        tasks: Mapping[str, Tasks],
+        peers: Mapping[str, Sequence[str]] | None = None,
+        addresses: Mapping[str, str] | None = None,
+    ) -> None:
+        self.directory = directory
+        self.rig = Rig(directory)
+        self.rig.install("load", ENTRY_POINTS, Path(load_tasks.__file__).read_text())
+        ports = free_ports(len(tasks))
+        found = {name: f"tcp://127.0.0.1:{port}" for name, port in zip(tasks, ports, strict=True)}
+        self.addresses = dict(addresses or found)
+        self.running: dict[str, Running] = {}
+        self._configs: dict[str, Path] = {}
+        for name, mine in tasks.items():
+            dialled = (peers or {}).get(name, [self.addresses[other] for other in tasks if other != name])
+            self._configs[name] = directory / f"{name}.toml"
+            self._configs[name].write_text(self._config(name, mine, dialled))
+        for name in tasks:
+            self.start(name)
+        for running in self.running.values():
+            running.hear(READY)
+        self.client = Client(list(self.addresses.values()), timeout_s=PATIENCE_S)
+
+    def _config(self, name: str, tasks: Tasks, dialled: Sequence[str]) -> str:
+        lines = [
+            f'schema = 1\n[agent]\nname = "{name}"\nfleet = "load"\nlisten = "{self.addresses[name]}"',
+            f'state_dir = "{self.directory / "state" / name}"\npeers = {json.dumps(list(dialled))}',
+            "[channel.load]",
+        ]
+        for task, settings in tasks.items():
+            kind = task.partition("-")[0]
+            own = dict(settings) if kind == "Ponger" else {"file": str(self.file(name, task)), **settings}
+            lines += [f'[task.{task}]\ntype = "load.{kind}"', f"[task.{task}.settings]"]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in own.items()]
+        return "\n".join(lines) + "\n"
+
+    def __enter__(self) -> LoadedFleet:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def start(self, name: str) -> None:
+        """Starts an agent."""
+        self.running[name] = self.rig.agent(self._configs[name])
+
+    def file(self, agent: str, task: str) -> Path:
+        """Returns where a task tells what it sees."""
+        return self.directory / f"{agent}.{task}.jsonl"
+
+    def told(self, agent: str, task: str, since_s: float = 0.0) -> list[dict[str, Any]]:
+        """Returns what a task has told since a moment of the machine's clock."""
+        path = self.file(agent, task)
+        text = path.read_text() if path.exists() else ""
+        rows = [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+        return [row for row in rows if row["at_s"] >= since_s]
+
+    def last(self, agent: str, task: str) -> dict[str, Any]:
+        """Returns what a task told last."""
+        return (self.told(agent, task) or [{}])[-1]
+
+    def configure(self, agent: str, task: str, **settings: Any) -> None:
+        """Changes settings of a task that runs."""
+        reply = self.client.request(agent, Configure(f"client/{task}", settings))
+        assert reply.ok, reply.reason
+
+    def memory_bytes(self, agent: str) -> int:
+        """Returns the resident memory of an agent."""
+        for line in Path(f"/proc/{self.running[agent].pid}/status").read_text().splitlines():
+            if line.startswith("VmRSS:"):
+                return int(line.split()[1]) * 1024
+        raise AssertionError(f"{agent} has no memory: it has ended")
+
+    def wait(self, condition: Callable[[], Any], what: str, at_most_s: float = PATIENCE_S) -> float:
+        """Waits until something holds; returns the seconds that it took."""
+        began_s = time.monotonic()
+        while not condition():
+            took_s = time.monotonic() - began_s
+            assert took_s < at_most_s, f"{what}: not within {at_most_s:g} s"
+            self.client.wait(self.client.now() + 0.02, lambda: False)
+        return time.monotonic() - began_s
+
+    def close(self) -> None:
+        """Ends all of them."""
+        self.client.close()
+        self.rig.close()

@@ -1,0 +1,211 @@
+"""A publisher ten times too fast: what it costs in memory, what control and ticks have of it, and whether it passes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from torture.load_fleet import LoadedFleet, Tasks
+
+from pancakes.client import Client
+from pancakes.control import Describe
+
+TIMES: Final = 10
+"""So many times too fast is the publisher."""
+MEMORY_BYTES: Final = 64 * 1024 * 1024
+"""So much memory may an agent take above its baseline."""
+LATE_S: Final = 0.05
+"""So late may a tick be, or the reply to a control packet, in 99 of 100 cases; the last depends on the machine."""
+BEHIND_S: Final = 5.0
+"""After so long at half of the bearable rate a reader has caught up: 512 packets may wait for it, and the link's."""
+
+
+class Case(NamedTuple):
+    """What is tried.
+
+    Attributes:
+        where: `inside` one agent, `over TCP` from agent to agent, on a channel of the user's; or `over TCP, on system`.
+        size: bytes of a body.
+        bearable_per_s: so many packets a second the reader can handle, by the work that it does on each.
+        keep: `queue`, or `reliable`.
+    """
+
+    where: str
+    size: int
+    bearable_per_s: float
+    keep: str = "queue"
+
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        size = f"{self.size} B" if self.size < 1024 else f"{self.size // 1024} KiB"
+        return f"{self.where}, {size}, {self.keep}"
+
+    @property
+    def reader(self) -> str:
+        """The name of the reading task."""
+        if self.where.endswith("system"):
+            return "SystemReader"
+        return "ReliableReader" if self.keep == "reliable" else "QueueReader"
+
+
+class Seen(NamedTuple):
+    """What was seen.
+
+    Attributes:
+        memory_bytes: the most that any agent took above its baseline.
+        control_s: how long replies took: to the client from each agent, and from agent to agent across the link.
+        late_s: how late ticks were, of a task at 100 Hz on each agent.
+        published, handled: packets.
+        dropped: packets that fell out at the subscription, and for (peer, channel), by where an operator reads them.
+        refused: how often the publisher was told to wait.
+        disordered, doubled: packets that came before one, or as one, that had come.
+        behind_s: how long it took to catch up once the publisher had slowed down.
+    """
+
+    memory_bytes: int
+    control_s: list[float]
+    late_s: list[float]
+    published: int
+    handled: int
+    dropped: dict[str, int]
+    refused: int
+    disordered: int
+    doubled: int
+    behind_s: float
+
+    def faults(self) -> list[str]:
+        """Returns a sentence for each thing that is not as it must be."""
+        found: list[str] = []
+        if self.memory_bytes > MEMORY_BYTES:
+            found.append(f"took {self.memory_bytes / 2**20:.0f} MiB above the baseline")
+        found += [
+            f"{what}: p99 {late_s * 1e3:.0f} ms"
+            for what, late_s in (("replies", p99(self.control_s)), ("ticks", p99(self.late_s)))
+            if late_s > LATE_S
+        ]
+        lost = self.published - self.handled
+        if lost > sum(self.dropped.values()):
+            found.append(f"{lost} packets are missing, and {sum(self.dropped.values())} are said to be dropped")
+        if not lost and not self.refused:
+            found.append("nothing was dropped or refused: that was no overload")
+        if self.disordered or self.doubled:
+            found.append(f"{self.disordered} packets out of order, {self.doubled} doubled")
+        if self.behind_s > BEHIND_S:
+            found.append(f"was behind for {self.behind_s:.1f} s afterwards")
+        return found
+
+
+def p99(values: Sequence[float]) -> float:
+    """Returns the 99th percentile."""
+    return sorted(values)[int(len(values) * 0.99)]
+
+
+def overload(directory: Path, case: Case, for_s: float) -> Seen:
+    """Runs one case with agents of its own; the publisher is too fast for so many seconds."""
+    inside = case.where == "inside"
+    flood = {"size": case.size, "channel": "system" if case.where.endswith("system") else "load"}
+    reader: Tasks = {case.reader: {"work_s": 1 / case.bearable_per_s}, "Pulse": {}}
+    tasks: dict[str, Tasks]
+    if inside:
+        tasks = {"a": {"Flood": flood, **reader}}
+    else:
+        tasks = {"a": {"Flood": {**flood, "to": "b"}, "Asker": {"to": "b"}, "Pulse": {}}, "b": reader}
+    reading = "a" if inside else "b"
+    with LoadedFleet(directory, tasks) as fleet:
+        if not inside:
+            fleet.wait(lambda: fleet.told("a", "Asker"), "the link")
+        # Everything is warm, and has been taken, before the baseline is.
+        fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
+        fleet.wait(
+            lambda: fleet.last(reading, case.reader).get("handled", 0) > case.bearable_per_s / 2, "first packets"
+        )
+        baseline = {name: fleet.memory_bytes(name) for name in tasks}
+        with watching(fleet, list(tasks)) as (control_s, memory):
+            began_s = time.monotonic()
+            fleet.configure("a", "Flood", per_s=case.bearable_per_s * TIMES)
+            fleet.client.wait(fleet.client.now() + for_s, lambda: False)
+            ended_s = time.monotonic()
+        fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
+        behind_s = fleet.wait(lambda: _caught_up(fleet, reading, case.reader), "catching up")
+        fleet.configure("a", "Flood", per_s=0.0)
+        fleet.wait(lambda: _at_the_end(fleet, reading, case.reader), "the last packet")
+        late_s = [
+            late_s
+            for name in tasks
+            for row in fleet.told(name, "Pulse", began_s)
+            if row["at_s"] <= ended_s
+            for late_s in row["late_s"]
+        ]
+        if not inside:
+            asked = [row for row in fleet.told("a", "Asker", began_s) if row.get("asked_s", ended_s) < ended_s]
+            control_s += [row["took_s"] for row in asked]
+        published, read = fleet.last("a", "Flood"), fleet.last(reading, case.reader)
+        return Seen(
+            max(max(taken) - baseline[name] for name, taken in memory.items()),
+            control_s,
+            late_s,
+            published["published"] - published["too_large"],
+            read["handled"],
+            _dropped(fleet, reading, case.reader),
+            published["refused"],
+            read["disordered"],
+            read["doubled"],
+            behind_s,
+        )
+
+
+@contextmanager
+def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float], dict[str, list[int]]]]:
+    """Asks the agents for something, as a second client, and looks at their memory, until the end of the block.
+
+    Yields:
+        How long the replies took, in seconds; the memory of each agent, in bytes. Complete after the block.
+    """
+    control_s: list[float] = []
+    memory: dict[str, list[int]] = {name: [fleet.memory_bytes(name)] for name in agents}
+    over = threading.Event()
+
+    def watch() -> None:
+        with Client(list(fleet.addresses.values())) as client:
+            for name in agents:
+                client.request(name, Describe("client/Pulse"))  # finds the way
+            while not over.wait(0.02):
+                for name in agents:
+                    began_s = time.monotonic()
+                    client.request(name, Describe("client/Pulse"))
+                    control_s.append(time.monotonic() - began_s)
+                    memory[name].append(fleet.memory_bytes(name))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield control_s, memory
+    finally:
+        over.set()
+        watcher.join()
+
+
+def _dropped(fleet: LoadedFleet, reading: str, reader: str) -> dict[str, int]:
+    """What an operator is told: `pancakes task info` for the subscriptions, `pancakes agent info` for the links."""
+    reads = fleet.client.request(reading, Describe(f"client/{reader}")).result["reads"]
+    dropped = {f"{reader} on {row['channel']}": row["dropped"] for row in reads if row["dropped"]}
+    for peer in fleet.client.request("a", Describe()).result["mesh"]["peers"]:
+        if peer["name"] == reading:
+            dropped |= {f"to {reading} on {channel}": count for channel, count in peer["dropped"].items()}
+    return dropped
+
+
+def _caught_up(fleet: LoadedFleet, reading: str, reader: str) -> bool:
+    """Whether nothing waits for the reader but what has just come."""
+    published, read = fleet.last("a", "Flood"), fleet.last(reading, reader)
+    return bool(published["published"] - read["last"] < 300)
+
+
+def _at_the_end(fleet: LoadedFleet, reading: str, reader: str) -> bool:
+    published, read = fleet.last("a", "Flood"), fleet.last(reading, reader)
+    return bool(published["published"] == read["last"])

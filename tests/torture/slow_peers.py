@@ -1,0 +1,132 @@
+"""One peer that stops or hardly reads, under load: what the others have of it, when it is given up, when it is back."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Final, NamedTuple
+
+from torture.load_fleet import LoadedFleet
+from torture.overload import p99
+from torture.slow_peer import SlowPeer
+
+WANTED_RATIO: Final = 1.2
+"""So much of its baseline may the others' p99 be while one peer is slow."""
+CLOSED_S: Final = 7.0
+"""After so long a peer that takes nothing has been closed: 5 s, and the time until all buffers are full."""
+TASKS: Final = {
+    "a": {"Flood": {"to": "*", "size": 1024}, "Pinger": {"to": "b/client/Ponger"}},
+    "b": {"Ponger": {}},
+    "c": {"QueueReader": {}},
+}
+"""`a` floods `b` and `c`; round trips between `a` and `b` are measured; `c` is the one that stops."""
+FLOOD_PER_S: Final = 2000.0
+HOW: Final = ("stopped", "1 byte/s", "nothing")
+
+
+class Seen(NamedTuple):
+    """What was seen of one way to be slow.
+
+    Attributes:
+        how: the way: `stopped` (SIGSTOP), or how much a peer reads that sends its heartbeats all the same.
+        closed_s: after how many seconds the agent gave the peer up, for each time.
+        joined_s: how long after it woke it was connected again, likewise.
+        p99_s: of the others' round trips while one peer was slow, for each time.
+        baseline_p99_s: the same just before, with that peer reading.
+    """
+
+    how: str
+    closed_s: list[float]
+    joined_s: list[float]
+    p99_s: list[float]
+    baseline_p99_s: list[float]
+
+    @property
+    def ratio(self) -> float:
+        """The others' p99, of its baseline: the medians."""
+        return median(self.p99_s) / median(self.baseline_p99_s)
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """The smallest and the largest ratio of any time."""
+        ratios = [slow / normal for slow, normal in zip(self.p99_s, self.baseline_p99_s, strict=True)]
+        return min(ratios), max(ratios)
+
+
+def slow_peer(directory: Path, how: str, rounds: int, span_s: float) -> Seen:
+    """Measures one way to be slow, so many times; for so many seconds before that, the same peer reads."""
+    seen = Seen(how, [], [], [], [])
+    with LoadedFleet(directory, TASKS) as fleet:
+        fleet.wait(lambda: _trips(fleet, 0.0, math.inf), "the link")
+        fleet.configure("a", "Flood", per_s=FLOOD_PER_S)
+        other = _stopping(fleet) if how == "stopped" else _hardly_reading(fleet, 0.0 if how == "nothing" else 1.0)
+        with other as (name, fall_asleep, wake):
+            for _ in range(rounds):
+                began_s = time.monotonic()
+                fleet.client.wait(fleet.client.now() + span_s, lambda: False)
+                asleep_s = time.monotonic()
+                fall_asleep()
+                fleet.running["a"].hear(f"the link to {name} has ended")
+                closed_s = time.monotonic()
+                seen.baseline_p99_s.append(_p99_s(fleet, began_s, asleep_s))
+                seen.p99_s.append(_p99_s(fleet, asleep_s, closed_s))
+                seen.closed_s.append(closed_s - asleep_s)
+                woken_s = time.monotonic()
+                wake()
+                fleet.running["a"].hear(f"{name} (agent")
+                seen.joined_s.append(time.monotonic() - woken_s)
+    return seen
+
+
+Peer = tuple[str, Callable[[], None], Callable[[], None]]
+
+
+@contextmanager
+def _stopping(fleet: LoadedFleet) -> Iterator[Peer]:
+    """Yields the name of an agent, what stops its process, and what lets it go on; it goes on in any case."""
+    pid = fleet.running["c"].pid
+
+    def stop() -> None:
+        os.kill(pid, signal.SIGSTOP)
+        os.waitpid(pid, os.WUNTRACED)
+
+    try:
+        yield "c", stop, lambda: os.kill(pid, signal.SIGCONT)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
+def _hardly_reading(fleet: LoadedFleet, bytes_per_s: float) -> Iterator[Peer]:
+    """Yields the name of a peer on a raw socket, what makes it slow, and what makes it come back and read."""
+    peers = [SlowPeer(fleet.addresses["a"])]
+
+    def fall_asleep() -> None:
+        peers[-1].bytes_per_s = bytes_per_s
+
+    def wake() -> None:
+        peers[-1].close()
+        peers.append(SlowPeer(fleet.addresses["a"]))
+
+    try:
+        fleet.running["a"].hear("zz-slow (agent")
+        yield "zz-slow", fall_asleep, wake
+    finally:
+        peers[-1].close()
+
+
+def _p99_s(fleet: LoadedFleet, began_s: float, ended_s: float) -> float:
+    """Returns the 99th percentile of the round trips that ended in a span of time."""
+    fleet.wait(lambda: _trips(fleet, ended_s, math.inf), "a round trip after the span")
+    return p99(_trips(fleet, began_s, ended_s))
+
+
+def _trips(fleet: LoadedFleet, began_s: float, ended_s: float) -> list[float]:
+    rows = fleet.told("a", "Pinger", began_s)
+    return [row["took_s"] for row in rows if "took_s" in row and row["at_s"] <= ended_s]

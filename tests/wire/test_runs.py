@@ -1,0 +1,233 @@
+"""Packets as they travel over a link: one head for all packets of a run."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pancakes.devices.types import Pose
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.packet import Fence, Packet, known_types, packet_type
+from pancakes.wire.bodies import encodable
+from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
+from pancakes.wire.messages import HELLO_NUMBER, Ping
+from pancakes.wire.runs import Run, foreign_version, head_of, messages_from_payload, packets_of, row_of, run_of
+
+HEAD = ["system", "no such type", "a/b/c", "d"]
+ROW = [1.5, 7, None, {}, None]
+
+
+def packet(body, kind="no such type", seq=7, **more):
+    return Packet("system", kind, "a/b/c", "d", 1.5, seq, body, **more)
+
+
+def payload_of(*packets):
+    head = head_of(packets[0])
+    return frame([run_of(head, [row_of(it, head) for it in packets])])[4:]
+
+
+def read(payload):
+    return [packets_of(it) if isinstance(it, Run) else it for it in messages_from_payload(payload)]
+
+
+def raw(*rows, head=HEAD):
+    return msgpack.packb([[0, *head, list(rows)]])
+
+
+@packet_type("runs test open")
+@dataclass(frozen=True)
+class Open:
+    anything: Any
+
+
+@packet_type("runs test strict")
+@dataclass(frozen=True)
+class Strict:
+    number: int
+
+    def __post_init__(self):
+        if self.number == 13:
+            raise RuntimeError("unlucky")
+
+
+@packet_type("runs test odd")
+@dataclass
+class Odd:
+    number: int = 1
+    fixed: int = field(init=False, default=5)
+
+
+@packet_type("runs test inner")
+@dataclass(frozen=True)
+class Tree:
+    leaves: tuple[float, ...] = ()
+    branches: tuple[Tree, ...] = ()
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 300])
+def test_a_run_of_any_length_keeps_all_and_its_order(count):
+    packets = [packet(Pose(float(seq), 0.0, 0.0), "pose", seq, cause=("x/y", seq)) for seq in range(count)]
+    packets[0] = msgspec.structs.replace(packets[0], fence=Fence("a/T", (1, "a")))
+    assert read(payload_of(*packets)) == [packets]
+
+
+def test_runs_and_messages_of_the_link_keep_their_order():
+    head = head_of(packet(1))
+    run = run_of(head, [row_of(packet(1), head)])
+    ping = msgspec.msgpack.encode(Ping(3))
+    assert read(frame([run, ping, run])[4:]) == [[packet(1)], Ping(3), [packet(1)]]
+
+
+def test_what_is_encoded_at_once_is_what_plain_values_would_be():
+    """For every registered type whose instances can be made of nothing, and some that cannot."""
+    samples = [cls() for cls in known_types().values() if not _required(cls)]
+    samples += [Pose(1.0, 2.0, 3.0), Open({"a": [1, (2.0, None)]}), Odd(2), Strict(4)]
+    samples += [Tree((1.0, 2.0), (Tree((3.0,)),)), Open(numpy.float64(2.0)), Open([True, b"x", {"y": ()}])]
+    assert len(samples) > 8
+    for sample in samples:
+        for _ in range(2):  # what is known of a class is known from its second packet on
+            plain = msgpack.unpackb(msgspec.msgpack.encode(encodable(sample)))
+            assert plain == _by_hand(sample), sample
+
+
+def _required(cls):
+    return any(info.required for info in msgspec.inspect.type_info(cls).fields)
+
+
+def _by_hand(value):
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: _by_hand(getattr(value, name)) for name in value.__dataclass_fields__}
+    if isinstance(value, msgspec.Struct):
+        return {name: _by_hand(getattr(value, name)) for name in value.__struct_fields__}
+    if isinstance(value, dict):
+        return {key: _by_hand(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_by_hand(item) for item in value]
+    return value.item() if hasattr(value, "item") else getattr(value, "value", value)
+
+
+@pytest.mark.parametrize("body", [{1, 2}, [{"a": {1: 2}}], [0] * 65_537, Open({1}), Strict({1}), Open([object()])])
+def test_what_does_not_travel_is_found_at_any_depth(body):
+    for _ in range(2):
+        with pytest.raises(LocalProtocolError, match="packet 7 of the type 'runs test open' from a/b/c cannot be sent"):
+            row_of(packet(body, "runs test open"), b"")
+
+
+def test_a_packet_that_fits_no_frame_is_refused():
+    head = head_of(packet(b""))
+    spare = MAX_MESSAGE_BYTES - 3 - len(head) - len(row_of(packet(bytes(70_000)), head)) + 70_000
+    largest = packet(bytes(spare))
+    assert read(payload_of(largest)) == [[largest]]
+    with pytest.raises(LocalProtocolError, match="a frame holds"):
+        row_of(packet(bytes(spare + 1)), head)
+
+
+@pytest.mark.parametrize("words", [("", "t", "s"), ("c", "", "s"), ("c", "t", ""), ("c", "t", "s" * 257)])
+def test_a_head_that_would_be_refused_is_refused_at_home(words):
+    with pytest.raises(LocalProtocolError, match="1 to 256"):
+        head_of(Packet(*words, "", 0.0, 1, None))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xc1",
+        b"\x90",
+        b"\x91\x90",
+        b"\x91\x91\xc0",
+        b"\x91\xc0",
+        b"\xdd\xff\xff\xff\xff",
+        b"\x91" * 3000 + b"\xc0",
+        raw(ROW) + b"\xc0",
+        raw(),
+        raw(ROW[:4]),
+        raw([*ROW, None]),
+        raw(ROW, head=HEAD[:3]),
+        raw(ROW, head=["", *HEAD[1:]]),
+        raw(ROW, head=[*HEAD[:3], "x" * 257]),
+        raw(["now", *ROW[1:]]),
+        raw([-1.0, *ROW[1:]]),
+        raw([float("nan"), *ROW[1:]]),
+        raw([1.5, -1, None, {}, None]),
+        raw([1.5, 1, ["a"], {}, None]),
+        raw([1.5, 1, None, {}, ["a", 1]]),
+        raw([1.5, 1, None, {1: 2}, None]),
+        raw([1.5, 1, None, {b"k": 2}, None]),
+        raw([1.5, 1, None, [0] * 65_537, None]),
+        raw([1.5, 1, None, {str(number): 0 for number in range(4097)}, None]),
+        raw([1.5, 1, None, msgpack.ExtType(2, b"abc"), None]),
+        raw([1.5, 1, None, [msgpack.Timestamp(0, 0)], None]),
+        raw([1.5, 1, None, {"anything": msgpack.Timestamp(0, 0)}, None], head=["c", "runs test open", "s", ""]),
+        raw([1.5, 1, None, {"number": "1"}, None], head=["c", "runs test strict", "s", ""]),
+        raw([1.5, 1, None, {"number": 13}, None], head=["c", "runs test strict", "s", ""]),
+    ],
+)
+def test_bad_frames_are_the_peers_fault(data):
+    with pytest.raises(RemoteProtocolError):
+        read(data)
+
+
+def test_a_bad_body_is_told_with_its_type_its_field_and_its_source():
+    bad = raw([1.5, 1, None, {"x_m": "far", "y_m": 0.0, "theta_rad": 0.0}, None], head=["c", "pose", "s/x", ""])
+    with pytest.raises(RemoteProtocolError, match=r"type 'pose' from s/x .*x_m"):
+        read(bad)
+
+
+def test_a_type_that_holds_itself_is_not_followed_for_ever():
+    tree: dict[str, Any] = {"leaves": [], "branches": []}
+    for _ in range(20):
+        tree = {"leaves": [], "branches": [tree]}
+    with pytest.raises(RemoteProtocolError, match="nested deeper"):
+        read(raw([1.5, 1, None, tree, None], head=["c", "runs test inner", "s", ""]))
+
+
+def test_a_length_without_bytes_takes_no_memory():
+    head = msgpack.packb(HEAD)[1:]
+    for lie in (b"\xdd\x7f\xff\xff\xff", b"\xdf\x7f\xff\xff\xff", b"\xc6\x7f\xff\xff\xff", b"\xc9\x7f\xff\xff\xff\x01"):
+        for data in (b"\x91\x96\x00" + head + lie, b"\x91\x96\x00" + head + b"\x91\x95\xca\0\0\0\0\x01\xc0" + lie):
+            with pytest.raises(RemoteProtocolError):
+                read(data)
+
+
+@given(st.binary(min_size=1, max_size=200))
+def test_any_bytes_are_read_or_refused(data):
+    with contextlib.suppress(RemoteProtocolError):
+        read(data)
+
+
+@pytest.mark.parametrize("kind", ["no such type", "pose", "runs test open"])
+def test_frames_with_a_broken_bit_are_read_or_refused(kind):
+    bodies = {"pose": Pose(1.0, 2.0, 3.0), "runs test open": Open({"image": numpy.arange(6.0)})}
+    its = packet(bodies.get(kind, {"a": [1, "b"]}), kind, cause=("x/y", 3), fence=Fence("a/b", (1, "a")))
+    good = payload_of(its, its)
+    source = random.Random(1)
+    for _ in range(2000):
+        broken = bytearray(good)
+        broken[source.randrange(len(broken))] ^= 1 << source.randrange(8)
+        with contextlib.suppress(RemoteProtocolError):
+            read(bytes(broken))
+
+
+@pytest.mark.parametrize(
+    ("rows", "version"),
+    [
+        ([[HELLO_NUMBER, 7, {"all": "new"}]], 7),
+        ([[HELLO_NUMBER]], "unknown"),
+        ([[HELLO_NUMBER, "seven"]], "unknown"),
+        ([[HELLO_NUMBER, 2, "f"]], None),
+        ([[3, 7]], None),
+        ([], None),
+    ],
+)
+def test_the_version_of_a_hello_in_another_form_is_found(rows, version):
+    assert foreign_version(msgpack.packb(rows), 2) == version
