@@ -33,6 +33,7 @@ class Mission:
     Attributes:
         agents: the agents that take part.
         duration_s: how long it lasts, in mission seconds.
+        news_hz: how often, in host time, the launcher hears where everything is.
         now_s: the mission time, as the launcher's clock says it.
         world_s: the time of the world's newest state.
         behind_s: how far the world lies behind the clock, now and at the most.
@@ -47,6 +48,7 @@ class Mission:
 
     agents: tuple[str, ...]
     duration_s: float
+    news_hz: float = 10.0
     now_s: float = 0.0
     world_s: float = 0.0
     behind_s: float = 0.0
@@ -143,7 +145,8 @@ class Conductor(Task):
 
     def _follow(self, agent: str) -> None:
         for channel, types in FOLLOWED:
-            self.publish(SYSCTRL, Follow(channel, types), to=agent)
+            most_hz = self._mission.news_hz if channel == SYSTEM else 0.0
+            self.publish(SYSCTRL, Follow(channel, types, most_hz=most_hz), to=agent)
 
     def _begin_if_all_are_ready(self) -> None:
         if any(self._followed.get(agent, 0) < len(FOLLOWED) for agent in self._mission.agents):
@@ -159,6 +162,10 @@ class Conductor(Task):
 
     # While it runs ---------------------------------------------------------------------------------------------
 
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        # Where nobody watches there is no need to look more often than there is news.
+        return super().initial_period_s(method, max(period_s, 1.0 / self._mission.news_hz))
+
     @every(hz=10)
     def look(self, tick: Tick) -> None:
         """Sees how far the world lies behind the clock."""
@@ -166,7 +173,8 @@ class Conductor(Task):
         if mission.phase != "running":
             return
         mission.now_s = self.now()
-        mission.behind_s = max(0.0, mission.now_s - mission.world_s)
+        news_s = self.kernel.mission.speed / mission.news_hz  # so old the newest state may be of itself
+        mission.behind_s = max(0.0, mission.now_s - mission.world_s - news_s)
         mission.behind_max_s = max(mission.behind_max_s, mission.behind_s)
         mission.changed()
         if self._file is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import random
 import shutil
@@ -25,6 +26,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
+from pancakes.recording.virtual import VirtualRecorder
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
@@ -34,6 +36,8 @@ READY_S = 30.0
 STOP_S = 1.2
 """How long a process has to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
+NEWS_HZ = 1.0
+"""In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
 RECORDING = "recording"
 """The folder below that of the results in which the agents' recordings lie."""
 
@@ -185,8 +189,11 @@ def run_virtual(
     interrupted: threading.Event,
     faults: Faults | None = None,
     onlooker: Onlooker | None = None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Runs the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
+
+    Agents that are to be recorded are so from outside, so that the mission is the same as without.
 
     Args:
         plan: the run.
@@ -194,20 +201,26 @@ def run_virtual(
         interrupted: ends it early.
         faults: what goes wrong with the network.
         onlooker: who watches.
+        say: takes a sentence on a recording that is not as it should be.
 
     Returns:
         What is the wall's, for `timing.json`.
 
     Raises:
-        PancakesError: the agents did not become ready.
+        PancakesError: the agents did not become ready, or cannot be recorded.
     """
     began_s = HOST.now()
+    mission.news_hz = NEWS_HZ
     fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
     for address in plan.buses():
         fleet.network.exempt(address)
+    recorders: list[VirtualRecorder] = []
     try:
         for config in plan.configs.values():
-            fleet.start(config)
+            record = config.record
+            agent = fleet.start(dataclasses.replace(config, record=None))
+            if record is not None and record.start:
+                recorders.append(VirtualRecorder(agent.kernel, record, say))
         if onlooker is not None:
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
@@ -225,7 +238,11 @@ def run_virtual(
     finally:
         if onlooker is not None:
             onlooker.end()
-        fleet.close()
+        try:
+            fleet.close()
+        finally:
+            for recorder in recorders:
+                recorder.end()
     return {
         "mode": "virtual",
         "start_s": running_s - began_s,

@@ -1,25 +1,33 @@
-"""The solid things of the simulated world: walls, robots, a sensor node, somebody who walks (pymunk).
+"""The solid things of the simulated world: walls, robots, a sensor node, somebody who walks.
 
 One actor owns an arena; nothing here is safe to call from several threads. The arena's frame has its origin in
 the middle, x to the right and y up.
+
+While nothing is near enough to touch anything else, discs coast: each goes on by itself, step by step as pymunk would
+move it, at a quarter of the cost (measured: 4 against 16 microseconds a step in the encirclement, all included). Where
+something may touch, pymunk moves them all.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any
+from operator import attrgetter
+from typing import Final
 
-import pymunk
+from pancakes.sim.disc import Disc
+from pancakes.sim.rays import Fan
+from pancakes.sim.solver import WALL, Solver
 
-from pancakes.sim.robot import RangeSensor
+__all__ = ["WALL", "Arena", "Contact"]
 
-_WALL_M = 0.05
 _TOUCH_AGAIN_S = 0.5
-_INSET_M = 0.05
-WALL = "wall"
-"""The name of a wall, where one is run into."""
+_ROOM_M: Final = 0.01
+"""Discs that have less room than this do not coast."""
+_LOOK_AGAIN_S: Final = 0.1
+"""So long discs do not coast once they could not: to look whether they can takes longer than a step."""
+_BY_X = attrgetter("x_m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,82 +47,6 @@ class Contact:
     y_m: float
 
 
-class Disc:
-    """A round body.
-
-    One that moves is told its velocity; contacts then take from that what would bring it into something solid.
-
-    Attributes:
-        name: what it is called.
-        radius_m: its size.
-    """
-
-    def __init__(self, name: str, radius_m: float, body: pymunk.Body, shape_filter: pymunk.ShapeFilter) -> None:
-        self.name = name
-        self.radius_m = radius_m
-        self.filter = shape_filter
-        self._body = body
-        self._forward_mps = 0.0
-        self._omega_radps = 0.0
-        self._walk: tuple[float, float] | None = None
-        self._lead_s = 0.0
-        self._theta_rad = body.angle
-
-    def roll(self, v_mps: float, omega_radps: float) -> None:
-        """Moves along its heading from now on, turning at `omega_radps`."""
-        self._forward_mps, self._omega_radps, self._walk = v_mps, omega_radps, None
-
-    def walk(self, vx_mps: float, vy_mps: float) -> None:
-        """Moves with a velocity along the arena's axes from now on, and looks where it goes."""
-        self._walk = (vx_mps, vy_mps)
-        if vx_mps or vy_mps:
-            self._theta_rad = math.atan2(vy_mps, vx_mps)
-
-    @property
-    def position(self) -> tuple[float, float]:
-        at = self._body.position
-        return at.x, at.y
-
-    @property
-    def velocity(self) -> tuple[float, float]:
-        """Its true velocity along the arena's axes, in m/s."""
-        velocity = self._body.velocity
-        return velocity.x, velocity.y
-
-    @property
-    def theta_rad(self) -> float:
-        """Its heading, in (-pi, pi]."""
-        theta_rad = self._theta_rad if self._walk is not None else self._body.angle
-        return math.pi - (math.pi - theta_rad) % math.tau
-
-    @property
-    def v_mps(self) -> float:
-        """Its true speed along its heading."""
-        vx_mps, vy_mps = self.velocity
-        theta_rad = self.theta_rad
-        return vx_mps * math.cos(theta_rad) + vy_mps * math.sin(theta_rad)
-
-    @property
-    def omega_radps(self) -> float:
-        """Its true turning rate."""
-        return 0.0 if self._walk is not None else self._body.angular_velocity
-
-    def set_velocity(self, body: pymunk.Body, gravity: Any, damping: float, dt_s: float) -> None:
-        """Gives the body the velocity that its wheels or legs ask for; pymunk calls this in each step.
-
-        pymunk moves bodies by it in the next step only, after it has taken away what contacts forbid.
-        """
-        if self._walk is not None:
-            body.velocity = self._walk
-            body.angular_velocity = 0.0
-            return
-        # The chord of the arc that the next step makes points along the heading in the middle of that step.
-        middle_rad = body.angle + 0.5 * self._omega_radps * dt_s
-        forward_mps = self._forward_mps
-        body.velocity = (forward_mps * math.cos(middle_rad), forward_mps * math.sin(middle_rad))
-        body.angular_velocity = self._omega_radps
-
-
 class Arena:
     """A rectangle of floor with walls round it, and the discs in it.
 
@@ -126,51 +58,88 @@ class Arena:
     def __init__(self, width_m: float, height_m: float) -> None:
         self.half_width_m = 0.5 * width_m
         self.half_height_m = 0.5 * height_m
-        self._space = pymunk.Space()
-        # Defaults are made for pixels: these say how far bodies sink into each other, in metres, and how fast
-        # they come out again.
-        self._space.collision_slop = 0.0002
-        self._space.collision_bias = 0.5**100
-        self._space.on_collision(None, None, begin=self._begin, separate=self._separate)
-        self._names: dict[pymunk.Shape, str] = {}
-        self._discs: dict[str, Disc] = {}
+        self._solver = Solver(self.half_width_m, self.half_height_m, self._begin, self._separate)
+        self._discs: list[Disc] = []
+        self._moving: list[Disc] = []
+        self._by_x: list[Disc] = []
+        self._sorted = False
+        self._widest_m = 0.0
+        self._room_m = 0.0
+        self._coasts = False
+        self._look_again_s = 0.0
         self._time_s = 0.0
         self._touching: dict[tuple[str, str], float] = {}
         self._contacts: list[Contact] = []
-        self._build_walls()
-
-    def _build_walls(self) -> None:
-        x_m, y_m = self.half_width_m + _WALL_M, self.half_height_m + _WALL_M
-        corners = ((-x_m, -y_m), (x_m, -y_m), (x_m, y_m), (-x_m, y_m))
-        for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
-            wall = pymunk.Segment(self._space.static_body, start, end, _WALL_M)
-            self._names[wall] = WALL
-            self._space.add(wall)
 
     def add(
         self, name: str, x_m: float, y_m: float, theta_rad: float, radius_m: float, mass_kg: float = math.inf
     ) -> Disc:
         """Puts a disc into the arena; without a mass it stands there for good."""
-        if math.isinf(mass_kg):
-            body = pymunk.Body(body_type=pymunk.Body.STATIC)
-        else:
-            body = pymunk.Body(mass_kg, pymunk.moment_for_circle(mass_kg, 0.0, radius_m))
-        body.position = (x_m, y_m)
-        body.angle = theta_rad
-        shape = pymunk.Circle(body, radius_m)
-        shape.filter = pymunk.ShapeFilter(group=len(self._discs) + 1)
-        disc = Disc(name, radius_m, body, shape.filter)
+        disc = Disc(name, radius_m, x_m, y_m, theta_rad, mass_kg)
+        self._solver.add(disc)
+        self._discs.append(disc)
         if not math.isinf(mass_kg):
-            body.velocity_func = disc.set_velocity
-        self._space.add(body, shape)
-        self._names[shape] = name
-        self._discs[name] = disc
+            self._moving.append(disc)
+        self._by_x.append(disc)
+        self._widest_m = max(self._widest_m, radius_m)
+        self._sorted = False
+        self._room_m = self._look_again_s = 0.0
         return disc
 
-    def step(self, time_s: float, dt_s: float) -> None:
-        """Moves everything by `dt_s`, up to `time_s`."""
-        self._time_s = time_s
-        self._space.step(dt_s)
+    def step(self, time_s: float, dt_s: float, steps: int = 1) -> None:
+        """Moves everything by so many steps of `dt_s`, the first of which ends at `time_s`."""
+        self._sorted = False
+        if self._can_coast(time_s, steps * dt_s):
+            for disc in self._moving:
+                disc.coast(steps, dt_s)
+            return
+        for step in range(steps):
+            self._time_s = time_s + step * dt_s
+            self._solver.step(dt_s)
+        self._solver.unload()
+
+    def _can_coast(self, time_s: float, for_s: float) -> bool:
+        """Returns whether nothing can touch anything in the next `for_s`; makes ready for that, or for the other."""
+        if time_s < self._look_again_s:
+            return False
+        way_m = for_s * max((disc.top_mps for disc in self._moving), default=0.0)
+        if way_m > self._room_m:
+            self._room_m = self._measure_room_m()
+        self._room_m -= way_m
+        can = self._room_m > 0.0
+        if not can:
+            self._room_m = 0.0
+            self._look_again_s = time_s + _LOOK_AGAIN_S
+            if self._coasts:
+                self._solver.load()
+        self._coasts = can
+        return can
+
+    def _measure_room_m(self) -> float:
+        """Returns how far every disc can go before any of them may touch something; 0 where that is little."""
+        room_m = math.inf
+        by_x = self._discs_by_x()
+        for index, disc in enumerate(by_x):
+            x_m, y_m, radius_m = disc.x_m, disc.y_m, disc.radius_m
+            if not math.isinf(disc.mass_kg):
+                wall_m = min(self.half_width_m - abs(x_m), self.half_height_m - abs(y_m)) - radius_m
+                room_m = min(room_m, wall_m)
+            for other in by_x[index + 1 :]:
+                aside_m = other.x_m - x_m - radius_m
+                if aside_m - self._widest_m > 2 * room_m:
+                    break
+                gap_m = math.hypot(other.x_m - x_m, other.y_m - y_m) - radius_m - other.radius_m
+                if gap_m < 2 * room_m and not (math.isinf(disc.mass_kg) and math.isinf(other.mass_kg)):
+                    room_m = 0.5 * gap_m
+            if room_m < _ROOM_M:
+                return 0.0
+        return room_m - _ROOM_M
+
+    def _discs_by_x(self) -> list[Disc]:
+        if not self._sorted:
+            self._by_x.sort(key=_BY_X)
+            self._sorted = True
+        return self._by_x
 
     def take_contacts(self) -> list[Contact]:
         """Returns the contacts that began since the last call."""
@@ -179,64 +148,26 @@ class Arena:
 
     def inside(self, disc: Disc) -> bool:
         """Returns whether a disc's centre lies within the walls."""
-        x_m, y_m = disc.position
-        return abs(x_m) <= self.half_width_m and abs(y_m) <= self.half_height_m
+        return abs(disc.x_m) <= self.half_width_m and abs(disc.y_m) <= self.half_height_m
 
-    def ranges(
-        self, disc: Disc, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float
-    ) -> list[float]:
+    def ranges(self, disc: Disc, fan: Fan) -> list[float]:
         """Casts the rays of a ring of sensors on a disc.
-
-        Args:
-            disc: what carries the sensors; it does not see itself.
-            sensors: where they sit and look.
-            cone_rad: how wide each one sees.
-            rays: how many rays, spread evenly over the cone, stand for it.
-            max_range_m: how far a ray reaches.
 
         Returns:
             For each sensor the distance to the nearest thing in its cone, infinity where there is none.
         """
-        space, shape_filter = self._space, disc.filter
-        x_m, y_m = disc.position
-        theta_rad = disc.theta_rad
-        reach_m = max_range_m + max(math.hypot(sensor.x_m, sensor.y_m) for sensor in sensors)
-        if space.point_query_nearest((x_m, y_m), reach_m, shape_filter) is None:
-            return [math.inf] * len(sensors)
-        cos_theta, sin_theta = math.cos(theta_rad), math.sin(theta_rad)
-        # A ray begins within the body, so that what touches the sensor, or overlaps it a little, is seen.
-        length_m = max_range_m + _INSET_M
-        found: list[float] = []
-        for sensor in sensors:
-            at_x_m = x_m + sensor.x_m * cos_theta - sensor.y_m * sin_theta
-            at_y_m = y_m + sensor.x_m * sin_theta + sensor.y_m * cos_theta
-            nearest_m = math.inf
-            for ray in range(rays):
-                spread = ray / (rays - 1) - 0.5 if rays > 1 else 0.0
-                angle_rad = theta_rad + sensor.bearing_rad + spread * cone_rad
-                cos_ray, sin_ray = math.cos(angle_rad), math.sin(angle_rad)
-                start = (at_x_m - _INSET_M * cos_ray, at_y_m - _INSET_M * sin_ray)
-                end = (at_x_m + max_range_m * cos_ray, at_y_m + max_range_m * sin_ray)
-                hit = space.segment_query_first(start, end, 0.0, shape_filter)
-                if hit is not None:
-                    nearest_m = min(nearest_m, max(hit.alpha * length_m - _INSET_M, 0.0))
-            found.append(nearest_m)
-        return found
+        by_x = self._discs_by_x()
+        reach_m = fan.reach_m + self._widest_m
+        first = bisect_left(by_x, disc.x_m - reach_m, key=_BY_X)
+        behind = bisect_left(by_x, disc.x_m + reach_m, first, key=_BY_X)
+        return fan.ranges(disc, by_x[first:behind], self.half_width_m, self.half_height_m)
 
-    def _pair(self, arbiter: pymunk.Arbiter) -> tuple[str, str]:
-        first, second = sorted(self._names[shape] for shape in arbiter.shapes)
-        return first, second
-
-    def _begin(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+    def _begin(self, pair: tuple[str, str], place: tuple[float, float]) -> None:
         # Solid bodies that press against each other part and touch again and again: that is one contact.
-        pair = self._pair(arbiter)
         last_s = self._touching.get(pair, -math.inf)
         self._touching[pair] = self._time_s
-        if self._time_s - last_s < _TOUCH_AGAIN_S:
-            return
-        disc = next(self._discs[name] for name in pair if name in self._discs)
-        x_m, y_m = disc.position
-        self._contacts.append(Contact(self._time_s, pair, x_m, y_m))
+        if self._time_s - last_s >= _TOUCH_AGAIN_S:
+            self._contacts.append(Contact(self._time_s, pair, *place))
 
-    def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
-        self._touching[self._pair(arbiter)] = self._time_s
+    def _separate(self, pair: tuple[str, str]) -> None:
+        self._touching[pair] = self._time_s

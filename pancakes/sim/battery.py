@@ -61,7 +61,7 @@ class BatteryModel:
         self._empty_v = empty_v
         self._charge_j = settings.capacity_j * settings.level
         self._packets = 0
-        self._spent_j = {"idle": 0.0, "motion": 0.0, "sensing": 0.0, "listening": 0.0, "sending": 0.0}
+        self._idle_j = self._motion_j = self._sensing_j = self._listening_j = self._sending_j = 0.0
         self.listening = True
 
     @property
@@ -85,27 +85,28 @@ class BatteryModel:
 
     def passed(self, elapsed_s: float, rolled_m: float) -> None:
         """Time has passed, in which the wheels rolled `rolled_m` in all (both wheels, either way)."""
-        self._take("idle", self._settings.idle_w * elapsed_s)
-        self._take("motion", self._settings.motion_j_per_m * rolled_m)
+        self._idle_j += self._take(self._settings.idle_w * elapsed_s)
+        self._motion_j += self._take(self._settings.motion_j_per_m * rolled_m)
         if self.listening:
-            self._take("listening", self._settings.listen_w * elapsed_s)
+            self._listening_j += self._take(self._settings.listen_w * elapsed_s)
 
     def sampled(self, device_type: str) -> None:
         """A sensor of this type brought a reading."""
-        self._take("sensing", self._settings.sample_j.get(device_type, 0.0))
+        self._sensing_j += self._take(self._settings.sample_j.get(device_type, 0.0))
 
     def packets_sent(self, total: int) -> None:
         """The agent has sent `total` mission packets so far. A lower number than before is a new agent's count."""
         new = total - self._packets if total >= self._packets else total
         self._packets = total
-        self._take("sending", self._settings.packet_j * new)
+        self._sending_j += self._take(self._settings.packet_j * new)
 
     @property
     def spent(self) -> Spent:
         """What it has given so far, and for what."""
-        return Spent(**{f"{what}_j": energy_j for what, energy_j in self._spent_j.items()})
+        return Spent(self._idle_j, self._motion_j, self._sensing_j, self._listening_j, self._sending_j)
 
-    def _take(self, what: str, energy_j: float) -> None:
-        taken_j = min(energy_j, self._charge_j)
+    def _take(self, energy_j: float) -> float:
+        """Takes energy, as far as there is any; returns how much."""
+        taken_j = energy_j if energy_j < self._charge_j else self._charge_j
         self._charge_j -= taken_j
-        self._spent_j[what] += taken_j
+        return taken_j

@@ -7,8 +7,8 @@ import random
 from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
-from pancakes.sim.arena import Disc
 from pancakes.sim.battery import BatteryModel
+from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.mover import Mover, MoverSettings
 from pancakes.sim.robot import IrRing, RobotModel, SonarRing
@@ -36,7 +36,7 @@ class Robot:
         self.battery = battery
         self._wheel_noise = wheel_noise
         self._random = random
-        self._good_until_s = -math.inf
+        self._good_until_s = math.inf
         self._rolling_mps = 0.0
         self.driven_by = ""
         self._rolled_m = 0.0
@@ -85,14 +85,20 @@ class Robot:
         """Stands still."""
         self.disc.roll(0.0, 0.0)
         self._rolling_mps = 0.0
-        self._good_until_s = -math.inf
+        self._good_until_s = math.inf
         self.driven_by = ""
 
-    def before_step(self, time_s: float, dt_s: float) -> None:
-        """A step of `dt_s` begins at `time_s`."""
-        if -math.inf < self._good_until_s <= time_s:
+    def before_step(self, time_s: float) -> float:
+        """A step begins at `time_s`. Returns when its command ceases to be good; infinity where it has none."""
+        if self._good_until_s <= time_s:
             self.hold()
-        self._rolled_m += self._rolling_mps * dt_s
+        return self._good_until_s
+
+    def rolls(self, steps: int, dt_s: float) -> None:
+        """Its wheels roll for so many steps."""
+        if self._rolling_mps:
+            for _ in range(steps):
+                self._rolled_m += self._rolling_mps * dt_s
 
     def settle(self, elapsed_s: float) -> None:
         """Takes from the battery what the last `elapsed_s` cost."""

@@ -83,11 +83,11 @@ class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, 
 
 
 class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
-    """What a sensor says: the body of a packet of the device's type, as plain values."""
+    """What a sensor says: the body of a packet of the device's type, which arrives as plain values."""
 
     device: str
     type: str
-    value: dict[str, Any]
+    value: Any
 
 
 class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, frozen=True):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pancakes.devices.types import Twist
 
 
-@dataclass(frozen=True, slots=True)
-class Wheels:
+class Wheels(NamedTuple):
     """The speeds of both wheels over the ground, in m/s."""
 
     left_mps: float
@@ -74,8 +74,10 @@ class DifferentialDrive:
         return Wheels(self._whole_units(wheels.left_mps), self._whole_units(wheels.right_mps))
 
     def _whole_units(self, speed_mps: float) -> float:
-        limit = self.max_wheel_mps
-        return round(min(max(speed_mps, -limit), limit) * self.units_per_mps) / self.units_per_mps
+        limit_mps = self.max_wheel_mps
+        if not -limit_mps <= speed_mps <= limit_mps:
+            speed_mps = min(max(speed_mps, -limit_mps), limit_mps)
+        return round(speed_mps * self.units_per_mps) / self.units_per_mps
 
     def ticks(self, distance_m: float) -> int:
         """Returns what a wheel's encoder counts while the wheel rolls `distance_m`."""

@@ -11,7 +11,7 @@ import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from pancakes.sim.quantities import NotNegative, Positive
 
@@ -61,8 +61,7 @@ class MoverSettings:
             raise ValueError(f"min_speed_mps = {self.min_speed_mps} exceeds max_speed_mps = {self.max_speed_mps}")
 
 
-@dataclass(frozen=True, slots=True)
-class Obstacle:
+class Obstacle(NamedTuple):
     """A disc that the mover keeps away from.
 
     Attributes:
@@ -206,7 +205,9 @@ class Mover:
             square = wx_mps * wx_mps + wy_mps * wy_mps
             nearest_s = 0.0
             if square > 0.0:
-                nearest_s = min(max(-(dx_m * wx_mps + dy_m * wy_mps) / square, 0.0), _HORIZON_S)
+                nearest_s = -(dx_m * wx_mps + dy_m * wy_mps) / square
+                nearest_s = 0.0 if nearest_s < 0.0 else nearest_s if nearest_s < _HORIZON_S else _HORIZON_S
             gap_m = math.hypot(dx_m + wx_mps * nearest_s, dy_m + wy_mps * nearest_s) - thing.distance_m
-            slack_m = min(slack_m, gap_m)
+            if gap_m < slack_m:
+                slack_m = gap_m
         return slack_m

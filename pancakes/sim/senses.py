@@ -4,16 +4,50 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from pancakes.devices.types import Battery, Infrared, Motion, Sonar
-from pancakes.sim.arena import Arena, Disc
+from pancakes.sim.arena import Arena
 from pancakes.sim.body import Robot, Sensor
+from pancakes.sim.disc import Disc
+from pancakes.sim.rays import Fan
+from pancakes.sim.robot import IrRing, SonarRing
 from pancakes.sim.settings import NoiseSettings
 
 _IR_RAYS = 3
 _SONAR_RAYS = 5
 _IR_MAX_RAW = 4095  # its converter has 12 bits
+
+
+@dataclass(frozen=True, slots=True)
+class _Ring:
+    """What does not change from one reading of a ring of sensors to the next.
+
+    Attributes:
+        fan: its rays.
+        bearings_rad: where its sensors look.
+        limit_m: their full range.
+        curve_raw: what an infrared sensor says of a distance.
+        metres: what each of its words means.
+    """
+
+    fan: Fan
+    bearings_rad: tuple[float, ...]
+    limit_m: float
+    curve_raw: Callable[[float], float]
+    metres: tuple[float, ...]
+
+
+def _ring_of(
+    ring: IrRing | SonarRing,
+    rays: int,
+    limit_m: float,
+    curve_raw: Callable[[float], float] = lambda distance_m: distance_m,
+    metres: tuple[float, ...] = (),
+) -> _Ring:
+    bearings_rad = tuple(sensor.bearing_rad for sensor in ring.sensors)
+    return _Ring(Fan(ring.sensors, ring.cone_rad, rays, limit_m), bearings_rad, limit_m, curve_raw, metres)
 
 
 class Senses:
@@ -29,6 +63,7 @@ class Senses:
         self._arena = arena
         self._noise = noise
         self._random = random
+        self._rings: dict[tuple[str, str], _Ring] = {}  # by the kind of robot and the kind of ring
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
         """Measures a robot's battery."""
@@ -41,15 +76,16 @@ class Senses:
         Raises:
             PancakesError: robots of this kind have none.
         """
-        ring = robot.infrared_ring()
-        gauss, curve = self._random.gauss, ring.curve
+        ring = self._rings.get((robot.model.name, "ir")) or self._infrared_ring(robot)
+        gauss, curve_raw, metres = self._random.gauss, ring.curve_raw, ring.metres
+        ir_share, ir_raw = self._noise.ir_share, self._noise.ir_raw
         raw = []
-        for distance_m in self._arena.ranges(robot.disc, ring.sensors, ring.cone_rad, _IR_RAYS, curve.farthest_m):
-            share = 1.0 + self._noise.ir_share * gauss(0.0, 1.0)
-            noisy = curve.raw(distance_m) * share + self._noise.ir_raw * gauss(0.0, 1.0)
-            raw.append(min(max(round(noisy), 0), _IR_MAX_RAW))
-        bearings = tuple(sensor.bearing_rad for sensor in ring.sensors)
-        return Infrared(bearings, tuple(curve.distance(value) for value in raw), curve.farthest_m, tuple(raw))
+        for distance_m in self._arena.ranges(robot.disc, ring.fan):
+            noisy = ir_raw * gauss(0.0, 1.0)
+            if distance_m < math.inf:
+                noisy += curve_raw(distance_m) * (1.0 + ir_share * gauss(0.0, 1.0))
+            raw.append(round(noisy) if 0.0 < noisy < _IR_MAX_RAW else 0 if noisy < 1.0 else _IR_MAX_RAW)
+        return Infrared(ring.bearings_rad, tuple([metres[value] for value in raw]), ring.limit_m, tuple(raw))
 
     def sonar(self, robot: Robot) -> Sonar:
         """Asks a robot's sonar ring.
@@ -57,14 +93,25 @@ class Senses:
         Raises:
             PancakesError: robots of this kind have none.
         """
-        ring = robot.sonar_ring()
-        limit_m = ring.max_range_m
+        ring = self._rings.get((robot.model.name, "sonar")) or self._sonar_ring(robot)
+        limit_m = ring.limit_m
         ranges_m = []
-        for distance_m in self._arena.ranges(robot.disc, ring.sensors, ring.cone_rad, _SONAR_RAYS, limit_m):
+        for distance_m in self._arena.ranges(robot.disc, ring.fan):
             if math.isfinite(distance_m):
                 distance_m += self._noise.sonar_m * self._random.gauss(0.0, 1.0)
             ranges_m.append(min(max(distance_m, 0.0), limit_m))
-        return Sonar(tuple(sensor.bearing_rad for sensor in ring.sensors), tuple(ranges_m), limit_m)
+        return Sonar(ring.bearings_rad, tuple(ranges_m), limit_m)
+
+    def _infrared_ring(self, robot: Robot) -> _Ring:
+        ir = robot.infrared_ring()
+        ring = _ring_of(ir, _IR_RAYS, ir.curve.farthest_m, ir.curve.raw, ir.curve.distances(_IR_MAX_RAW))
+        self._rings[robot.model.name, "ir"] = ring
+        return ring
+
+    def _sonar_ring(self, robot: Robot) -> _Ring:
+        sonar = robot.sonar_ring()
+        ring = self._rings[robot.model.name, "sonar"] = _ring_of(sonar, _SONAR_RAYS, sonar.max_range_m)
+        return ring
 
     def motion(self, sensor: Sensor, discs: Sequence[Disc]) -> Motion:
         """Asks a motion sensor which of some discs move where it looks.

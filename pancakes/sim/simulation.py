@@ -13,9 +13,10 @@ from typing import Any, Final
 
 from pancakes.devices.types import Pose
 from pancakes.errors import PancakesError
-from pancakes.sim.arena import Arena, Disc
+from pancakes.sim.arena import Arena
 from pancakes.sim.battery import BatteryModel
 from pancakes.sim.body import Robot, Sensor, Walker
+from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
@@ -108,18 +109,24 @@ class Simulation:
         """Goes on in whole steps until the next would lie beyond `to_s`. Never goes back."""
         last_step = math.floor((to_s + EARLY_S) / STEP_S)
         while self._steps < last_step:
-            self._step()
+            self._go(last_step)
 
-    def _step(self) -> None:
-        time_s = self._steps * STEP_S
-        if self._steps % _LOOK_STEPS == 0:
+    def _go(self, last_step: int) -> None:
+        """Goes on by as many steps as nobody changes anything in, up to `last_step`."""
+        steps = self._steps
+        time_s = steps * STEP_S
+        if steps % _LOOK_STEPS == 0:
             for walker in self._walkers.values():
                 self._look(walker, time_s)
+        changes_s = min((robot.before_step(time_s) for robot in self._robots.values()), default=math.inf)
+        until = min(last_step, steps - steps % _LOOK_STEPS + _LOOK_STEPS)
+        while until - 1 > steps and (until - 1) * STEP_S >= changes_s:
+            until -= 1
+        self._arena.step((steps + 1) * STEP_S, STEP_S, until - steps)
         for robot in self._robots.values():
-            robot.before_step(time_s, STEP_S)
-        self._steps += 1
-        self._arena.step(self._steps * STEP_S, STEP_S)
-        if self._steps % _LOOK_STEPS == 0:
+            robot.rolls(until - steps, STEP_S)
+        self._steps = until
+        if until % _LOOK_STEPS == 0:
             for robot in self._robots.values():
                 robot.settle(DECIDE_EVERY_S)
             self._watch_bounds()
@@ -257,8 +264,11 @@ class Simulation:
 
     def take_happenings(self) -> list[Happening]:
         """Returns what has happened since the last call and should not have."""
+        contacts = self._arena.take_contacts()
+        if not contacts and not self._happenings:
+            return []
         happenings, self._happenings = self._happenings, []
-        for contact in self._arena.take_contacts():
+        for contact in contacts:
             happenings.append(Happening("collision", contact.time_s, contact.names, contact.x_m, contact.y_m))
         return sorted(happenings, key=lambda happening: happening.time_s)
 
@@ -301,7 +311,6 @@ def _branch(source: random.Random) -> random.Random:
 def _body_state(
     disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
 ) -> BodyState:
-    x_m, y_m = disc.position
-    return BodyState(
-        disc.name, kind, x_m, y_m, disc.theta_rad, disc.v_mps, disc.omega_radps, battery_v, driven_by, spent
-    )
+    theta_rad = disc.theta_rad
+    v_mps, omega_radps = disc.speed_along(theta_rad), disc.omega_radps
+    return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)

@@ -8,8 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
 from pancakes.sim.bus import Attach, Attached, Drive, Halt, Reading, Refused, Reply, Request, Sample
@@ -67,7 +65,11 @@ class World(Task):
     def on_settings(self) -> None:
         self.log("warning", "a world that runs keeps what it holds: its new settings count from its next start")
 
-    @every(hz=50)
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        # Exactly when a state is due. Who asks in between has the world go on to that moment.
+        return super().initial_period_s(method, 1.0 / self.settings.state_hz)
+
+    @every(hz=20)
     def advance(self, tick: Tick) -> None:
         """Goes on to the present."""
         self._advance()
@@ -99,19 +101,18 @@ class World(Task):
     def _answer(self, request: Request) -> Reply | None:
         simulation = self._simulation
         match request:
-            case Attach():
-                simulation.check(request.body, request.type, request.model)
-                return Attached(request.device)
-            case Drive():
-                wheels = Wheels(request.left_mps, request.right_mps)
-                simulation.drive(request.body, wheels, request.ttl_s, request.source)
-            case Halt():
-                simulation.hold(request.body)
             case Sample():
                 if request.packets_sent is not None:
                     simulation.packets_sent(request.body, request.packets_sent)
                 if request.listening is not None:
                     simulation.listens(request.body, request.listening)
-                value = msgspec.to_builtins(simulation.sample(request.body, request.type))
-                return Reading(request.device, request.type, value)
+                return Reading(request.device, request.type, simulation.sample(request.body, request.type))
+            case Drive():
+                wheels = Wheels(request.left_mps, request.right_mps)
+                simulation.drive(request.body, wheels, request.ttl_s, request.source)
+            case Attach():
+                simulation.check(request.body, request.type, request.model)
+                return Attached(request.device)
+            case Halt():
+                simulation.hold(request.body)
         return None

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from pancakes.sim.arena import Arena
+from pancakes.sim.rays import Fan
 from pancakes.sim.robot import RangeSensor
 
 DT_S = 0.01
@@ -26,29 +27,29 @@ def arena():
 )
 def test_a_ray_meets_each_wall_where_it_stands(arena, theta_rad, wall_m):
     disc = arena.add("robot", 0.0, 0.0, theta_rad, 0.05, 1.0)
-    assert arena.ranges(disc, [AHEAD], 0.0, 1, 4.0) == pytest.approx([wall_m], abs=1e-6)
+    assert arena.ranges(disc, Fan([AHEAD], 0.0, 1, 4.0)) == pytest.approx([wall_m], abs=1e-6)
 
 
 def test_a_ray_meets_another_body_at_its_edge_and_not_its_own(arena):
     disc = arena.add("robot", -1.0, 0.0, 0.0, 0.065, 1.0)
     arena.add("sensor", 0.0, 0.0, 0.0, 0.06)
     sensor = RangeSensor(0.065, 0.0, 0.0)
-    assert arena.ranges(disc, [sensor], 0.0, 1, 4.0) == pytest.approx([1.0 - 0.065 - 0.06], abs=1e-6)
+    assert arena.ranges(disc, Fan([sensor], 0.0, 1, 4.0)) == pytest.approx([1.0 - 0.065 - 0.06], abs=1e-6)
 
 
 def test_beyond_its_range_a_ray_meets_nothing(arena):
     disc = arena.add("robot", 0.0, 0.0, 0.0, 0.05, 1.0)
-    assert arena.ranges(disc, [AHEAD], 0.0, 1, 0.2) == [math.inf]
-    assert arena.ranges(disc, [AHEAD], 0.0, 1, 1.94) == [math.inf]
-    assert arena.ranges(disc, [AHEAD], 0.0, 1, 1.96) == pytest.approx([1.95], abs=1e-6)
+    assert arena.ranges(disc, Fan([AHEAD], 0.0, 1, 0.2)) == [math.inf]
+    assert arena.ranges(disc, Fan([AHEAD], 0.0, 1, 1.94)) == [math.inf]
+    assert arena.ranges(disc, Fan([AHEAD], 0.0, 1, 1.96)) == pytest.approx([1.95], abs=1e-6)
 
 
 def test_a_cone_says_what_is_nearest_in_it(arena):
     disc = arena.add("robot", -1.0, 0.0, 0.0, 0.05, 1.0)
     angle_rad = math.radians(10)  # on the edge of a cone of 20 degrees
     arena.add("post", -1.0 + math.cos(angle_rad), math.sin(angle_rad), 0.0, 0.05)
-    (wide,) = arena.ranges(disc, [AHEAD], math.radians(20), 3, 4.0)
-    (narrow,) = arena.ranges(disc, [AHEAD], math.radians(2), 3, 4.0)
+    (wide,) = arena.ranges(disc, Fan([AHEAD], math.radians(20), 3, 4.0))
+    (narrow,) = arena.ranges(disc, Fan([AHEAD], math.radians(2), 3, 4.0))
     assert wide == pytest.approx(0.9, abs=0.02)
     assert narrow == pytest.approx(2.95, abs=0.01)
 
@@ -56,7 +57,7 @@ def test_a_cone_says_what_is_nearest_in_it(arena):
 def test_what_touches_a_sensor_is_at_distance_0(arena):
     disc = arena.add("robot", 0.0, 0.0, 0.0, 0.05, 1.0)
     arena.add("post", 0.1, 0.0, 0.0, 0.05)
-    assert arena.ranges(disc, [AHEAD], 0.0, 1, 0.2) == pytest.approx([0.0], abs=1e-9)
+    assert arena.ranges(disc, Fan([AHEAD], 0.0, 1, 0.2)) == pytest.approx([0.0], abs=1e-9)
 
 
 def test_a_rolling_body_drives_an_arc(arena):

@@ -34,11 +34,12 @@ class Watcher(Task):
     """Notes what is published on the world's agent."""
 
     def on_start(self):
-        self.states, self.poses, self.events = [], [], []
+        self.states, self.stamps, self.poses, self.events = [], [], [], []
 
     @on("system", WorldState)
     def state_seen(self, packet):
         self.states.append(packet.body)
+        self.stamps.append(packet.stamp)
 
     @on("log", Event)
     def event_seen(self, packet):
@@ -95,6 +96,14 @@ def test_states_come_at_exact_multiples_of_the_period():
     agent.run_until(1.0)
     times = [state.time_s for state in agent.watcher.states]
     assert times == pytest.approx([0.05 * k for k in range(21)], abs=1e-9)
+
+
+@pytest.mark.parametrize("state_hz", [10.0, 20.0, 50.0])
+def test_a_state_is_told_at_its_own_time(state_hz):
+    agent = WorldAgent(contents={**CONTENTS, "state_hz": state_hz})
+    agent.run_until(1.0)
+    assert len(agent.watcher.states) == state_hz + 1
+    assert agent.watcher.stamps[1:] == pytest.approx([state.time_s for state in agent.watcher.states[1:]], abs=1e-9)
 
 
 def test_the_world_stands_while_the_mission_waits_at_0():

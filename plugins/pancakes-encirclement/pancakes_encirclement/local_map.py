@@ -20,6 +20,7 @@ MERGE_M = 0.03
 """Two echoes as near as this are one."""
 BEAM_RAD = math.radians(6.0)
 """Half of a beam's width, as far as a beam that reaches on says that nothing stands in it."""
+_BEAM_SLOPE = math.tan(BEAM_RAD)
 THROUGH_M = 0.08
 """A beam must reach this far past an echo before the echo is taken to have gone away."""
 
@@ -83,11 +84,12 @@ class LocalMap:
         """Forgets what stood in a beam that has just reached `free_m` from the body's centre, and farther."""
         direction = pose.theta_rad + bearing_rad
         cos, sin = math.cos(direction), math.sin(direction)
-        slope = math.tan(BEAM_RAD)
-        kept = []
+        x_m, y_m, radius_m = pose.x_m, pose.y_m, self._body_radius_m
+        gone = []
         for echo in self._echoes:
-            dx, dy = echo.x_m - pose.x_m, echo.y_m - pose.y_m
-            ahead, aside = dx * cos + dy * sin, dy * cos - dx * sin
-            if not (self._body_radius_m < ahead < free_m and abs(aside) < ahead * slope):
-                kept.append(echo)
-        self._echoes = kept
+            dx, dy = echo.x_m - x_m, echo.y_m - y_m
+            ahead = dx * cos + dy * sin
+            if radius_m < ahead < free_m and abs(dy * cos - dx * sin) < ahead * _BEAM_SLOPE:
+                gone.append(echo)
+        if gone:
+            self._echoes = [echo for echo in self._echoes if echo not in gone]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from pancakes.packet import packet_type
 
 
 @packet_type("encirclement.motion_detected")
-@dataclass(frozen=True, slots=True)
-class MotionDetected:
+class MotionDetected(msgspec.Struct, frozen=True):
     """Motion was sensed here: the place to go round, in the frame of the world."""
 
     x_m: float
@@ -17,8 +16,7 @@ class MotionDetected:
 
 
 @packet_type("encirclement.neighbour_pose")
-@dataclass(frozen=True, slots=True)
-class NeighbourPose:
+class NeighbourPose(msgspec.Struct, frozen=True):
     """Where the sender is, in the frame of the world; heading in radians, counter-clockwise from the x axis."""
 
     x_m: float

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from pancakes.packet import packet_type
 from pancakes.sim.state import Spent
 
 
 @packet_type("sensor_field.line")
-@dataclass(frozen=True, slots=True)
-class LineReport:
+class LineReport(msgspec.Struct, frozen=True):
     """How well the tiny nodes of a line are heard: a reading of such a device. It counts from the device's start.
 
     Attributes:
@@ -33,8 +32,7 @@ class LineReport:
 
 
 @packet_type("sensor_field.report_period")
-@dataclass(frozen=True, slots=True)
-class ReportPeriod:
+class ReportPeriod(msgspec.Struct, frozen=True):
     """Asks tiny nodes to report in another period; sent on `system` to the device of their line.
 
     Attributes:
@@ -47,8 +45,7 @@ class ReportPeriod:
 
 
 @packet_type("sensor_field.activity")
-@dataclass(frozen=True, slots=True)
-class Activity:
+class Activity(msgspec.Struct, frozen=True):
     """Something happens at a node, or no more."""
 
     node: str
@@ -56,8 +53,7 @@ class Activity:
 
 
 @packet_type("sensor_field.report")
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(msgspec.Struct, frozen=True):
     """What a node tells the alarm.
 
     Attributes:
@@ -74,8 +70,7 @@ class Report:
 
 
 @packet_type("sensor_field.alarm_raised")
-@dataclass(frozen=True, slots=True)
-class AlarmRaised:
+class AlarmRaised(msgspec.Struct, frozen=True):
     """The field is alarmed.
 
     Attributes:
@@ -92,15 +87,13 @@ class AlarmRaised:
 
 
 @packet_type("sensor_field.alarm_cleared")
-@dataclass(frozen=True, slots=True)
-class AlarmCleared:
+class AlarmCleared(msgspec.Struct, frozen=True):
     """All is quiet again after an alarm."""
 
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class NodeTruth:
+class NodeTruth(msgspec.Struct, frozen=True):
     """How a node of a simulated field really fares.
 
     Attributes:
@@ -121,8 +114,7 @@ class NodeTruth:
 
 
 @packet_type("sensor_field.truth")
-@dataclass(frozen=True, slots=True)
-class FieldTruth:
+class FieldTruth(msgspec.Struct, frozen=True):
     """How a simulated field really is at one moment of mission time, as it tells the tasks of its own agent."""
 
     time_s: float

@@ -1,0 +1,136 @@
+"""What a ring of range sensors sees: rays against discs and the walls of a rectangle, in closed form.
+
+A reading of 27 rays takes a few microseconds where nothing is near, and some 20 beside a wall; asking pymunk for each
+ray takes 2.5 microseconds a ray, most of them for the call.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pancakes.sim.disc import Disc
+from pancakes.sim.robot import RangeSensor
+
+_INSET_M = 0.05
+"""A ray begins that far within the body, so that what touches the sensor, or overlaps it a little, is seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Look:
+    """Where one sensor sits on its body, and where it looks, as seen along the body's heading."""
+
+    x_m: float
+    y_m: float
+    ahead: tuple[float, float]
+    rays: tuple[tuple[float, float], ...]
+
+
+class Fan:
+    """The rays of a ring of sensors.
+
+    Args:
+        sensors: where they sit and look.
+        cone_rad: how wide each one sees.
+        rays: how many rays, spread evenly over the cone, stand for it.
+        max_range_m: how far a ray reaches.
+
+    Attributes:
+        reach_m: what is farther away from the body's centre is seen by none of them.
+    """
+
+    def __init__(self, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float) -> None:
+        self._max_range_m = max_range_m
+        self._slope = math.tan(min(0.5 * cone_rad, 1.5))
+        self.reach_m = max_range_m + max(math.hypot(sensor.x_m, sensor.y_m) for sensor in sensors)
+        self._looks = tuple(
+            _Look(
+                sensor.x_m, sensor.y_m, _along(sensor.bearing_rad), tuple(_spread(sensor.bearing_rad, cone_rad, rays))
+            )
+            for sensor in sensors
+        )
+
+    def ranges(self, disc: Disc, others: Sequence[Disc], half_width_m: float, half_height_m: float) -> list[float]:
+        """Returns for each sensor the distance to the nearest thing in its cone, infinity where there is none.
+
+        Args:
+            disc: what carries the sensors; it does not see itself.
+            others: the discs that may be in reach.
+            half_width_m: walls stand at this and at minus this along x.
+            half_height_m: the same along y.
+        """
+        x_m, y_m, reach_m = disc.x_m, disc.y_m, self.reach_m
+        near = []
+        for other in others:
+            dx_m, dy_m, far_m = other.x_m - x_m, other.y_m - y_m, reach_m + other.radius_m
+            if dx_m * dx_m + dy_m * dy_m <= far_m * far_m and other is not disc:
+                near.append((dx_m, dy_m, other.radius_m))
+        walled = half_width_m - abs(x_m) <= reach_m or half_height_m - abs(y_m) <= reach_m
+        if not near and not walled:
+            return [math.inf] * len(self._looks)
+        theta_rad = disc.theta_rad
+        cos, sin = math.cos(theta_rad), math.sin(theta_rad)
+        found = []
+        for look in self._looks:
+            # Turned as the body is.
+            at_x_m, at_y_m = look.x_m * cos - look.y_m * sin, look.x_m * sin + look.y_m * cos
+            nearest_m = math.inf
+            seen = self._in_cone(look, at_x_m, at_y_m, cos, sin, near) if near else near
+            if seen or walled:
+                right_m, left_m = half_width_m - x_m - at_x_m, half_width_m + x_m + at_x_m
+                top_m, bottom_m = half_height_m - y_m - at_y_m, half_height_m + y_m + at_y_m
+                for ray_x, ray_y in look.rays:
+                    along_x, along_y = ray_x * cos - ray_y * sin, ray_x * sin + ray_y * cos
+                    if walled:
+                        if along_x:
+                            way_m = right_m / along_x if along_x > 0.0 else -left_m / along_x
+                            nearest_m = way_m if way_m < nearest_m else nearest_m
+                        if along_y:
+                            way_m = top_m / along_y if along_y > 0.0 else -bottom_m / along_y
+                            nearest_m = way_m if way_m < nearest_m else nearest_m
+                    for dx_m, dy_m, radius_m in seen:
+                        nearest_m = min(nearest_m, _edge_m(dx_m, dy_m, radius_m, along_x, along_y))
+            found.append(max(nearest_m, 0.0) if nearest_m <= self._max_range_m else math.inf)
+        return found
+
+    def _in_cone(
+        self,
+        look: _Look,
+        at_x_m: float,
+        at_y_m: float,
+        cos: float,
+        sin: float,
+        near: Sequence[tuple[float, float, float]],
+    ) -> list[tuple[float, float, float]]:
+        """Returns the discs that rays of one sensor may meet, as seen from the sensor."""
+        ahead_x, ahead_y = look.ahead[0] * cos - look.ahead[1] * sin, look.ahead[0] * sin + look.ahead[1] * cos
+        found = []
+        for dx_m, dy_m, radius_m in near:
+            from_x_m, from_y_m = dx_m - at_x_m, dy_m - at_y_m
+            along_m = from_x_m * ahead_x + from_y_m * ahead_y
+            aside_m = abs(from_x_m * ahead_y - from_y_m * ahead_x)
+            # A disc that a cone touches lies within its radius, and a little for the slope, of the cone's edge.
+            if along_m > -radius_m and aside_m <= (along_m + radius_m) * self._slope + radius_m + _INSET_M:
+                found.append((from_x_m, from_y_m, radius_m))
+        return found
+
+
+def _along(angle_rad: float) -> tuple[float, float]:
+    return math.cos(angle_rad), math.sin(angle_rad)
+
+
+def _spread(bearing_rad: float, cone_rad: float, rays: int) -> list[tuple[float, float]]:
+    if rays == 1:
+        return [_along(bearing_rad)]
+    return [_along(bearing_rad + (ray / (rays - 1) - 0.5) * cone_rad) for ray in range(rays)]
+
+
+def _edge_m(dx_m: float, dy_m: float, radius_m: float, along_x: float, along_y: float) -> float:
+    """Returns the way along a ray to the edge of a disc whose centre lies at (dx_m, dy_m) from its beginning."""
+    along_m = dx_m * along_x + dy_m * along_y
+    square = along_m * along_m - dx_m * dx_m - dy_m * dy_m + radius_m * radius_m
+    if square < 0.0:
+        return math.inf
+    way_m = along_m - math.sqrt(square)
+    return way_m if way_m >= -_INSET_M else math.inf
