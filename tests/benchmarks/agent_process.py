@@ -11,15 +11,20 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
-         "bench.Started": "benchmarks.mesh_tasks:Started", "bench.Steady": "benchmarks.steady:Steady"}  # fmt: skip
-PACKETS = {"bench": "benchmarks.mesh_tasks"}
+         "bench.Started": "benchmarks.mesh_tasks:Started", "bench.Idle": "benchmarks.mesh_tasks:Idle",
+         "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
+         "bench.Noted": "benchmarks.lateness:Noted", "bench.Judge": "benchmarks.lateness:Judge",
+         "bench.Small": "benchmarks.many_tasks:Small",
+         "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
+PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}
 PATIENCE_S = 60.0
+PATIENCE_TO_END_S = 10.0
 
 
 def offer_tasks(directory: Path) -> Mapping[str, str]:
@@ -28,6 +33,7 @@ def offer_tasks(directory: Path) -> Mapping[str, str]:
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pancakes-bench\nVersion: 1\n")
     lines = ["[pancakes.tasks]", *(f"{name} = {value}" for name, value in TASKS.items())]
+    lines += ["[pancakes.services]", "bench.Crowd = benchmarks.many_tasks:Crowd"]
     lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in PACKETS.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
     path = [str(directory), str(Path(__file__).resolve().parents[1])]
@@ -48,6 +54,7 @@ def agent_process(
     environment: Mapping[str, str],
     core: int | None = None,
     pass_fds: tuple[int, ...] = (),
+    more: Sequence[str] = (),
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Runs `pancakes-agent`.
 
@@ -57,10 +64,11 @@ def agent_process(
         environment: see `offer_tasks`.
         core: the processor core that it is bound to, if any.
         pass_fds: file descriptors that it inherits.
+        more: options for its command line.
     """
     path = directory / f"agent{time.monotonic_ns()}.toml"
     path.write_text(config)
-    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path)]
+    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path), *more]
     with process(command, environment, core, pass_fds) as started:
         yield started
 
@@ -77,8 +85,32 @@ def process(
     try:
         yield started
     finally:
-        started.terminate()
-        started.communicate()
+        end([started])
+
+
+def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
+    """Ends processes all at once, whether or not they do as they are asked."""
+    running = [it for it in processes if it.poll() is None]
+    for it in running:
+        it.terminate()
+    for it in processes:
+        try:
+            it.communicate(timeout=PATIENCE_TO_END_S)
+        except subprocess.TimeoutExpired:
+            it.kill()
+            it.communicate()
+
+
+def listening_at(environment: Mapping[str, str], name: str, started: subprocess.Popen[Any]) -> str:
+    """Waits until an agent listens, and returns where: from its entry, by which the command line finds it as well."""
+    directory = Path(environment["PANCAKES_RUNTIME_DIR"])
+    until_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until_s and started.poll() is None:
+        for path in directory.glob(f"{name}.*.json"):
+            address: str = json.loads(path.read_text())["listen"]
+            return address
+        time.sleep(0.005)
+    raise RuntimeError(f"the agent {name} ended, or did not listen within {PATIENCE_S:g} s")
 
 
 def two_cores() -> tuple[int, int] | tuple[None, None]:
@@ -89,7 +121,7 @@ def two_cores() -> tuple[int, int] | tuple[None, None]:
     return (cores[0], cores[1]) if len(cores) > 1 else (None, None)
 
 
-def read_report(reader: int) -> dict[str, Any]:
+def read_report(reader: int) -> Any:
     """Waits for the line of JSON that a process writes into a pipe."""
     import select
 
@@ -102,5 +134,4 @@ def read_report(reader: int) -> dict[str, Any]:
         if not part:
             raise RuntimeError("a process ended before it had reported anything")
         text += part
-    report: dict[str, Any] = json.loads(text)
-    return report
+    return json.loads(text)

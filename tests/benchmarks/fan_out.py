@@ -1,6 +1,6 @@
-"""One task publishes, 1, 10 or 100 others get it: what a delivery costs, and how long until the last has it.
+"""A task or a driver publishes, 1, 10 or 100 tasks get it: what a delivery costs, and how long until the last has it.
 
-The baseline is a thread that puts into a `queue.SimpleQueue` for each of as many threads.
+The baseline is pykka as it comes: as many `ThreadingActor`s, and a loop that tells each of them.
 """
 
 from __future__ import annotations
@@ -9,19 +9,24 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from queue import SimpleQueue
 from statistics import median
 from typing import Any
 
+import pykka
 from benchmarks.figure import Figure, Plan, in_turns
 from benchmarks.local_agent import local_agent
 
+from pancakes.agent import Agent
+from pancakes.devices.driver import Sensor
 from pancakes.devices.types import Pose
-from pancakes.packet import Packet
+from pancakes.packet import SYSTEM, Packet
 from pancakes.task import Task, Tick, every, on, queue
 
 TITLE = "a channel to its subscribers"
-SUBSCRIBERS = (1, 10, 100)
+SUBSCRIBERS: tuple[tuple[int, float | None, float | None], ...] = ((1, 0.20, None), (10, None, None), (100, 0.12, 0.06))
+"""How many there are, and what is wanted of a delivery, and of the time until the last has it."""
+FROM_A_DRIVER = 0.40
+"""What is wanted of a delivery to one subscriber from a driver's own thread."""
 DELIVERIES = 100_000
 BURST = 64
 """Packets that the publisher publishes in one turn."""
@@ -93,6 +98,44 @@ class Subscriber(Task):
             self.publish("done", _POSE)
 
 
+class Reader(Subscriber):
+    """Counts readings of a device."""
+
+    @on(SYSTEM, Pose, keep=queue(DELIVERIES))
+    def take(self, packet: Packet) -> None:
+        """Counts one reading."""
+        super().take(packet)
+
+
+class Stream(Sensor):
+    """A sensor whose hardware sends readings by itself, so that a thread of its own has to listen: as fast as it can.
+
+    Whoever sends it a pose makes the hardware begin.
+    """
+
+    type = "pose"
+
+    @dataclass
+    class Settings:
+        readings: int = 0
+
+    def open(self) -> None:
+        self.began_s = 0.0
+        self._thread = threading.Thread(target=self._listen, name="stream", daemon=True)
+
+    def receive(self, packet: Packet) -> None:
+        self._thread.start()
+
+    def sample(self) -> None:
+        """Brings nothing: readings come from the thread."""
+
+    def _listen(self) -> None:
+        self.began_s = time.perf_counter()
+        deliver = self.context.deliver
+        for _ in range(self.settings.readings):
+            deliver(_POSE)
+
+
 class _Countdown:
     """Waits until all have finished; takes the time of the last."""
 
@@ -121,7 +164,14 @@ def _last_us(probes_s: list[float], heard_s: list[list[float]]) -> float:
     return median(max(times) - sent for sent, *times in list(zip(probes_s, *heard_s, strict=True))[SKIPPED:]) * 1e6
 
 
-def pancakes(subscribers: int, packets: int) -> list[float]:
+def _counting(agent: Agent, number: int) -> _Countdown:
+    """Waits for so many to say `done`."""
+    countdown = _Countdown(number)
+    agent.kernel.stream.tap("done", countdown.one)
+    return countdown
+
+
+def from_a_task(subscribers: int, packets: int) -> list[float]:
     """One run of ours. Returns ns a delivery, and µs until the last has it."""
     tasks = {f"Subscriber{number}": f'type = "bench.Subscriber"\nsettings = {{ packets = {packets} }}'
              for number in range(subscribers)}  # fmt: skip
@@ -131,43 +181,62 @@ def pancakes(subscribers: int, packets: int) -> list[float]:
         find = agent.kernel.registry.get
         publisher: Any = find("bench/client/Publisher")
         others: list[Any] = [find(f"bench/client/Subscriber{number}") for number in range(subscribers)]
-        countdown = _Countdown(subscribers)
-        agent.kernel.stream.tap("done", countdown.one)
+        flooded = _counting(agent, subscribers)
         publisher.call(publisher.flood)
-        countdown.wait()
-        delivery_ns = (countdown.ended_s - publisher.began_s) / (packets * subscribers) * 1e9
-        agent.kernel.stream.untap("done", countdown.one)
-        countdown = _Countdown(subscribers)
-        agent.kernel.stream.tap("done", countdown.one)
+        flooded.wait()
+        delivery_ns = (flooded.ended_s - publisher.began_s) / (packets * subscribers) * 1e9
+        agent.kernel.stream.untap("done", flooded.one)
+        probed = _counting(agent, subscribers)
         publisher.call(lambda: publisher.reschedule(PROBES_HZ))
-        countdown.wait()
+        probed.wait()
         return [delivery_ns, _last_us(publisher.probes_s, [other.heard_s for other in others])]
 
 
-def simple_queues(subscribers: int, packets: int) -> list[float]:
-    """One run of the baseline. Returns the same."""
-    queues: list[SimpleQueue[Any]] = [SimpleQueue() for _ in range(subscribers)]
-    heard_s: list[list[float]] = [[] for _ in range(subscribers)]
+def from_a_driver(packets: int) -> list[float]:
+    """One run of ours: a driver's thread to one task. Returns ns a delivery."""
+    tasks = {"Reader": f'type = "bench.Reader"\nsettings = {{ packets = {packets} }}'}
+    device_table = f'[device.stream]\ndriver = "bench.Stream"\nsettings = {{ readings = {packets} }}'
+    offers = {("pancakes.drivers", "bench.Stream"): Stream}
+    channels = ("bench", "probe", "done")
+    with local_agent({"bench.Reader": Reader}, tasks, channels, offers, device_table) as agent:
+        device: Any = agent.kernel.registry.get("bench/device/stream")
+        reader: Any = agent.kernel.registry.get("bench/client/Reader")
+        done = _counting(agent, 1)
+        reader.call(lambda: reader.publish(SYSTEM, _POSE, to=device.address))
+        done.wait()
+        return [(done.ended_s - device.driver.began_s) / packets * 1e9]
+
+
+class _StockActor(pykka.ThreadingActor):
+    """Counts what it is told, then notes when each probe came."""
+
+    def __init__(self, packets: int, heard_s: list[float], flooded: _Countdown, probed: _Countdown) -> None:
+        super().__init__()
+        self.count = 0
+        self.packets = packets
+        self.heard_s = heard_s
+        self.flooded = flooded
+        self.probed = probed
+
+    def on_receive(self, message: Any) -> None:
+        self.count += 1
+        if self.count > self.packets:
+            self.heard_s.append(time.perf_counter())
+            if len(self.heard_s) == PROBES:
+                self.probed.one()
+        elif self.count == self.packets:
+            self.flooded.one()
+
+
+def stock_pykka(subscribers: int, packets: int) -> list[float]:
+    """One run of the baseline. Returns the same as `from_a_task`."""
     flooded, probed = _Countdown(subscribers), _Countdown(subscribers)
-
-    def subscriber(number: int) -> None:
-        get, heard = queues[number].get, heard_s[number]
-        for _ in range(packets):
-            get()
-        flooded.one()
-        for _ in range(PROBES):
-            get()
-            heard.append(time.perf_counter())
-        probed.one()
-
-    threads = [threading.Thread(target=subscriber, args=(number,), daemon=True) for number in range(subscribers)]
-    for thread in threads:
-        thread.start()
-    puts = [one.put for one in queues]
+    heard_s: list[list[float]] = [[] for _ in range(subscribers)]
+    refs = [_StockActor.start(packets, heard_s[number], flooded, probed) for number in range(subscribers)]
     began_s = time.perf_counter()
     for _ in range(packets):
-        for put in puts:
-            put(_POSE)
+        for ref in refs:
+            ref.tell(_POSE)
     flooded.wait()
     delivery_ns = (flooded.ended_s - began_s) / (packets * subscribers) * 1e9
     probes_s = []
@@ -176,25 +245,32 @@ def simple_queues(subscribers: int, packets: int) -> list[float]:
         due_s += 1.0 / PROBES_HZ
         time.sleep(max(0.0, due_s - time.perf_counter()))
         probes_s.append(time.perf_counter())
-        for put in puts:
-            put(_POSE)
+        for ref in refs:
+            ref.tell(_POSE)
     probed.wait()
-    for thread in threads:
-        thread.join()
+    for ref in refs:
+        ref.stop()
     return [delivery_ns, _last_us(probes_s, heard_s)]
 
 
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
-    for subscribers in SUBSCRIBERS:
+    for subscribers, delivery, last in SUBSCRIBERS:
         packets = max(1, plan.share(DELIVERIES) // subscribers)
         figures = [
-            Figure(f"publish to {subscribers}: a delivery", "ns"),
-            Figure(f"publish to {subscribers}: until the last has it", "µs"),
+            Figure(f"publish to {subscribers}: a delivery", "ns", wanted=delivery),
+            Figure(f"publish to {subscribers}: until the last has it", "µs", wanted=last),
         ]
         yield from in_turns(
             plan,
             figures,
-            lambda subscribers=subscribers, packets=packets: pancakes(subscribers, packets),  # type: ignore[misc]
-            lambda subscribers=subscribers, packets=packets: simple_queues(subscribers, packets),  # type: ignore[misc]
+            lambda subscribers=subscribers, packets=packets: from_a_task(subscribers, packets),  # type: ignore[misc]
+            lambda subscribers=subscribers, packets=packets: stock_pykka(subscribers, packets),  # type: ignore[misc]
         )
+    packets = plan.share(DELIVERIES)
+    yield from in_turns(
+        plan,
+        [Figure("publish to 1 from a driver's thread: a delivery", "ns", wanted=FROM_A_DRIVER)],
+        lambda: from_a_driver(packets),
+        lambda: stock_pykka(1, packets)[:1],
+    )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any
 
 from pancakes.agent import Agent
 from pancakes.config import parse
@@ -16,7 +18,11 @@ READY_S = 30.0
 
 @contextmanager
 def local_agent(
-    classes: Mapping[str, type[Task]], tasks: Mapping[str, str], channels: Sequence[str] = ()
+    classes: Mapping[str, type[Task]],
+    tasks: Mapping[str, str],
+    channels: Sequence[str] = (),
+    offers: Mapping[tuple[str, str], Any] = MappingProxyType({}),
+    more: str = "",
 ) -> Iterator[Agent]:
     """Runs an agent.
 
@@ -24,6 +30,8 @@ def local_agent(
         classes: the task classes, by the name of their type.
         tasks: the tables of the tasks, as TOML, by their names.
         channels: channels of its own.
+        offers: other plug-ins, by group and name.
+        more: other tables, as TOML.
     """
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as directory:
         lines = [
@@ -36,8 +44,9 @@ def local_agent(
             "settings = { console = false }",
             *(f"[channel.{channel}]" for channel in channels),
             *(f"[task.{name}]\n{table}" for name, table in tasks.items()),
+            more,
         ]
-        plugins = Plugins({("pancakes.tasks", name): cls for name, cls in classes.items()})
+        plugins = Plugins({("pancakes.tasks", name): cls for name, cls in classes.items()} | dict(offers))
         agent = Agent(parse("\n".join(lines), "bench.toml"), plugins)
         agent.start()
         try:

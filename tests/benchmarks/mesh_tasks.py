@@ -48,9 +48,10 @@ class Load:
 @packet_type("bench.got")
 @dataclass(frozen=True, slots=True)
 class Got:
-    """How many have arrived."""
+    """How many have arrived, and whether the last one was among them."""
 
     count: int
+    is_all: bool = False
 
 
 class Far(Task):
@@ -69,8 +70,9 @@ class Far(Task):
     def take(self, packet: Packet) -> None:
         """Counts one packet."""
         self.count += 1
-        if self.count % (WINDOW // 4) == 0 or packet.body.number < 0:
-            self.publish("bench", Got(self.count), to=packet.source)
+        is_last = packet.body.number < 0
+        if is_last or self.count % (WINDOW // 4) == 0:
+            self.publish("bench", Got(self.count, is_last), to=packet.source)
 
 
 class Near(Task):
@@ -134,15 +136,15 @@ class Near(Task):
         """More is on its way no longer."""
         was_full = self.sent - self.got >= WINDOW
         self.got = packet.body.count
-        if self.got == self.settings.packets:
+        if packet.body.is_all:
             self.report(time.perf_counter() - self.began_s)
         elif was_full:
             self.flood()
 
     def report(self, took_s: float) -> None:
         """Tells whoever started the agent."""
-        text = json.dumps({"times_s": self.times_s, "per_s": self.settings.packets / took_s}) + "\n"
-        os.write(self.settings.report_fd, text.encode())
+        report = {"times_s": self.times_s, "per_s": self.settings.packets / took_s, "received": self.got}
+        os.write(self.settings.report_fd, f"{json.dumps(report)}\n".encode())
 
 
 class Started(Task):
@@ -157,3 +159,11 @@ class Started(Task):
         """Says so, and rests from then on."""
         self.reschedule(0)
         os.write(self.settings.report_fd, b"{}\n")
+
+
+class Idle(Task):
+    """Does next to nothing, now and then."""
+
+    @every(hz=1)
+    def tick(self, tick: Tick) -> None:
+        """Does nothing."""

@@ -1,6 +1,7 @@
-"""What an idle agent costs: the time from its command to the first tick of a task, and its resident memory.
+"""What an idle agent costs: the time from its command to the first tick of a task, its memory, its processor time.
 
-The baseline is a Python process that imports pykka and msgpack.
+The baseline of the first two is a Python process that imports pykka and msgpack; the third has none. The agent has its
+four services, ten tasks that tick once a second, and one that rests after its first tick.
 """
 
 from __future__ import annotations
@@ -9,31 +10,47 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from subprocess import Popen
 
 import psutil
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, usual_environment
-from benchmarks.figure import Figure, Plan, in_turns
+from benchmarks.agent_process import (
+    agent_process,
+    listening_at,
+    offer_tasks,
+    process,
+    read_report,
+    usual_environment,
+)
+from benchmarks.figure import Figure, Plan, alone, in_turns
 
-TITLE = "an idle agent: pancakes-agent with its four services and one task"
+TITLE = "an idle agent: pancakes-agent with its four services and ten tasks at 1 Hz"
 SETTLE_S = 1.0
-"""How long it is left alone before its memory is looked at."""
+"""How long it is left alone before anybody looks."""
+SPAN_S = 10.0
+"""How long its processor time is taken for."""
 
 _BARE = "import os, sys, pykka, msgpack; os.write(int(sys.argv[1]), b'{}\\n'); sys.stdin.read()"
 _CONFIG = """
 schema = 1
 [agent]
-name = "idle"
+name = "{name}"
 listen = "tcp://127.0.0.1:0"
-state_dir = "{directory}/state"
+peers = [{peers}]
+state_dir = "{directory}/state-{name}"
 [service.log]
 settings = {{ console = false }}
 [task.Started]
 type = "bench.Started"
 settings = {{ report_fd = {report_fd} }}
 """
+_IDLE = "".join(f'[task.Idle{number}]\ntype = "bench.Idle"\n' for number in range(10))
+
+
+def _config(name: str, directory: Path, report_fd: int, peers: str = "") -> str:
+    return _CONFIG.format(name=name, directory=directory, report_fd=report_fd, peers=peers) + _IDLE
 
 
 def _measure(started: Popen[bytes], began_s: float, reader: int, writer: int) -> list[float]:
@@ -51,10 +68,11 @@ def pancakes() -> list[float]:
     """One run of ours. Returns ms to the first tick, and MiB."""
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
-        environment = offer_tasks(Path(name))
-        config = _CONFIG.format(directory=name, report_fd=writer)
+        directory = Path(name)
+        environment = offer_tasks(directory)
+        config = _config("idle", directory, writer)
         began_s = time.perf_counter()
-        with agent_process(config, Path(name), environment, pass_fds=(writer,)) as started:
+        with agent_process(config, directory, environment, pass_fds=(writer,)) as started:
             return _measure(started, began_s, reader, writer)
 
 
@@ -66,9 +84,53 @@ def bare_python() -> list[float]:
         return _measure(started, began_s, reader, writer)
 
 
+def percent_of_a_core(started: Popen[bytes], span_s: float) -> float:
+    """Returns how much of a core a process takes, in per cent."""
+    clock = (~started.pid << 3) | 2  # the clock of its processor time, in nanoseconds (Linux: clock_getcpuclockid)
+    time.sleep(SETTLE_S)
+    before_s, began_s = time.clock_gettime(clock), time.monotonic()
+    time.sleep(span_s)
+    return (time.clock_gettime(clock) - before_s) / (time.monotonic() - began_s) * 100.0
+
+
+@contextmanager
+def _ticking(name: str, directory: Path, environment: Mapping[str, str], peers: str = "") -> Iterator[Popen[bytes]]:
+    """Runs an agent, from its first tick on."""
+    reader, writer = os.pipe()
+    config = _config(name, directory, writer, peers)
+    with agent_process(config, directory, environment, pass_fds=(writer,)) as started:
+        os.close(writer)
+        try:
+            read_report(reader)
+        finally:
+            os.close(reader)
+        yield started
+
+
+def processor(span_s: float) -> list[float]:
+    """One run. Returns how much of a core an agent takes alone, and with a neighbour that is like it, in per cent."""
+    with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
+        directory = Path(name)
+        environment = offer_tasks(directory)
+        with _ticking("one", directory, environment) as one:
+            alone_percent = percent_of_a_core(one, span_s)
+            peers = f'"{listening_at(environment, "one", one)}"'
+            with _ticking("two", directory, environment, peers):
+                return [alone_percent, percent_of_a_core(one, span_s)]
+
+
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
     figures = [Figure("start to the first tick", "ms", wanted=3.0), Figure("resident memory", "MiB", wanted=1.8)]
     pancakes()  # the first one compiles what has changed
     bare_python()
     yield from in_turns(plan, figures, pancakes, bare_python)
+    span_s = max(2.0, SPAN_S * plan.scale)
+    yield from alone(
+        plan,
+        [
+            Figure("processor time, of a core", "%", wanted=0.5, absolute=True),
+            Figure("processor time in a mesh of two", "%"),
+        ],
+        lambda: processor(span_s),
+    )

@@ -7,14 +7,21 @@ processes is bound to a core: unbound, the bare round trip has two values, accor
 from __future__ import annotations
 
 import os
-import socket
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, two_cores, usual_environment
+from benchmarks.agent_process import (
+    agent_process,
+    listening_at,
+    offer_tasks,
+    process,
+    read_report,
+    two_cores,
+    usual_environment,
+)
 from benchmarks.figure import Figure, Plan, in_turns
 
 TITLE = "a task to a task in another process, over loopback"
@@ -28,7 +35,7 @@ _CONFIG = """
 schema = 1
 [agent]
 name = "{name}"
-listen = "tcp://127.0.0.1:{port}"
+listen = "tcp://127.0.0.1:0"
 peers = [{peers}]
 state_dir = "{directory}/state-{name}"
 [channel.bench]
@@ -40,33 +47,36 @@ type = "bench.{task}"
 """
 
 
-def pancakes(size: int, round_trips: int, packets: int) -> dict[str, Any]:
-    """One run of ours. Returns what the near task reports."""
-    near_core, far_core = two_cores()
+def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True) -> dict[str, Any]:
+    """One run of ours, each process bound to a core or not. Returns what the near task reports.
+
+    Raises:
+        RuntimeError: packets were lost.
+    """
+    near_core, far_core = two_cores() if is_bound else (None, None)
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
         environment = offer_tasks(directory)
-        port = _free_port()
-        far = _CONFIG.format(name="far", port=port, peers="", directory=name, task="Far", settings="")
+        far = _CONFIG.format(name="far", peers="", directory=name, task="Far", settings="")
         numbers = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
-        near = _CONFIG.format(
-            name="near",
-            port=0,
-            peers=f'"tcp://127.0.0.1:{port}"',
-            directory=name,
-            task="Near",
-            settings=f"settings = {{ {numbers} }}",
-        )
-        with (
-            agent_process(far, directory, environment, far_core),
-            agent_process(near, directory, environment, near_core, (writer,)),
-        ):
-            os.close(writer)
-            try:
-                return read_report(reader)
-            finally:
-                os.close(reader)
+        with agent_process(far, directory, environment, far_core) as listener:
+            near = _CONFIG.format(
+                name="near",
+                peers=f'"{listening_at(environment, "far", listener)}"',
+                directory=name,
+                task="Near",
+                settings=f"settings = {{ {numbers} }}",
+            )
+            with agent_process(near, directory, environment, near_core, (writer,)):
+                os.close(writer)
+                try:
+                    report = read_report(reader)
+                finally:
+                    os.close(reader)
+    if report["received"] != packets:
+        raise RuntimeError(f"{report['received']} of {packets} packets arrived")
+    return report
 
 
 def bare_sockets(size: int, round_trips: int, packets: int) -> dict[str, Any]:
@@ -87,14 +97,7 @@ def bare_sockets(size: int, round_trips: int, packets: int) -> dict[str, Any]:
                     os.close(handle)
 
 
-def _free_port() -> int:
-    with socket.socket() as sock:
-        sock.bind(("127.0.0.1", 0))
-        port: int = sock.getsockname()[1]
-        return port
-
-
-def _trips_us(report: dict[str, Any]) -> list[float]:
+def trips_us(report: dict[str, Any]) -> list[float]:
     """Returns the median and the 99th percentile of the round trips."""
     times_s = report["times_s"]
     warm = sorted(times_s[len(times_s) // SKIPPED :])
@@ -108,11 +111,11 @@ def measure(plan: Plan) -> Iterator[Figure]:
 
     def small_ours() -> list[float]:
         report = pancakes(64, trips, small)
-        return [*_trips_us(report), report["per_s"], report["per_s"]]
+        return [*trips_us(report), report["per_s"], report["per_s"]]
 
     def small_bare() -> list[float]:
         report = bare_sockets(64, trips, small)
-        return [*_trips_us(report), report["per_s"], report["coalesced_per_s"]]
+        return [*trips_us(report), report["per_s"], report["coalesced_per_s"]]
 
     yield from in_turns(
         plan,

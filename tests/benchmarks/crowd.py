@@ -1,0 +1,172 @@
+"""Many agents at once, each a process of its own: eight that send to one, and eight of which each sends to all.
+
+    python -m benchmarks.crowd [--rounds 5] [--packets N] [8to1 | all | each]
+
+prints what ours alone do. What a packet costs is counted at its receivers: every one that arrives counts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import select
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import msgspec
+from benchmarks.agent_process import PATIENCE_S, agent_process, end, listening_at, offer_tasks, read_report
+
+MEMBERS = 8
+
+
+class Shape(msgspec.Struct, frozen=True):
+    """Who sends to whom.
+
+    Attributes:
+        name: what it is called.
+        senders: how many send, each to all receivers but itself.
+        receivers: how many receive: the first ones.
+        addressed: whether a sender names each receiver in turn, instead of all neighbours at once.
+        packets: how many each sender sends to each receiver.
+    """
+
+    name: str
+    senders: Sequence[int]
+    receivers: Sequence[int]
+    addressed: bool
+    packets: int
+
+    @property
+    def members(self) -> list[int]:
+        """Everybody."""
+        return sorted({*self.senders, *self.receivers})
+
+    def receivers_of(self, sender: int) -> list[int]:
+        """Returns who gets the packets of `sender`."""
+        return [it for it in self.receivers if it != sender] if sender in self.senders else []
+
+    def senders_to(self, receiver: int) -> list[int]:
+        """Returns whose packets `receiver` gets."""
+        return [it for it in self.senders if it != receiver] if receiver in self.receivers else []
+
+    @property
+    def deliveries(self) -> int:
+        """How many packets arrive altogether."""
+        return self.packets * sum(len(self.senders_to(receiver)) for receiver in self.receivers)
+
+
+EIGHT_TO_ONE = Shape("8to1", range(1, MEMBERS + 1), [0], True, 30_000)
+ALL_TO_ALL = Shape("all", range(MEMBERS), range(MEMBERS), False, 10_000)
+ALL_TO_EACH = Shape("each", range(MEMBERS), range(MEMBERS), True, 5_000)
+SHAPES = {shape.name: shape for shape in (EIGHT_TO_ONE, ALL_TO_ALL, ALL_TO_EACH)}
+
+_CONFIG = """
+schema = 1
+[agent]
+name = "{name}"
+listen = "tcp://127.0.0.1:0"
+peers = [{peers}]
+state_dir = "{directory}/state-{name}"
+[channel.bench]
+[service.log]
+settings = {{ console = false }}
+[task.Member]
+type = "bench.Member"
+settings = {{ {settings} }}
+"""
+
+
+def pancakes(shape: Shape, packets: int, size: int = 64) -> dict[int, dict[str, Any]]:
+    """One run of ours. Returns what each member reports, by its number, or the first fault."""
+    with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name, ExitStack() as stack:
+        directory = Path(name)
+        environment = offer_tasks(directory)
+        readers: dict[int, int] = {}
+        processes = []
+        peers = ""
+        for member in shape.members:
+            readers[member], writer = os.pipe()
+            stack.callback(os.close, readers[member])
+            try:
+                settings = _settings(shape, member, packets, size, writer)
+                config = _CONFIG.format(name=f"a{member}", peers=peers, directory=name, settings=settings)
+                processes.append(stack.enter_context(agent_process(config, directory, environment, pass_fds=(writer,))))
+            finally:
+                os.close(writer)
+            peers = peers or f'"{listening_at(environment, "a0", processes[0])}"'
+        stack.callback(end, processes)
+        reports: dict[int, dict[str, Any]] = {}
+        while len(reports) < len(readers) and not any("fault" in report for report in reports.values()):
+            awaited = {reader: member for member, reader in readers.items() if member not in reports}
+            # With a fault anywhere the others may wait for ever, so whoever speaks first is heard first.
+            spoke = select.select(list(awaited), [], [], PATIENCE_S)[0]
+            if not spoke:
+                raise TimeoutError(f"members {sorted(awaited.values())} reported nothing within {PATIENCE_S:g} s")
+            reports.update({awaited[reader]: read_report(reader) for reader in spoke})
+        return reports
+
+
+def _settings(shape: Shape, member: int, packets: int, size: int, report_fd: int) -> str:
+    receivers = [f"a{it}" for it in shape.receivers_of(member)]
+    to = receivers if shape.addressed or not receivers else ["*"]
+    values: dict[str, Any] = {
+        "report_fd": report_fd,
+        "members": len(shape.members),
+        "packets": packets,
+        "size": size,
+        "leads": member == 0,
+        "to": to,
+        "receivers": receivers,
+        "senders": [f"a{it}" for it in shape.senders_to(member)],
+    }
+    return ", ".join(f"{key} = {msgspec.json.encode(value).decode()}" for key, value in values.items())
+
+
+def rate(shape: Shape, packets: int, reports: dict[int, dict[str, Any]]) -> float:
+    """Returns how many packets a second arrived, from the first sender's beginning to the last packet handled.
+
+    Raises:
+        RuntimeError: one was lost; the sentence says where, or which link broke.
+    """
+    wanted = packets * len(shape.senders_to(shape.receivers[0]))
+    for report in reports.values():
+        if "fault" in report:
+            raise RuntimeError(report["fault"])
+    for receiver in shape.receivers:
+        if reports[receiver]["received"] != wanted:
+            raise RuntimeError(f"{reports[receiver]['received']} of {wanted} packets arrived at member {receiver}")
+    began_s = min(reports[it]["began_s"] for it in shape.senders)
+    return wanted * len(shape.receivers) / (max(reports[it]["ended_s"] for it in shape.receivers) - began_s)
+
+
+def main() -> None:
+    """Prints the rates of ours alone."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.crowd", description=__doc__)
+    parser.add_argument("shapes", nargs="*", choices=[*SHAPES, []], metavar="SHAPE", help=", ".join(SHAPES))
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--packets", type=int, default=0, help="how many each sender sends to each receiver")
+    options = parser.parse_args()
+    for name in options.shapes or SHAPES:
+        shape = SHAPES[name]
+        packets = options.packets or shape.packets
+        rates, receiving_us, sending_us = [], [], []
+        for _ in range(options.rounds):
+            reports = pancakes(shape, packets)
+            rates.append(rate(shape, packets, reports))
+            senders = [reports[it]["cpu_s"] for it in shape.senders if it not in shape.receivers]
+            receivers = [reports[it]["cpu_s"] for it in shape.receivers]
+            receiving_us.append(sum(receivers) / shape.deliveries * shape.packets / packets * 1e6)
+            sending_us.append(sum(senders) / shape.deliveries * shape.packets / packets * 1e6)
+        print(
+            f"{name:6} {median(rates):10,.0f} /s ({min(rates):,.0f} to {max(rates):,.0f}); processor time for each"
+            f" packet: receivers {median(receiving_us):.2f} us, those that only send {median(sending_us):.2f} us",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+"""The benchmarks of simulated worlds, in short runs from end to end."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(TESTS))
+
+from benchmarks import big_world, virtual_mission  # noqa: E402
+
+
+def test_a_mission_in_virtual_time_is_faster_than_real_time():
+    assert virtual_mission.mission(1, 0.0) > 2.0
+
+
+def test_every_robot_of_a_big_world_gets_its_readings():
+    percent, readings_hz, p50_ms, p99_ms = big_world.world(5, 1.0)
+    assert percent > 0.0
+    assert readings_hz >= 0.95 * 5 * 10
+    assert 0.0 < p50_ms <= p99_ms

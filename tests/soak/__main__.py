@@ -1,0 +1,112 @@
+"""`scripts/soak`: a fleet that runs for long, and the verdict whether anything of it leaks, is lost or is doubled."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import click
+import msgspec
+from soak import steady, virtual
+from soak.agents import names_of
+from soak.churn import Churn
+from soak.churn import Outcome as ChurnOutcome
+from soak.judgement import GROWTH_MIB, LONG_S, SLOPE_MIB_PER_H
+
+LONGEST_WARM_UP_S: Final = 600.0
+
+
+@click.command()
+@click.option("--minutes", type=click.FloatRange(min=0.25), help="How long.  [default: 60, else 10]")
+@click.option(
+    "--agents", type=click.IntRange(2, 250), help="How many.  [default: 4; 50 with --steady, 200 with --virtual]"
+)
+@click.option("--seed", default=1, show_default=True, help="Draws what is done; the machine draws the rest.")
+@click.option("--steady", "way", flag_value="steady", help="Nothing is done to the agents: does any link end?")
+@click.option("--virtual", "way", flag_value="virtual", help="In virtual time, where each task moves once.")
+@click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write all figures to it.")
+def soak(minutes: float | None, agents: int | None, seed: int, way: str | None, json_file: Path | None) -> None:
+    """Let a fleet run for long while tasks are started, stopped and moved, and agents are killed and come back.
+
+    All agents are processes of this machine. The first half of them is never killed: their memory must not grow, and
+    in the end no agent may have more threads, sockets or files than after the warm-up, and each task must run once.
+    Exit code 0 only where all of that is so.
+    """
+    # Asked to end, it ends what it has started as well.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    duration_s = 60 * (minutes if minutes is not None else 60.0 if way is None else 10.0)
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="pancakes-soak-") as name:
+        if way == "steady":
+            found, faults = _steady(Path(name), agents or 50, duration_s)
+        elif way == "virtual":
+            found, faults = _virtual(agents or 200, duration_s, seed)
+        else:
+            found, faults = _churn(Path(name), agents or 4, duration_s, seed)
+    for fault in faults:
+        print(f"FAULT: {fault}")
+    print(f"in {time.monotonic() - began_s:.0f} s: {'FAIL' if faults else 'PASS'}")
+    if json_file is not None:
+        figures = {**found, "seed": seed, "faults": faults, "passed": not faults}
+        json_file.write_text(json.dumps(figures, indent=1) + "\n")
+    sys.exit(1 if faults else 0)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _steady(directory: Path, agents: int, duration_s: float) -> tuple[dict[str, Any], list[str]]:
+    outcome = steady.run(directory, agents, duration_s, _say)
+    print(
+        f"an agent takes {outcome.processor_ms:.1f} ms of processor time a second ({os.cpu_count()} cores are here),"
+        f" {outcome.memory_kib / 1024:.1f} MiB, and sends {outcome.sent_bytes / 1000:.1f} kB/s"
+    )
+    return vars(outcome), outcome.faults
+
+
+def _virtual(agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
+    outcome = virtual.run(agents, duration_s, seed, _say)
+    print(f"{agents} agents, {duration_s:.0f} s of virtual time: {outcome.moved} moves, {outcome.links} ends of links")
+    return vars(outcome), outcome.faults
+
+
+def _churn(directory: Path, agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
+    warm_up_s = min(LONGEST_WARM_UP_S, duration_s / 4)
+    outcome = Churn(directory, seed, names_of(agents), _say).run(duration_s, warm_up_s)
+    for what, count in sorted(outcome.counts.items()):
+        print(f"{count:>6} {what}")
+    for name, found in outcome.trends.items():
+        rule = f"{SLOPE_MIB_PER_H:g} MiB/h may be" if found.span_s >= LONG_S else f"{GROWTH_MIB:g} MiB in all may be"
+        print(
+            f"{name}: memory {found.per_hour:+.2f} MiB/h, {found.growth:+.2f} MiB in the {found.span_s / 60:.0f} min"
+            f" after the warm-up of {warm_up_s / 60:.0f} min ({rule})"
+        )
+    for name, (before, *_, after) in ((name, calm) for name, calm in outcome.calm.items() if len(calm) > 1):
+        was, now = before.vitals, after.vitals
+        print(
+            f"{name}: threads {was.threads} and then {now.threads}, sockets {was.sockets} and {now.sockets}, other open"
+            f" files {was.files - before.workers} and {now.files - after.workers}"
+        )
+    return _plain(outcome), outcome.faults
+
+
+def _plain(outcome: ChurnOutcome) -> dict[str, Any]:
+    plain: Callable[[Any], Any] = msgspec.to_builtins
+    return {
+        "counts": dict(outcome.counts),
+        "memory_mib": {name: plain(found) for name, found in outcome.trends.items()},
+        "calm": plain(outcome.calm),
+        "samples": plain(outcome.samples),
+    }
+
+
+if __name__ == "__main__":
+    soak()

@@ -1,0 +1,266 @@
+"""Agents as processes of this machine, as many as are wanted, and what their own logs say of each other."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+from pancakes.client import Client
+
+CONNECTED: Final = " is connected"
+ENDED: Final = "the link to "
+LOOK_S: Final = 0.02
+"""How often their logs are read, where something is waited for."""
+PATIENCE_S: Final = 30.0
+ENTRY_POINTS: Final = """
+[pancakes.tasks]
+soak.Passing = soak.tasks:Passing
+soak.Sweeper = soak.tasks:Sweeper
+soak.Worker = soak.tasks:Worker
+
+[pancakes.packets]
+soak = soak.tasks
+"""
+
+
+class NotInTime(Exception):
+    """Something did not come about; the sentence says what."""
+
+
+class AgentProcess:
+    """One agent, the life that it lives just now, and what its log has said in that life.
+
+    Attributes:
+        name: its name.
+        address: where it listens, in all of its lives.
+        process: its process; None while it is dead.
+        is_ready: whether it has said so.
+        links: the agents that it is connected to.
+        ended: the reasons of links that have ended in all of its lives, with the peer's name.
+        log: the file that its lives write to.
+    """
+
+    def __init__(self, name: str, address: str, config: Path, log: Path) -> None:
+        self.name = name
+        self.address = address
+        self.log = log
+        self.process: subprocess.Popen[bytes] | None = None
+        self.is_ready = False
+        self.links: set[str] = set()
+        self.ended: list[tuple[str, str]] = []
+        self._config = config
+        self._file: int | None = None
+        self._rest = b""
+
+    def start(self, environment: Mapping[str, str]) -> None:
+        """Starts it, or starts it again with the state that it left. It ends with this process."""
+        command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(self._config)]
+        command.append(f"--die-with-parent={os.getpid()}")
+        self.is_ready, self.links = False, set()
+        with self.log.open("ab") as out:
+            if self._file is None:
+                self._file = os.open(self.log, os.O_RDONLY)
+            self.process = subprocess.Popen(
+                command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=out, stderr=out
+            )
+
+    def end(self, kill: bool) -> None:
+        """Ends it, with SIGKILL or in good order, and waits for that; it may be dead already."""
+        if self.process is None:
+            return
+        if kill:
+            self.process.kill()
+        else:
+            self.process.terminate()
+        try:
+            self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.read()
+        self.process, self.links, self.is_ready = None, set(), False
+
+    def close(self) -> None:
+        """Ends it, and closes its log."""
+        self.end(kill=True)
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+    def read(self) -> None:
+        """Reads what it has said since."""
+        if self._file is None:
+            return
+        while data := os.read(self._file, 1 << 16):
+            *lines, self._rest = (self._rest + data).split(b"\n")
+            for line in lines:
+                self._take(line.decode(errors="replace"))
+
+    def _take(self, line: str) -> None:
+        _, _, text = line.partition(f"{self.name}/kernel: ")
+        if not text:
+            return
+        if text == "ready":
+            self.is_ready = True
+        elif text.endswith(CONNECTED):
+            self.links.add(text.partition(" ")[0])
+        elif text.startswith(ENDED):
+            peer, _, reason = text.removeprefix(ENDED).partition(" has ended: ")
+            self.links.discard(peer)
+            self.ended.append((peer, reason))
+
+
+class Fleet:
+    """Agents that find each other: each is told where the first ones listen, and no more.
+
+    Args:
+        directory: all of their files.
+        names: their names.
+        rest: what follows `[agent]` in the configuration of each, by name.
+        told: how many agents, the first ones, are named to each as peers.
+
+    Attributes:
+        agents: them, by name.
+        environment: that of their processes.
+    """
+
+    def __init__(self, directory: Path, names: Sequence[str], rest: Mapping[str, str], told: int = 1) -> None:
+        self.directory = directory
+        self.environment = _offer_tasks(directory)
+        self.agents: dict[str, AgentProcess] = {}
+        addresses = dict(zip(names, free_addresses(len(names)), strict=True))
+        for name in names:
+            peers = [addresses[other] for other in names[:told] if other != name]
+            head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "soak"\nlisten = "{addresses[name]}"\n'
+            head += f'state_dir = "{self.state_of(name)}"\npeers = {json.dumps(peers)}\n'
+            path = directory / f"{name}.toml"
+            path.write_text(f"{head}\n{rest.get(name, '')}\n")
+            self.agents[name] = AgentProcess(name, addresses[name], path, directory / f"{name}.log")
+
+    def __enter__(self) -> Fleet:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with ExitStack() as stack:
+            for agent in self.agents.values():
+                stack.callback(agent.close)
+
+    def state_of(self, name: str) -> Path:
+        """Returns the state directory of an agent."""
+        return self.directory / "state" / name
+
+    def start(self, *names: str) -> None:
+        """Starts agents, all at once; all of them where none is named."""
+        for name in names or self.agents:
+            self.agents[name].start(self.environment)
+
+    def read(self) -> None:
+        """Reads all logs."""
+        for agent in self.agents.values():
+            agent.read()
+
+    def until(self, condition: Callable[[], bool], what: str, within_s: float = PATIENCE_S) -> float:
+        """Waits until a condition holds that depends on the logs; returns how long it took, in seconds.
+
+        Raises:
+            NotInTime: it does not within `within_s`, or an agent has ended by itself.
+        """
+        began_s = time.monotonic()
+        while True:
+            self.read()
+            if condition():
+                return time.monotonic() - began_s
+            if self.dead():
+                raise NotInTime(f"{what}: {', '.join(self.dead())} ended by itself; {self.last_words(self.dead()[0])}")
+            if time.monotonic() - began_s > within_s:
+                raise NotInTime(f"{what}: not within {within_s:g} s; {self.missing()}")
+            time.sleep(LOOK_S)
+
+    def alive(self) -> list[AgentProcess]:
+        """Returns the agents that were started and not ended."""
+        return [agent for agent in self.agents.values() if agent.process is not None]
+
+    def dead(self) -> list[str]:
+        """Returns the agents that have ended although nobody has ended them."""
+        return [agent.name for agent in self.alive() if agent.process is not None and agent.process.poll() is not None]
+
+    def all_ready(self) -> bool:
+        """Returns whether all that run have said that they are ready."""
+        return all(agent.is_ready for agent in self.alive())
+
+    def is_full_mesh(self) -> bool:
+        """Returns whether all that run are connected with all others that do."""
+        names = {agent.name for agent in self.alive()}
+        return all(names - {agent.name} <= agent.links for agent in self.alive())
+
+    def missing(self) -> str:
+        """Returns a sentence about the links that are not there."""
+        names = {agent.name for agent in self.alive()}
+        gaps = [
+            f"{agent.name}-{other}" for agent in self.alive() for other in sorted(names - agent.links - {agent.name})
+        ]
+        return f"{len(gaps)} links are missing: {', '.join(gaps[:10])}" if gaps else "no link is missing"
+
+    def ended_links(self) -> Iterator[tuple[str, str, str]]:
+        """Yields the links that have ended so far: the agent that says so, its peer, the reason."""
+        for agent in self.agents.values():
+            for peer, reason in agent.ended:
+                yield agent.name, peer, reason
+
+    def last_words(self, name: str, count: int = 5) -> str:
+        """Returns the last that an agent has said."""
+        lines = self.agents[name].log.read_text(errors="replace").splitlines()
+        return " | ".join(line.strip() for line in lines[-count:])
+
+
+def bytes_sent(fleet: Fleet) -> tuple[int, float]:
+    """Asks all agents how many bytes they have sent to other agents so far.
+
+    Returns:
+        The sum of all, without the headers of TCP and IP, and the time at which they were asked.
+    """
+    with Client([agent.address for agent in fleet.alive()], PATIENCE_S) as client:
+        rows = client.survey().agents
+        peers = [peer for row in rows for peer in row["mesh"]["peers"] if peer["role"] != "client"]
+        return sum(peer["bytes_out"] for peer in peers), time.monotonic()
+
+
+def names_of(count: int) -> list[str]:
+    """Returns the names of so many agents."""
+    return [f"a{number:03d}" for number in range(count)]
+
+
+def free_addresses(count: int) -> list[str]:
+    """Returns addresses of this machine that are free just now; they outlive a restart, which port 0 would not."""
+    with ExitStack() as stack:
+        found = []
+        for _ in range(count):
+            one = stack.enter_context(socket.socket())
+            one.bind(("127.0.0.1", 0))
+            found.append(f"tcp://127.0.0.1:{one.getsockname()[1]}")
+        return found
+
+
+def _offer_tasks(directory: Path) -> dict[str, str]:
+    """Makes a distribution of the tasks; returns the environment of agents that find it."""
+    info = directory / "python" / "pancakes_soak-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pancakes-soak\nVersion: 1\n")
+    (info / "entry_points.txt").write_text(ENTRY_POINTS)
+    runtime = directory / "run"
+    runtime.mkdir(mode=0o700)
+    path = [str(info.parent), str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", "")]
+    return {
+        # Python keeps what it has compiled, as it does by itself: fifty starts at once are to be those of a user.
+        **{key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"},
+        "PYTHONPATH": os.pathsep.join(part for part in path if part),
+        "PANCAKES_RUNTIME_DIR": str(runtime),
+    }

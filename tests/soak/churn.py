@@ -1,0 +1,289 @@
+"""A live fleet in which something happens all the time, drawn from a seed: the soak."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from soak.agents import Fleet, NotInTime
+from soak.judgement import Sample, Trend, leaks, memory_fault
+from soak.vitals import vitals_of
+
+from pancakes.client import Client
+from pancakes.control import Configure, Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
+from pancakes.errors import PancakesError
+
+SAMPLE_S: Final = 5.0
+"""How often each process is looked at."""
+SETTLES_WITHIN_S: Final = 60.0
+"""The longest pauses are those between two dials (10 s) and between two repetitions of a hand-over in doubt."""
+KILLS_EVERY_S: Final = 6.0
+"""An agent is killed that often, on the average."""
+PAUSE_S: Final = 0.25
+"""Between two things that are asked for, on the average."""
+PASSING: Final = ("PassingA", "PassingB")
+OTHER_RECORDS: Final = 5
+"""Files in a state directory besides: the sweeper's, its lock, its identity, fences, a recording that is wanted."""
+
+
+@dataclass
+class Outcome:
+    """What a soak has found.
+
+    Attributes:
+        counts: how often each thing was done, and with ` refused` behind it, how often it was refused.
+        trends: the memory of each agent that was never killed, in MiB.
+        samples: what was seen of each agent.
+        calm: what was seen of each agent at rest: after the warm-up, and at the end.
+        faults: a sentence for each thing that must not be; none: it has passed.
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    trends: dict[str, Trend] = field(default_factory=dict)
+    samples: dict[str, list[Sample]] = field(default_factory=dict)
+    calm: dict[str, list[Sample]] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
+
+
+class Churn:
+    """One soak.
+
+    Args:
+        directory: all files.
+        seed: draws what is done; the machine draws the rest.
+        names: the agents; the first half of them are never killed, so that their memory can be followed.
+        told: takes a line for people.
+    """
+
+    def __init__(self, directory: Path, seed: int, names: Sequence[str], told: Callable[[str], None]) -> None:
+        self.random = random.Random(f"soak/{seed}")
+        self.names = tuple(names)
+        self.steady = self.names[: (len(names) + 1) // 2]
+        self.mortal = self.names[len(self.steady) :]
+        self.born = {f"Work{number}": name for number, name in enumerate(self.names)}
+        self.work = directory / "work"
+        self.work.mkdir()
+        self.fleet = Fleet(directory, self.names, {name: self._rest(name) for name in self.names}, told=len(names))
+        self.outcome = Outcome()
+        self._told = told
+        self._began_s = time.monotonic()
+        self._back: dict[str, float] = {}
+        self._seen: dict[str, list[str]] = {}
+        self._sampled_s = 0.0
+        self._killed_s = 0.0
+        self._client: Client | None = None
+
+    def _rest(self, name: str) -> str:
+        workers = list(self.born)
+        lines = []
+        for number, worker in enumerate(workers):
+            if self.born[worker] != name:
+                continue
+            other = workers[(number + 1) % len(workers)]
+            settings = f'directory = "{self.work}", friend = "{self.born[other]}/{other}"'
+            durability = "each" if number % 2 else "lazy"
+            lines.append(f'[task.{worker}]\ntype = "soak.Worker"\ndurability = "{durability}"')
+            lines.append(f"settings = {{{settings}}}")
+        lines.append('[task.Sweeper]\ntype = "soak.Sweeper"')
+        for passing in PASSING:
+            lines.append(f'[task.{passing}]\ntype = "soak.Passing"\nstart = false')
+        return "\n".join(lines)
+
+    def run(self, duration_s: float, warm_up_s: float) -> Outcome:
+        """Runs it: the warm-up, a rest, the rest of the time, and a rest again."""
+        with self.fleet:
+            try:
+                self._run(duration_s, warm_up_s)
+            except NotInTime as error:
+                self.outcome.faults.append(str(error))
+        return self.outcome
+
+    def _run(self, duration_s: float, warm_up_s: float) -> None:
+        self.fleet.start()
+        self.fleet.until(lambda: self.fleet.all_ready() and self.fleet.is_full_mesh(), "the fleet comes together")
+        self._trouble(self._began_s + warm_up_s)
+        self._rest_a_while()
+        before = len(self.outcome.samples[self.names[0]])
+        self._trouble(self._began_s + duration_s)
+        self._rest_a_while()
+        for name in self.steady:
+            fault, found = memory_fault(name, self.outcome.samples[name][before:])
+            if found is not None:
+                self.outcome.trends[name] = found
+            self.outcome.faults += [fault] if fault else []
+        for name in self.names:
+            first, last = self.outcome.calm[name]
+            records = len(self.born) + len(PASSING) + OTHER_RECORDS
+            self.outcome.faults += leaks(name, first, last, records)
+        self.outcome.faults += [
+            line for path in sorted(self.work.glob("*.doubled")) for line in path.read_text().splitlines()
+        ]
+
+    # What happens ----------------------------------------------------------------------------------------------
+
+    def _trouble(self, until_s: float) -> None:
+        """Lets things happen until then."""
+        self._killed_s = time.monotonic() - KILLS_EVERY_S / 2
+        with self._asking():
+            while (now_s := time.monotonic()) < until_s:
+                self._kill_and_raise(now_s)
+                self._ask_for_something()
+                self._sample()
+                if self.fleet.dead():
+                    raise NotInTime(f"{', '.join(self.fleet.dead())} ended by itself")
+                time.sleep(self.random.expovariate(1 / PAUSE_S))
+
+    def _kill_and_raise(self, now_s: float) -> None:
+        for name in [name for name, due_s in self._back.items() if now_s >= due_s]:
+            del self._back[name]
+            self.fleet.start(name)
+        if now_s - self._killed_s > KILLS_EVERY_S and self.mortal:
+            self._killed_s = now_s + self.random.uniform(-0.5, 0.5) * KILLS_EVERY_S
+            name = self.random.choice(self.mortal)
+            if name not in self._back:
+                self.fleet.agents[name].end(kill=True)
+                self._back[name] = now_s + self.random.uniform(0.2, 4.0)
+                self.outcome.counts["killed"] += 1
+
+    def _ask_for_something(self) -> None:
+        draw = self.random
+        agent = draw.choice(self.names)
+        passing = draw.choice(PASSING)
+        worker = draw.choice(list(self.born))
+        kind = draw.choices(
+            ("move", "start", "stop", "restart", "configure", "reschedule", "follow", "look"),
+            (8, 6, 5, 2, 2, 2, 1, 1),
+        )[0]
+        to = draw.choice(["", *self.names])
+        rate_hz = draw.uniform(1.0, 20.0)
+        loudness = draw.random()
+        match kind:
+            case "move":
+                self._ask(kind, self._home(worker), Migrate(f"client/{worker}", to=to))
+            case "start":
+                self._ask(kind, agent, Start(f"client/{passing}", {"loudness": loudness}))
+            case "stop":
+                self._ask(kind, agent, Stop(f"client/{passing}"))
+            case "restart":
+                self._ask(kind, self._home(worker), Restart(f"client/{worker}", keep_state=True))
+            case "configure":
+                self._ask(kind, self._home(worker), Configure(f"client/{worker}", {"loudness": loudness}))
+            case "reschedule":
+                self._ask(kind, self._home(worker), Reschedule(f"client/{worker}", rate_hz, timer="beat"))
+            case "follow":
+                self._ask(kind, agent, Follow("system"))
+                self._ask("unfollow", agent, Unfollow("system"))
+            case "look":
+                # Somebody at a terminal, who comes under a name that was never heard before.
+                self.outcome.counts["look"] += 1
+                with Client(self._addresses(), 2.0) as client:
+                    self._survey(client)
+
+    def _ask(self, kind: str, agent: str, body: Any) -> None:
+        if not agent or agent in self._back:
+            return
+        try:
+            assert self._client is not None
+            done = self._client.request(agent, body, 3.0).ok
+        except PancakesError:  # it is dead, or not yet back
+            done = False
+        self.outcome.counts[kind if done else f"{kind} refused"] += 1
+
+    def _home(self, worker: str) -> str:
+        """Returns the agent on which a worker ran when all were asked last."""
+        return next((name for name in self.names if worker in self._seen.get(name, ())), self.born[worker])
+
+    # What is seen ----------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _asking(self) -> Iterator[None]:
+        with Client(self._addresses(), 3.0) as client:
+            self._client = client
+            try:
+                yield
+            finally:
+                self._client = None
+
+    def _addresses(self) -> list[str]:
+        return [self.fleet.agents[name].address for name in self.names]
+
+    def _survey(self, client: Client) -> dict[str, list[str]]:
+        """Returns the tasks that run on each agent that answers, and remembers them."""
+        try:
+            rows = client.survey().agents
+        except PancakesError:
+            return {}
+        self._seen = {
+            row["agent"]: [task["task"] for task in row["tasks"] if task["state"] == "running"]
+            for row in rows
+            if row["ready"]
+        }
+        return self._seen
+
+    def _sample(self, now: bool = False) -> None:
+        self.fleet.read()
+        time_s = time.monotonic() - self._began_s
+        if time_s - self._sampled_s < SAMPLE_S and not now:
+            return
+        self._sampled_s = time_s
+        if self._client is not None:
+            self._survey(self._client)
+        for agent in self.fleet.alive():
+            assert agent.process is not None
+            try:
+                vitals = vitals_of(agent.process.pid)
+            except OSError:  # it ends just now
+                continue
+            kept = [path for path in self.fleet.state_of(agent.name).iterdir() if not path.name.startswith("ledger.")]
+            workers = sum(task in self.born for task in self._seen.get(agent.name, ()))
+            sample = Sample(time_s, vitals, workers, len(kept))
+            self.outcome.samples.setdefault(agent.name, []).append(sample)
+
+    def _rest_a_while(self) -> None:
+        """Ends all trouble, waits until each worker runs once and nothing else does, and looks at each agent."""
+        for name in self._back:
+            self.fleet.start(name)
+        self._back = {}
+        self.fleet.until(lambda: self.fleet.all_ready() and self.fleet.is_full_mesh(), "all are back", SETTLES_WITHIN_S)
+        with self._asking():
+            assert self._client is not None
+            began_s = time.monotonic()
+            while True:
+                for name in self.names:
+                    for passing in PASSING:
+                        if passing in self._seen.get(name, ()):
+                            self._ask("stop", name, Stop(f"client/{passing}"))
+                seen = self._survey(self._client)
+                copies = Counter(task for tasks in seen.values() for task in tasks)
+                if len(seen) == len(self.names) and all(
+                    copies[task] == (task in self.born) for task in (*self.born, *PASSING)
+                ):
+                    break
+                if time.monotonic() - began_s > SETTLES_WITHIN_S:
+                    wrong = {task: copies[task] for task in self.born if copies[task] != 1}
+                    raise NotInTime(f"not one copy of each task within {SETTLES_WITHIN_S:g} s at rest: {wrong or seen}")
+                time.sleep(0.2)
+        # What an agent needs only for a while (threads that were lent, links of a terminal that has left) it gives
+        # back within seconds; the fewest of several looks are what it keeps.
+        lowest: dict[str, Sample] = {}
+        for _ in range(5):
+            time.sleep(1.0)
+            self._sample(now=True)
+            for name in self.names:
+                sample = self.outcome.samples[name][-1]
+                least = lowest.setdefault(name, sample)
+                if _held(sample) < _held(least):
+                    lowest[name] = sample
+        for name, sample in lowest.items():
+            self.outcome.calm.setdefault(name, []).append(sample)
+        self._told(f"{time.monotonic() - self._began_s:.0f} s: all at rest, each task runs once")
+
+
+def _held(sample: Sample) -> int:
+    return sample.vitals.threads + sample.vitals.sockets + sample.vitals.files

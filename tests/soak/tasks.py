@@ -1,0 +1,173 @@
+"""The tasks of a soak: they talk to each other, keep state and move; who runs twice is caught by a file lock."""
+
+from __future__ import annotations
+
+import fcntl
+import gc
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from pancakes.errors import MailboxFull
+from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, packet_type
+from pancakes.services.log import REMEMBERED
+from pancakes.task import Task, Tick, every, on, reliable
+
+
+@packet_type("soak.beat")
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Told to everybody, time and again."""
+
+    count: int
+
+
+@packet_type("soak.word")
+@dataclass(frozen=True, slots=True)
+class Word:
+    """Told to one task, wherever that is."""
+
+    count: int
+
+
+class Passing(Task):
+    """Comes and goes; it uses all that a task may use of an agent."""
+
+    @dataclass
+    class Settings:
+        loudness: float = 1.0
+
+    @dataclass
+    class State:
+        beats: int = 0
+        heard: int = 0
+
+    settings: Settings
+    state: State
+
+    def on_start(self) -> None:
+        self.after(0.2, self.say_so)
+
+    def say_so(self) -> None:
+        """Says that it has begun."""
+        self.log("debug", f"beats at {self.settings.loudness:g}")
+
+    @every(hz=10)
+    def beat(self, tick: Tick) -> None:
+        """Tells all agents."""
+        self.state.beats += 1
+        self.publish(SYSTEM, Beat(self.state.beats))
+        if self.state.beats % 5 == 0:
+            self.publish(SYSTEM, Beat(self.state.beats), to=NEIGHBOURS)
+        if self.state.beats % 20 == 0:
+            self.event("soak_beats", count=self.state.beats)
+
+    @on(SYSTEM, Beat, keep="latest")
+    def hear(self, packet: Packet) -> None:
+        """Counts what others tell."""
+        self.state.heard += 1
+
+
+class Worker(Passing):
+    """The same, but there is one of it in the whole fleet, which moves from agent to agent.
+
+    It holds a lock while it may act, and writes a line into a file where it finds another at work.
+    """
+
+    @dataclass
+    class Settings(Passing.Settings):
+        directory: str = ""
+        friend: str = ""
+        state_bytes: int = 4096
+
+    @dataclass
+    class State(Passing.State):
+        words: int = 0
+        sent: int = 0
+        load: bytes = b""
+
+    settings: Settings
+    state: State
+
+    def on_start(self) -> None:
+        if len(self.state.load) != self.settings.state_bytes:
+            self.state.load = self.random.randbytes(self.settings.state_bytes)
+        self._lock = os.open(os.path.join(self.settings.directory, f"{self.name}.lock"), os.O_CREAT | os.O_RDWR)
+        self._take()
+        super().on_start()
+
+    def on_stop(self) -> None:
+        os.close(self._lock)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        super().on_failure(exception_type, exception_value, traceback)
+        self.on_stop()
+
+    def pause(self) -> None:
+        super().pause()
+        fcntl.flock(self._lock, fcntl.LOCK_UN)
+
+    def resume(self) -> None:
+        self._take()
+        super().resume()
+
+    def _take(self) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            with open(os.path.join(self.settings.directory, f"{self.name}.doubled"), "a") as out:
+                out.write(f"{self.address} runs beside another\n")
+
+    @every(hz=5)
+    def tell(self, tick: Tick) -> None:
+        """Sends a word to another task, wherever that is."""
+        try:
+            self.publish(SYSTEM, Word(self.state.sent + 1), to=f"task:{self.settings.friend}")
+        except MailboxFull:
+            return  # too many wait for an agent that is dead: not sent, so not counted
+        self.state.sent += 1
+
+    @on(SYSTEM, Word, keep=reliable(256))
+    def listen(self, packet: Packet) -> None:
+        """Counts the words that it gets."""
+        self.state.words += 1
+
+
+class Sweeper(Task):
+    """Sees to it that what grows is a leak: it has rubbish collected, and fills what is kept up to a bound.
+
+    By itself Python looks for it only once 10,000 objects more are alive (`pancakes.cli.interpreter`): memory goes up
+    and down by some 2 MiB in a quarter of an hour, and a leak would not be seen in a short run. An agent's log
+    remembers its newest lines, which take as much.
+    """
+
+    def on_start(self) -> None:
+        self._said = 0
+
+    @every(period_s=5.0)
+    def sweep(self, tick: Tick) -> None:
+        """Collects it."""
+        gc.collect()
+
+    @every(hz=100)
+    def fill(self, tick: Tick) -> None:
+        """Says something until the log is full."""
+        self._said += 1
+        self.event("soak_line", count=self._said)
+        if self._said == REMEMBERED:
+            self.reschedule(0, timer="fill")
+
+
+class Roamer(Task):
+    """The least that can move, for fleets in virtual time."""
+
+    @dataclass
+    class State:
+        ticks: int = 0
+
+    state: State
+
+    @every(hz=1)
+    def tick(self, tick: Tick) -> None:
+        """Counts."""
+        self.state.ticks += 1
