@@ -164,7 +164,8 @@ class Channels(msgspec.Struct, frozen=True):
 
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
     `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
-    `waiting`, `dropped`) and `followers` (agents that it is forwarded to).
+    `waiting`, `waiting_bytes`: of the large bodies among these, `dropped`) and `followers` (agents that it is
+    forwarded to).
 
     Attributes:
         channel: only this one; empty: all.
@@ -231,6 +232,29 @@ class Follow(msgspec.Struct, frozen=True):
     most_hz: float = 0.0
 
 
+@packet_type("traces")
+class Traces(msgspec.Struct, frozen=True):
+    """Asks an agent what led to the commands that its actuators were given; for who watches for a while.
+
+    From the first question on the agent notes its newest packets, until nobody has asked for ten seconds. The
+    `result` has `now_ns` and `until_ns` (what to say as
+    `since_ns` next), `left_out` (how many commands there was no room for), and `rows`: the packets, oldest first, that
+    are commands or led to one, or to one of `packets`, as far as they were seen on this agent. A row is a list: when it
+    was seen, channel, type, source, number, stamp, cause, and in a few words what it said. Times are the time of day
+    in nanoseconds, as in a recording. Packets on `log` and `sysctrl` are left out.
+
+    Attributes:
+        since_ns: only commands that were given after this.
+        packets: source and number of packets of this agent that led to commands elsewhere.
+        most: so many commands at most; where there are more, they are thinned out evenly. 0: the asker asks no more,
+            and gets no result.
+    """
+
+    since_ns: int = 0
+    packets: tuple[Cause, ...] = ()
+    most: int = 100
+
+
 @packet_type("unfollow")
 class Unfollow(msgspec.Struct, frozen=True):
     """Ends what `Follow` began.
@@ -287,6 +311,7 @@ CONTROLS: tuple[type, ...] = (
     Begin,
     Follow,
     Unfollow,
+    Traces,
 )
 """All that can be asked for."""
 

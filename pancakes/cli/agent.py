@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 from collections import deque
+from collections.abc import Callable
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from pancakes import __version__
+from pancakes.cli import interpreter
 from pancakes.cli.errors import OK, REFUSED, sentences
 
 if TYPE_CHECKING:
@@ -67,6 +69,8 @@ def agent(
         pancakes-agent --config configs/single.toml --set clock.speed=5
     """
     orders = None if check else Orders()
+    if orders is not None:
+        interpreter.prepare()
     if parent_pid is not None:
         from pancakes.cli.parent import die_with_parent
 
@@ -135,7 +139,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     from pancakes.agent import Agent
 
     running = Agent(config, plugins)
-    _listen_to_libraries(running)
+    deafen = _listen_to_libraries(running)
     running.on_fatal(orders.give_up)
     running.on_shutdown(lambda: orders.give_up(""))
     running.start()
@@ -147,6 +151,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if registration is not None:
         registration.remove()
     running.stop()
+    deafen()
     if reason:
         click.echo(f"{running.name} cannot run: {reason}", err=True)
     return REFUSED if reason else OK
@@ -199,8 +204,13 @@ def _tell_when_ready(running: Agent, ready_fd: int) -> None:
     threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
 
 
-def _listen_to_libraries(running: Agent) -> None:
-    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, never as a traceback."""
+def _listen_to_libraries(running: Agent) -> Callable[[], None]:
+    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, never as a traceback.
+
+    Returns:
+        What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,
+        and some things, like a space of pymunk's, cannot be freed that late: they end the process with a fault.
+    """
     import logging
     import threading
 
@@ -219,8 +229,14 @@ def _listen_to_libraries(running: Agent) -> None:
             name = args.thread.name if args.thread is not None else "a thread"
             running.kernel.log("error", f"the thread {name} died: {describe(args.exc_value)}")
 
-    logging.getLogger().addHandler(ToLog(logging.WARNING))
+    def deafen() -> None:
+        logging.getLogger().removeHandler(handler)
+        threading.excepthook = threading.__excepthook__
+
+    handler = ToLog(logging.WARNING)
+    logging.getLogger().addHandler(handler)
     threading.excepthook = died
+    return deafen
 
 
 def main() -> None:

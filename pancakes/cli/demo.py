@@ -212,7 +212,8 @@ def _fly(
     with PlainView(found, mission) if plain else LiveView(found, mission):
         if virtual:
             onlooker = page.beside_virtual(found.title) if page is not None else None
-            timing = run_virtual(plan, mission, interrupted, Faults(seed) if options.faults else None, onlooker)
+            faults = Faults(seed) if options.faults else None
+            timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: click.echo(text, err=True))
         else:
             if page is not None:
                 page.beside_live(plan, mission)

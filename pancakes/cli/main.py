@@ -26,6 +26,7 @@ COMMANDS = {
     "record": Later("pancakes.cli.record:record", "Recordings of what agents say."),
     "replay": Later("pancakes.cli.replay:replay", "Feed a recording into a fleet."),
     "rerun": Later("pancakes.cli.rerun:rerun", "Run a recorded task through its present code."),
+    "why": Later("pancakes.cli.why:why", "What led to the commands of a recording's actuators."),
     "view": Later("pancakes.cli.view:view", "A page that shows what a fleet does."),
     "report": Later("pancakes.cli.report:report", "A recording as a page, and as pictures for a paper."),
     "top": Later("pancakes.cli.top:top", "Watch agents and tasks: rates, lateness, load."),

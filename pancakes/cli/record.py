@@ -18,6 +18,8 @@ from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 
 RECORDER: Final = "log/Recorder"
+BY_ITSELF: Final = "it stopped itself"
+"""What an agent says of a task that ended unasked."""
 COLUMNS = ("agent", "done", "path")
 
 
@@ -76,7 +78,9 @@ def start(
     settings = {key: value for key, value in given.items() if value not in ("", [], None)}
     with Client(at, timeout) as client:
         rows = []
-        for agent in _names(client, agents):
+        there = _survey(client, agents)
+        _check_channels(channels, there)
+        for agent in [described["agent"] for described in there]:
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
@@ -124,14 +128,12 @@ def list_(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: f
         rows = []
         for agent in _names(client, agents):
             told = accepted(client, agent, Describe(RECORDER)).result
-            running = told["state"] == "running"
-            rows.append(
-                {
-                    "agent": agent,
-                    "done": "recording" if running else told["reason"] or told["state"],
-                    "path": _path(client, agent) if running else None,
-                }
-            )
+            done, path = told["reason"] or told["state"], None
+            if told["state"] == "running":
+                done, path = "recording", _path(client, agent)
+            elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
+                done, path = f"ended: {ended['reason']}", ended["path"]
+            rows.append({"agent": agent, "done": done, "path": path})
     show(rows, COLUMNS, format_)
 
 
@@ -142,6 +144,8 @@ def list_(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: f
 def info(path: Path, format_: str) -> None:
     """Show what is in a recording: a file with its parts, or all files of a folder.
 
+    Times are the mission's, from its beginning on; duration_s is that of the recording.
+
     \b
     Example:
         pancakes record info runs/encirclement-1-virtual/recording
@@ -151,6 +155,7 @@ def info(path: Path, format_: str) -> None:
     from pancakes.recording.summary import Summary
 
     reader = RecordingReader(path)
+    time = reader.mission_time()
     summary = Summary.of(reader.entries())
     for note in reader.notes():
         click.echo(note, err=True)
@@ -160,8 +165,8 @@ def info(path: Path, format_: str) -> None:
             "task_id": stay.task_id,
             "agent": stay.agent,
             "epoch": stay.epoch,
-            "from_s": round((stay.first_ns - summary.first_ns) / 1e9, 3),
-            "to_s": round((stay.last_ns - summary.first_ns) / 1e9, 3),
+            "from_s": round(time.at(stay.first_ns), 3),
+            "to_s": round(time.at(stay.last_ns), 3),
             "published": stay.published,
         }
         for stay in summary.stays
@@ -170,7 +175,10 @@ def info(path: Path, format_: str) -> None:
         "path": str(path),
         "files": [str(file) for file in reader.files],
         "size_mib": round(sum(file.stat().st_size for file in reader.files) / 2**20, 3),
-        "begins": _moment(summary.first_ns, virtual),
+        "begins": "in virtual time" if virtual else _moment(summary.first_ns) if summary.packets else None,
+        "time": time.name,
+        "from_s": round(time.at(summary.first_ns), 3),
+        "to_s": round(time.at(summary.last_ns), 3),
         "duration_s": round((summary.last_ns - summary.first_ns) / 1e9, 3),
         "packets": summary.packets,
         "whole": not any(reading.cut for reading in reader.readings),
@@ -215,17 +223,44 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
     show(rows, ("file", "done", "messages", "bytes_lost"), format_)
 
 
-def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
+def _survey(client: Client, agents: tuple[str, ...]) -> list[dict[str, Any]]:
     found = client.survey(*agents)
     for sentence in found.silent:
         click.echo(sentence, err=True)
-    return [described["agent"] for described in found.agents]
+    return list(found.agents)
+
+
+def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
+    return [described["agent"] for described in _survey(client, agents)]
+
+
+def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
+    """Refuses channels that no agent has; of those that only some have it tells."""
+    from pancakes.recording.description import CHANNEL
+
+    known = list(dict.fromkeys(name for agent in agents for name in agent["channels"]))
+    for channel in channels:
+        lacking = [agent["agent"] for agent in agents if channel not in agent["channels"]]
+        if channel == CHANNEL or not lacking:
+            continue
+        if len(lacking) == len(agents):
+            raise ControlRefused(f"no agent has a channel {channel!r}, only {', '.join(known)}")
+        click.echo(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
 
 
 def _path(client: Client, agent: str) -> str | None:
     """Returns the file that an agent records into, as its log says."""
-    records = accepted(client, agent, History()).result
-    return next((one["path"] for one in reversed(records) if one["kind"] == "recording_started"), None)
+    started = _last(client, agent, "recording_started")
+    return started["path"] if started is not None else None
+
+
+def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
+    """Returns the last event of a kind in an agent's log, as far back as it is remembered."""
+    found, after = None, 0
+    while records := accepted(client, agent, History(after=after)).result:
+        after = records[-1]["entry"]
+        found = next((one for one in reversed(records) if one["kind"] == kind), found)
+    return found
 
 
 def _know_packets() -> None:
@@ -235,7 +270,5 @@ def _know_packets() -> None:
         click.echo(str(fault), err=True)
 
 
-def _moment(time_ns: int, virtual: bool) -> str:
-    if virtual:
-        return f"{time_ns / 1e9:.3f} s of virtual time"
+def _moment(time_ns: int) -> str:
     return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="milliseconds")

@@ -33,9 +33,9 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     help="So many times as fast as then, in mission time.",
 )
 @click.option(
-    "--from", "from_s", metavar="TIME", type=Duration(), help="Begin so long after the recording's beginning."
+    "--from", "from_s", metavar="TIME", type=Duration(), help="Begin at this mission time (see pancakes record info)."
 )
-@click.option("--to", "to_s", metavar="TIME", type=Duration(), help="End so long after the recording's beginning.")
+@click.option("--to", "to_s", metavar="TIME", type=Duration(), help="End at this mission time.")
 @click.option(
     "--only",
     metavar="GLOB",
@@ -138,7 +138,8 @@ class _Wanted:
 
         if self._as_name and self._as_name not in agents:
             raise Unreachable(f"there is no agent {self._as_name!r}, only {', '.join(sorted(agents))}")
-        selection = Selection(agents, self._only, self._from_s, self._to_s, self._as_name)
+        time = self.reader.mission_time()
+        selection = Selection(agents, self._only, self._from_s, self._to_s, self._as_name, time)
         tally = tally_of(selection, self.reader.entries())
         for note in self.reader.notes():
             say(note)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,6 +12,7 @@ from pancakes.client.client import LOOK_S, Client
 from pancakes.client.door import Door
 from pancakes.control import Follow, Reply
 from pancakes.errors import ControlRefused, Unreachable
+from pancakes.kernel.backlog import Backlog
 from pancakes.packet import Packet
 
 SEARCH_S: Final = 0.5
@@ -24,7 +24,7 @@ ANSWER_S: Final = 3.0
 QUIET_S: Final = 5.0
 """After so long without a packet an agent is asked again, as its Network Service may have failed and forgotten us."""
 MOST_WAITING: Final = 100_000
-"""So many packets wait for a terminal that is slow; after that the oldest fall out."""
+"""So many packets wait for a terminal that is slow, of large ones fewer; after that the oldest fall out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,6 @@ class Following:
 
     Attributes:
         channel: the channel.
-        missed: how many packets fell out because nobody took them.
 
     Raises:
         Unreachable: there is no such agent, or none at all, or none answers in time.
@@ -119,12 +118,11 @@ class Following:
         self._fleet = fleet
         self._say = say
         self._followed: dict[tuple[str, str], _Followed] = {}
-        self._waiting: deque[Heard] = deque()
+        self._waiting: Backlog[Heard] = Backlog(MOST_WAITING)
         self._listened: list[Door] = []
         self._searched_s = client.now()
         self._tended_s = -math.inf
         self._followed_anew = followed_anew
-        self.missed = 0
         self._begin()
 
     def __enter__(self) -> Following:
@@ -139,12 +137,18 @@ class Following:
         """Returns the next packet, or None where none has come until then, in host time."""
         while True:
             self._tend()
-            if self._waiting:
-                return self._waiting.popleft()
+            heard = self._waiting.take()
+            if heard is not None:
+                return heard
             now_s = self._client.now()
             if now_s >= until_s:
                 return None
-            self._client.wait(min(until_s, now_s + LOOK_S), lambda: bool(self._waiting))
+            self._client.wait(min(until_s, now_s + LOOK_S), lambda: len(self._waiting) > 0)
+
+    @property
+    def missed(self) -> int:
+        """How many packets fell out because nobody took them."""
+        return self._waiting.dropped
 
     def agents(self) -> list[str]:
         """Returns the names of all agents that are followed, those too that are away."""
@@ -266,7 +270,4 @@ class Following:
         if it is None or packet.channel != self.channel:
             return
         it.heard_s = self._client.now()
-        self._waiting.append(Heard(agent, packet, it.heard_s))
-        if len(self._waiting) > MOST_WAITING:
-            self._waiting.popleft()
-            self.missed += 1
+        self._waiting.put(packet, Heard(agent, packet, it.heard_s))

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from pancakes.config.places import Places
 from pancakes.migration.rule import MigrationRule
-from pancakes.recording.recorder import Recorder
+from pancakes.recording.recording import RecordingSettings
 from pancakes.supervision import RestartSpec
 
 SCHEMA: Final = 1
@@ -67,7 +67,7 @@ class ClockConfig:
 
 
 @dataclass
-class RecordConfig(Recorder.Settings):
+class RecordConfig(RecordingSettings):
     """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
 
     Attributes:

@@ -13,7 +13,7 @@ from pancakes.config.scanner import lines_of_keys
 from pancakes.errors import ConfigError, Fault
 from pancakes.suggestion import suggestion
 
-_POSITION = re.compile(r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$")
+_POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
 
 
 def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], Places]:
@@ -72,7 +72,7 @@ def _neighbour(path: str) -> str:
 
 def _syntax_fault(error: tomllib.TOMLDecodeError, text: str, where: str) -> Fault:
     message = str(error)
-    found = _POSITION.search(message)
+    found = re.search(_POSITION, message)
     line = text.rstrip("\n").count("\n") + 1
     if found:
         line = int(found["line"]) if found["line"] else line

@@ -10,8 +10,9 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from pancakes.events import Event
-from pancakes.kernel.component import Component, TaskTimer
+from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import join
 from pancakes.service import Service
 from pancakes.services.network import NetworkService
@@ -75,15 +76,16 @@ class AgentMetrics(Collector):
             child = self._late[timer] = self._lateness.labels(*_place(timer.component), timer.method)
         child.observe(lateness_s)
 
-    def happened(self, event: Event) -> None:
-        """Counts what an event of this agent tells of."""
+    def happened(self, source: str, event: Event) -> None:
+        """Counts what an event of this agent tells of; `source` is the address that told it."""
         agent, fields = self._kernel.agent, event.fields
         if event.kind == "migration" and not fields.get("dry_run"):
             self._migrations.labels(agent, fields["outcome"]).inc()
         elif event.kind == "task_arrived":
             self._arrivals.labels(agent).inc()
         elif event.kind == "task_failed":
-            self._failures.labels(agent, fields.get("service", ""), fields["task"], fields["then"]).inc()
+            service = (*source.split("/"), "")[1]  # a service tells it of its own tasks
+            self._failures.labels(agent, service, fields["task"], fields["then"]).inc()
         elif event.kind in ("asked", "rate_changed", "settings_changed"):
             self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
 

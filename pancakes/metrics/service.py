@@ -15,9 +15,9 @@ from msgspec import Meta
 
 from pancakes.errors import PancakesError
 from pancakes.events import Event
-from pancakes.kernel.component import TaskTimer
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import queue
+from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.service import Service
 
@@ -74,7 +74,7 @@ class MetricsService(Service):
             thread.join()
 
         self._close = close
-        self.kernel.lateness_heard = self._late
+        self.kernel.hear_lateness(self._late)
         self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics")
 
     def _late(self, timer: TaskTimer, lateness_s: float) -> None:
@@ -84,7 +84,7 @@ class MetricsService(Service):
     def on_event(self, packet: Packet) -> None:
         """Counts what events tell of."""
         if agent_of(packet.source) == self.agent:
-            self._metrics.happened(packet.body)
+            self._metrics.happened(packet.source, packet.body)
 
     @on(SYSTEM, "battery", keep="latest")
     def on_battery(self, packet: Packet) -> None:
@@ -93,7 +93,7 @@ class MetricsService(Service):
             self._metrics.battery_level = packet.body.level
 
     def on_stop(self) -> None:
-        self.kernel.lateness_heard = None
+        self.kernel.unhear_lateness(self._late)
         self._close()
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:

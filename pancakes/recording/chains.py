@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final
+
+import msgspec
 
 from pancakes.packet import Cause, Packet, agent_of
 from pancakes.recording.entry import NANOSECONDS, Entry
@@ -14,8 +15,7 @@ LONGEST: Final = 64
 """No chain is followed further: a task that answers itself for ever would make one without an end."""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(msgspec.Struct, frozen=True):
     """One packet of a chain.
 
     Attributes:
@@ -23,12 +23,15 @@ class Step:
         time_ns: when it was first seen.
         travel_s: how long it then took to the agent where it led to the next step; 0 where that was its own.
         handling_s: the time from there to the next step: it waited, and was handled. 0 for the last.
+        sent: whether it was seen where it was published. Else nobody recorded there: it is known only from its arrival
+            on, and `travel_s` is 0.
     """
 
     packet: Packet
     time_ns: int
     travel_s: float
     handling_s: float
+    sent: bool = True
 
     @property
     def name(self) -> str:
@@ -36,8 +39,7 @@ class Step:
         return f"{self.packet.source} {self.packet.type}"
 
 
-@dataclass(frozen=True, slots=True)
-class Chain:
+class Chain(msgspec.Struct, frozen=True):
     """A packet with all that led to it, the first cause first.
 
     Attributes:
@@ -97,16 +99,17 @@ class Causes:
     def _step(self, key: Cause, effect: Cause | None) -> Step:
         packet, seen_ns = self._packets[key], self._seen_ns[key]
         first_ns = min(seen_ns.values())
+        sent = agent_of(key[0]) in seen_ns
         if effect is None:
-            return Step(packet, first_ns, 0.0, 0.0)
+            return Step(packet, first_ns, 0.0, 0.0, sent)
         next_ns = min(self._seen_ns[effect].values())
         # Who answered it had it, though whoever watches may have seen it there only later.
         arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
-        return Step(packet, first_ns, (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS)
+        travel_s, handling_s = (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS
+        return Step(packet, first_ns, travel_s, handling_s, sent)
 
 
-@dataclass(frozen=True, slots=True)
-class Latencies:
+class Latencies(msgspec.Struct, frozen=True):
     """How long chains of one shape took.
 
     Attributes:

@@ -9,13 +9,10 @@ import msgpack
 import msgspec
 
 from pancakes.errors import LocalProtocolError, PancakesError, RemoteProtocolError
-from pancakes.packet import Fence, Packet, body_class, body_from_plain, has_fields
-from pancakes.schema import schema_of
+from pancakes.packet import Fence, Packet, body_from_plain, has_fields
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 NANOSECONDS: Final = 1_000_000_000
-SCHEMAS: Final = "pancakes."
-"""What the names of the schemas of packets begin with."""
 
 
 class RecordingError(PancakesError):
@@ -148,28 +145,3 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
 
 def _keep(code: int, data: bytes) -> msgpack.ExtType:
     return msgpack.ExtType(code, data)
-
-
-def schema_for(type_name: str) -> dict[str, Any]:
-    """Returns the JSON Schema of the messages of one packet type; of a type that is unknown here, of any body."""
-    cls = body_class(type_name)
-    try:
-        body: dict[str, Any] = schema_of(cls) if cls is not None else {"type": "object"}
-    except TypeError:  # it holds what JSON Schema has no word for, such as an array
-        body = {"type": "object"}
-    definitions = body.pop("$defs", {})
-    schema = {
-        "title": SCHEMAS + type_name,
-        "type": "object",
-        "properties": {
-            "source": {"type": "string", "description": "address of the publisher."},
-            "destination": {"type": "string", "description": "who it was for; empty: whoever subscribes."},
-            "stamp": {"type": "number", "description": "mission time at the publisher, in seconds."},
-            "seq": {"type": "integer", "description": "its number among its source's packets."},
-            "cause": {"type": "array", "description": "source and number of the packet that led to it."},
-            "fence": {"type": "array", "description": "identity and epoch of the task that published it."},
-            "body": body,
-            "exact": {"type": "string", "description": "the packet as it travels, where JSON cannot hold all of it."},
-        },
-    }
-    return {**schema, "$defs": definitions} if definitions else schema

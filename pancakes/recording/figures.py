@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import join, packet_type
 from pancakes.service import Service
 
@@ -22,6 +23,8 @@ class TimerFigures(msgspec.Struct, frozen=True):
         missed: how many ticks were left out.
         lateness_sum_s: how late all ticks were together, in mission time.
         lateness_max_s: how late the latest was, in mission time.
+        lateness_counts: of the ticks since the sample before, how many were how late: the number of the bucket (see
+            `latenesses.bucket_of`) and the count, in order.
     """
 
     timer: str
@@ -30,6 +33,7 @@ class TimerFigures(msgspec.Struct, frozen=True):
     missed: int
     lateness_sum_s: float
     lateness_max_s: float
+    lateness_counts: tuple[tuple[int, int], ...] = ()
 
 
 class OneTask(msgspec.Struct, frozen=True):
@@ -102,8 +106,13 @@ class HasLinks(Protocol):
         ...
 
 
-def figures_of(kernel: Kernel) -> TaskFigures:
-    """Returns the figures of an agent as they stand. Any thread: nobody is asked and nobody waits."""
+def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
+    """Returns the figures of an agent as they stand. Any thread: nobody is asked and nobody waits.
+
+    Args:
+        kernel: the agent's kernel.
+        latenesses: see `Latenesses.take`.
+    """
     tasks = []
     for component in kernel.registry.components():
         if not isinstance(component, Service):
@@ -129,6 +138,7 @@ def figures_of(kernel: Kernel) -> TaskFigures:
                             timer.missed_total,
                             timer.lateness_sum_s,
                             timer.lateness_max_s,
+                            tuple(sorted(latenesses.get(timer, {}).items())),
                         )
                         for timer in timers
                     ),

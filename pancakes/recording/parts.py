@@ -25,9 +25,14 @@ class Parts:
         limit_mib: how large all of them may become; 0 for no limit.
         drop_oldest: whether the oldest file goes at the limit; otherwise the recording ends.
         free_mib: so much of the disk stays free.
+        goes_on: whether a recording that has ended goes on: its files are left alone, and the next one begins.
+
+    Attributes:
+        first: the path of the first file.
+        messages: how many packets were written.
 
     Raises:
-        RecordingError: nothing can be written there.
+        RecordingError: nothing can be written there, or too little is free on the disk.
     """
 
     def __init__(
@@ -38,20 +43,27 @@ class Parts:
         limit_mib: float,
         drop_oldest: bool,
         free_mib: float,
+        goes_on: bool = False,
     ) -> None:
-        self.first = _unused(path)
+        before = parts_of(path) if goes_on else []
+        self.first = path if goes_on else _unused(path)
         self._about = about
         self._split_bytes = split_mib * MIB
         self._limit_bytes = limit_mib * MIB
         self._drop_oldest = drop_oldest
         self._free_bytes = free_mib * MIB
-        self._done: list[tuple[Path, int]] = []
         self.messages = 0
+        file = part_path(self.first, part_number(before[-1]) + 1 if before else 1)
         try:
+            self._done = [(path, path.stat().st_size) for path in before]
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = RecordingWriter(self.first, about)
+            lacking = self._lacking()
+            if not lacking:
+                self._writer = RecordingWriter(file, about)
         except OSError as error:
             raise RecordingError(f"the recording {self.first} cannot be written: {error.strerror or error}") from None
+        if lacking:
+            raise RecordingError(f"the recording {self.first} does not begin: {lacking}")
 
     def write(self, entry: Entry) -> None:
         """Adds a packet; see `RecordingWriter.write`."""
@@ -74,9 +86,9 @@ class Parts:
         self._writer.flush()
         if self._writer.size_bytes() >= self._split_bytes:
             self._split()
-        free = os.statvfs(self.first.parent)
-        if free.f_bavail * free.f_frsize < self._free_bytes:
-            return f"less than {self._free_bytes / MIB:g} MiB are free on the disk of {self.first.parent}"
+        lacking = self._lacking()
+        if lacking:
+            return lacking
         if self._limit_bytes and self._size_bytes() > self._limit_bytes:
             if not self._drop_oldest:
                 return f"it has reached its limit of {self._limit_bytes / MIB:g} MiB"
@@ -91,6 +103,17 @@ class Parts:
             OSError: the disk is full, ...
         """
         self._writer.close()
+
+    def _lacking(self) -> str:
+        """Says what the disk lacks; empty: nothing."""
+        disk = os.statvfs(self.first.parent)
+        free_bytes = disk.f_bavail * disk.f_frsize
+        if free_bytes >= self._free_bytes:
+            return ""
+        return (
+            f"less than {self._free_bytes / MIB:g} MiB are free on the disk of {self.first.parent}"
+            f" ({free_bytes / MIB:.0f} MiB; free_mib of [record] says how much is to stay free)"
+        )
 
     def _size_bytes(self) -> int:
         return sum(size for _, size in self._done) + self._writer.size_bytes()
@@ -111,6 +134,11 @@ def part_number(path: Path) -> int:
     """Returns which part a file is, from 1."""
     found = re.search(r"\.(\d{3,})\.mcap$", path.name)
     return int(found[1]) if found else 1
+
+
+def first_name(path: Path) -> str:
+    """Returns the name of the first file of the recording that a file is a part of."""
+    return re.sub(r"\.\d{3,}\.mcap$", SUFFIX, path.name)
 
 
 def parts_of(first: Path) -> list[Path]:

@@ -14,8 +14,11 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.recording.entry import SCHEMAS, Entry, RecordingError, packet_from_data
-from pancakes.recording.parts import SUFFIX, parts_of
+from pancakes.recording.chunks import MAGIC
+from pancakes.recording.entry import Entry, RecordingError, packet_from_data
+from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.parts import SUFFIX, first_name, part_number, parts_of
+from pancakes.recording.schemas import SCHEMAS
 from pancakes.recording.writer import METADATA
 
 READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
@@ -67,6 +70,15 @@ class RecordingReader:
         parts = [_entries(reading) for reading in self.readings]
         yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
 
+    def mission_time(self) -> MissionTime:
+        """Returns what turns this recording's time into mission time; reads the beginning of each file.
+
+        Raises:
+            RecordingError: a file is no recording at all.
+        """
+        opened = [Reading(file) for file in self.files]
+        return MissionTime.of((reading.about, _entries(reading)) for reading in opened)
+
     def notes(self) -> Sequence[str]:
         """Returns sentences on all that could not be read so far."""
         notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
@@ -84,7 +96,7 @@ def files_of(path: Path) -> list[Path]:
         RecordingError: there is none.
     """
     if path.is_dir():
-        files = sorted(path.glob(f"*{SUFFIX}"))
+        files = sorted(path.glob(f"*{SUFFIX}"), key=lambda file: (first_name(file), part_number(file)))
         if not files:
             raise RecordingError(f"{path} holds no recording (*{SUFFIX})")
         return files
@@ -129,6 +141,12 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
                 channel = channels[record.channel_id]
                 yield schemas[channel.schema_id], channel, record
     except READ_ERRORS as error:
-        if not begun:
+        if not begun and not _was_begun(file):
             raise RecordingError(f"{reading.path} is no recording: it does not begin as an MCAP file does") from None
-        reading.cut = str(error) or type(error).__name__
+        reading.cut = (str(error) or "its end is missing") if begun else "it holds nothing yet"
+
+
+def _was_begun(file: BinaryIO) -> bool:
+    """Returns whether a recorder may have been killed the moment after it made the file."""
+    file.seek(0)
+    return MAGIC.startswith(file.read(len(MAGIC)))

@@ -123,11 +123,12 @@ def _pose(x_m: float, y_m: float, theta_rad: float) -> dict[str, Any]:
     }
 
 
-# JSON Schemas, as https://docs.foxglove.dev/docs/visualization/message-schemas describes them -------------------
+# Foxglove finds these by their names: https://docs.foxglove.dev/docs/sdk/schemas. Published as JSON Schemas in
+# https://github.com/foxglove/foxglove-sdk, schemas/jsonschema; of what is always empty here only the name is told -
 
 
 def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
+    return {"type": "object", "properties": properties, "required": list(properties)}
 
 
 def _list(items: Any) -> dict[str, Any]:
@@ -136,22 +137,24 @@ def _list(items: Any) -> dict[str, Any]:
 
 _NUMBER: Final = {"type": "number"}
 _TEXT: Final = {"type": "string"}
-_TIME: Final = _object(sec={"type": "integer", "minimum": 0}, nsec={"type": "integer", "minimum": 0})
+_NSEC: Final = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_TIME: Final = {"title": "time", **_object(sec={"type": "integer", "minimum": 0}, nsec=_NSEC)}
+_DURATION: Final = {"title": "duration", **_object(sec={"type": "integer"}, nsec=_NSEC)}
 _VECTOR: Final = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
 _POSE: Final = _object(position=_VECTOR, orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER))
 _COLOUR: Final = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-_ANY_LIST: Final = _list({"type": "object"})
+_NONE: Final = _list(_object())
 
 POSE_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
 POSES_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, poses=_list(_POSE))
 SCENE_UPDATE: Final = _object(
-    deletions=_ANY_LIST,
+    deletions=_NONE,
     entities=_list(
         _object(
             timestamp=_TIME,
             frame_id=_TEXT,
             id=_TEXT,
-            lifetime=_TIME,
+            lifetime=_DURATION,
             frame_locked={"type": "boolean"},
             metadata=_list(_object(key=_TEXT, value=_TEXT)),
             arrows=_list(
@@ -164,13 +167,13 @@ SCENE_UPDATE: Final = _object(
                     color=_COLOUR,
                 )
             ),
-            cubes=_ANY_LIST,
-            spheres=_ANY_LIST,
+            cubes=_NONE,
+            spheres=_NONE,
             cylinders=_list(_object(pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR)),
-            lines=_ANY_LIST,
-            triangles=_ANY_LIST,
-            texts=_ANY_LIST,
-            models=_ANY_LIST,
+            lines=_NONE,
+            triangles=_NONE,
+            texts=_NONE,
+            models=_NONE,
         )
     ),
 )

@@ -10,7 +10,8 @@ from typing import Final
 
 from pancakes import __version__
 from pancakes.recording.chunks import ChunkedFile
-from pancakes.recording.entry import SCHEMAS, Entry, EntryEncoder, schema_for
+from pancakes.recording.entry import Entry, EntryEncoder
+from pancakes.recording.schemas import SCHEMAS, schema_for
 
 CHUNK_BYTES: Final = 128 * 1024
 """Ending a chunk costs as much as a hundred messages. `flush` ends one too: a crash costs what came after that."""
@@ -39,6 +40,7 @@ class RecordingWriter:
         self._file = path.open("xb")
         self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
         self._chunks.add_metadata(METADATA, about)
+        self._file.flush()  # whoever is killed now leaves a file that is one
         self._encoder = EntryEncoder()
         self._packet_channels: dict[tuple[str, str, str], int] = {}
         self._channels: dict[tuple[str, str], int] = {}

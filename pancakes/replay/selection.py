@@ -14,6 +14,7 @@ from pancakes.errors import ControlRefused
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, SYSTEM, TO_TASK, Packet, agent_of, join
 from pancakes.recording.description import CHANNEL
 from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.mission_time import MissionTime
 
 _TWICE_NS: Final = 60 * NANOSECONDS
 """How far apart two recordings may show the same packet."""
@@ -97,9 +98,10 @@ class Selection:
         agents: the agents of the fleet, by name.
         only: patterns of the shell for `AGENT/CHANNEL/TYPE` or for the source; what fits one of them is fed, whatever
             it is, and nothing else.
-        from_s: nothing before this time, in seconds from the recording's beginning.
-        to_s: nothing from this time on; None: to the end.
+        from_s: nothing before this mission time.
+        to_s: nothing from this mission time on; None: to the end.
         as_name: the agent that gets everything, in place of those on which it was seen; empty: none.
+        time: turns the recording's time into mission time.
     """
 
     agents: Mapping[str, Live]
@@ -107,6 +109,7 @@ class Selection:
     from_s: float = 0.0
     to_s: float | None = None
     as_name: str = ""
+    time: MissionTime = MissionTime()
 
     def of(self, entries: Iterable[Entry]) -> Iterator[Fed]:
         """Yields what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
@@ -115,13 +118,11 @@ class Selection:
             entries: the recording, in the order of time.
         """
         once = _Once()
-        begin_ns: int | None = None
         for entry in entries:
-            begin_ns = entry.time_ns if begin_ns is None else begin_ns
-            passed_s = (entry.time_ns - begin_ns) / NANOSECONDS
-            if self.to_s is not None and passed_s >= self.to_s:
+            time_s = self.time.at(entry.time_ns)
+            if self.to_s is not None and time_s >= self.to_s:
                 return
-            if passed_s < self.from_s or not _was_for(entry) or not self._wanted(entry):
+            if time_s < self.from_s or not _was_for(entry) or not self._wanted(entry):
                 continue
             name = self.as_name or entry.agent
             if once.is_new(entry, name):

@@ -18,6 +18,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.packet import SYSCTRL, Packet, join, type_name
 from pancakes.plugins import Plugins
 from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.virtual import VirtualRecorder
 from pancakes.replay.selection import Live, Selection, Tally
 
 READY_S: Final = 30.0
@@ -37,7 +38,7 @@ class VirtualReplay:
 
     Attributes:
         tally: what was fed so far.
-        refused: sentences on packets that nobody had room for.
+        refused: sentences on packets that nobody had room for, and on what could not be recorded.
 
     Raises:
         ConfigError: two of them have the same name.
@@ -46,11 +47,16 @@ class VirtualReplay:
     def __init__(self, configs: Sequence[Config], out: Path | None, plugins: Plugins, seed: int = 0) -> None:
         self._fleet = VirtualFleet(seed, plugins=plugins)
         self._configs: dict[str, Config] = {}
+        self._records: dict[str, RecordConfig] = {}
+        self._recorders: list[VirtualRecorder] = []
         for config in configs:
             name = config.agent.name
             if name in self._configs:
                 raise ConfigError([Fault("--config", "[agent] name", f"two of the agents are called {name!r}")])
-            self._configs[name] = _virtual(config, out, seed)
+            self._configs[name] = _virtual(config, seed)
+            if out is not None:
+                record = config.record or RecordConfig()
+                self._records[name] = replace(record, path=str(out / f"{name}.mcap"))
         self.tally = Tally()
         self.refused: list[str] = []
 
@@ -58,15 +64,24 @@ class VirtualReplay:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._fleet.close()
+        try:
+            self._fleet.close()
+        finally:
+            for recorder in self._recorders:
+                recorder.end()
 
     def start(self) -> dict[str, Live]:
         """Starts the agents, and returns what they say of themselves.
 
         Raises:
-            PancakesError: one does not become ready, or cannot be started.
+            PancakesError: one does not become ready, or cannot be started or recorded.
         """
-        agents = [self._fleet.start(config) for config in self._configs.values()]
+        agents = []
+        for name, config in self._configs.items():
+            agent = self._fleet.start(config)
+            agents.append(agent)
+            if name in self._records:
+                self._recorders.append(VirtualRecorder(agent.kernel, self._records[name], self.refused.append))
         if not self._fleet.run_while(lambda: not all(agent.ready.is_set() for agent in agents), READY_S):
             late = ", ".join(agent.name for agent in agents if not agent.ready.is_set())
             raise PancakesError(f"{late} did not become ready within {READY_S:g} s of virtual time")
@@ -115,11 +130,10 @@ class VirtualReplay:
         return told
 
 
-def _virtual(config: Config, out: Path | None, seed: int) -> Config:
-    """Returns a configuration for virtual time: it records, says nothing else, and its mission begins at once."""
-    recorded = replace(config.record or RecordConfig(), start=out is not None, path=f"{out}/{{agent}}.mcap")
+def _virtual(config: Config, seed: int) -> Config:
+    """Returns a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
     agent = replace(config.agent, seed=seed) if config.agent.seed is None else config.agent
     log = config.services["log"]
     services = {**config.services, "log": replace(log, settings={**log.settings, "console": False})}
     clock = replace(config.clock, hold=False, speed=1.0)
-    return replace(config, agent=agent, record=recorded, clock=clock, services=services)
+    return replace(config, agent=agent, record=None, clock=clock, services=services)

@@ -70,9 +70,11 @@ class Course:
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
         """Takes a packet that was seen on an agent."""
-        self.seen_s[agent] = t_s
+        before_s, self.seen_s[agent] = self.seen_s.get(agent, t_s), t_s
         body = packet.body
-        if packet.channel == LOG and isinstance(body, Event) and agent_of(packet.source) == agent:
+        if isinstance(body, Event) and body.kind == "recording_started" and packet.source == f"{agent}/log/Recorder":
+            self._unseen(agent, before_s)
+        elif packet.channel == LOG and isinstance(body, Event) and agent_of(packet.source) == agent:
             self._happened(agent, packet.source, body, t_s)
         elif isinstance(body, TaskDescription):
             _, service, task = (*body.address.split("/"), "", "")[:3]
@@ -81,6 +83,12 @@ class Course:
             parts = packet.source.split("/")
             if len(parts) == 3:
                 self._runs(agent, parts[1], parts[2], t_s, packet.fence.epoch[0], packet.fence.task_id)
+
+    def _unseen(self, agent: str, since_s: float) -> None:
+        """Another recording of an agent begins, or one goes on: what was between, such as a crash, was seen by none."""
+        for lane in self.lanes.values():
+            if lane.agent == agent and lane.spans and not lane.spans[-1].ended:
+                lane.spans[-1].to_s, lane.spans[-1].ended = since_s, "not recorded"
 
     def _happened(self, agent: str, source: str, event: Event, t_s: float) -> None:
         fields: Mapping[str, Any] = event.fields

@@ -8,12 +8,14 @@ from typing import Any, Final
 
 from pancakes.packet import Packet
 from pancakes.recording.description import CHANNEL
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.entry import Entry
 from pancakes.recording.figures import TaskFigures
+from pancakes.recording.mission_time import MissionTime
 from pancakes.report.course import Course
 from pancakes.report.happenings import Happenings
 from pancakes.report.moves import Moves
 from pancakes.report.paths import Paths
+from pancakes.report.picked import PickedCommands
 from pancakes.report.rates import Rates
 from pancakes.report.reactions import Reactions
 from pancakes.report.traffic import Traffic
@@ -42,6 +44,7 @@ class Findings:
         last_ns: when the last was.
         topics: what there was, by agent, channel and type.
         strange: how many packets could not be made sense of: their types were other ones when they were recorded.
+        time: turns the recording's time into mission time, in which everything is told.
     """
 
     task_id: str = ""
@@ -50,6 +53,7 @@ class Findings:
     last_ns: int = 0
     topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
     strange: int = 0
+    time: MissionTime = MissionTime()
     paths: Paths = field(default_factory=Paths)
     course: Course = field(default_factory=Course)
     rates: Rates = field(default_factory=Rates)
@@ -59,18 +63,20 @@ class Findings:
     happenings: Happenings = field(default_factory=Happenings)
 
     @classmethod
-    def of(cls, entries: Iterable[Entry], task_id: str = "") -> Findings:
+    def of(cls, entries: Iterable[Entry], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
         """Looks at packets in the order of time.
 
         Args:
             entries: the packets.
             task_id: tell only of this task: who ran it, its rates, moves, commands and what it sent; empty: of all.
+            time: turns the recording's time into mission time.
         """
-        findings = cls(task_id, reactions=Reactions(task_id))
+        findings = cls(task_id, time=time, reactions=Reactions(task_id, picked=PickedCommands(time)))
         for entry in entries:
             findings._add(entry)
         findings.course.close()
         findings.traffic.close()
+        findings.reactions.close()
         if task_id:
             findings.course.only(task_id)
             findings.rates.only(task_id)
@@ -78,9 +84,19 @@ class Findings:
         return findings
 
     @property
+    def begin_s(self) -> float:
+        """The mission time of the first packet."""
+        return self.time.at(self.first_ns)
+
+    @property
+    def end_s(self) -> float:
+        """The mission time of the last packet."""
+        return self.time.at(self.last_ns)
+
+    @property
     def duration_s(self) -> float:
-        """From the first packet to the last."""
-        return (self.last_ns - self.first_ns) / NANOSECONDS
+        """From the first packet to the last, in mission time."""
+        return self.end_s - self.begin_s
 
     @property
     def agents(self) -> list[str]:
@@ -93,7 +109,7 @@ class Findings:
             self.first_ns = entry.time_ns
         self.packets += 1
         self.last_ns = max(self.last_ns, entry.time_ns)
-        t_s = (entry.time_ns - self.first_ns) / NANOSECONDS
+        t_s = self.time.at(entry.time_ns)
         self._count(entry.agent, packet)
         try:
             self._look(entry, packet, t_s)
@@ -111,7 +127,7 @@ class Findings:
             return
         self.paths.add(agent, packet, t_s)
         if not self.task_id or (packet.fence is not None and packet.fence.task_id == self.task_id):
-            self.traffic.add(agent, packet, t_s)
+            self.traffic.add(agent, packet, t_s - self.begin_s)
         self.moves.add(agent, packet, t_s)
         self.happenings.add(agent, packet, t_s)
         self.reactions.add(entry)
@@ -127,12 +143,14 @@ class Findings:
 
     def plain(self) -> dict[str, Any]:
         """Returns the figures of the report as plain values, for other programs."""
-        end_s = self.duration_s
         return {
             "task_id": self.task_id,
             "agents": self.agents,
             "packets": self.packets,
-            "duration_s": end_s,
+            "time": self.time.name,
+            "begin_s": self.begin_s,
+            "end_s": self.end_s,
+            "duration_s": self.duration_s,
             "tasks": [
                 {
                     "agent": lane.agent,
@@ -155,6 +173,8 @@ class Findings:
                     "ticks": timer.ticks,
                     "missed": timer.missed,
                     "lateness_mean_s": timer.lateness_mean_s,
+                    "lateness_p50_s": timer.lateness_quantile_s(0.5),
+                    "lateness_p99_s": timer.lateness_quantile_s(0.99),
                     "lateness_max_s": timer.lateness_max_s,
                 }
                 for timer in self.rates.timers.values()

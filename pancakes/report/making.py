@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
-from pancakes.recording.entry import RecordingError
+from pancakes.recording.entry import NANOSECONDS, RecordingError
 from pancakes.report.findings import Findings
 from pancakes.report.style import Palette, Picture, need_matplotlib
 
@@ -52,7 +52,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
             f"no recording can be read without {error.name}: pip install 'pancakes-agents[record]'"
         ) from None
     reader = RecordingReader(path)
-    findings = Findings.of(reader.entries(), task_id)
+    findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:
         raise RecordingError(f"{path} holds no packets" + _because(reader.notes()))
     if task_id and not findings.course.lanes:
@@ -63,30 +63,31 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     if findings.strange:
         notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
-    clock = "time since the recording began"  # also in virtual time: missions begin a little after their agents
     about = {
         "recording": ", ".join(file.name for file in reader.files),
         "agents": ", ".join(findings.agents),
         "began": "in virtual time" if virtual else _moment(findings.first_ns),
-        "lasted": f"{findings.duration_s:.1f} s",
+        findings.time.name: f"{findings.begin_s:.1f} to {findings.end_s:.1f} s",
         "packets": f"{findings.packets:,}",
     }
     speeds = {reading.about["speed"] for reading in reader.readings if "speed" in reading.about}
     if not virtual and speeds - {"1.0"}:
-        about["mission time"] = f"{', '.join(sorted(speeds))} seconds for each second of these"
+        took_s = (findings.last_ns - findings.first_ns) / NANOSECONDS
+        many = ", ".join(sorted(f"{float(speed):g}" for speed in speeds))
+        about["took"] = f"{took_s:.1f} s of host time, at {many} mission seconds a second"
     if task_id:
         about["task"] = task_id
     try:
-        return _write(path, out, findings, about, notes, clock)
+        return _write(path, out, findings, about, notes)
     except OSError as error:
         raise PancakesError(f"the report cannot be written to {out}: {error.strerror or error}") from None
 
 
-def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str], clock: str) -> Made:
+def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str]) -> Made:
     from pancakes.report.page import make_page
 
     out.mkdir(parents=True, exist_ok=True)
-    pictures = draw_all(findings, clock, out)
+    pictures = draw_all(findings, out)
     title = f"Report on {path.name if path.is_file() else path.resolve().name}"
     page = out / PAGE
     page.write_text(make_page(title, about, notes, findings, {it.name: it for it in pictures}), encoding="utf-8")
@@ -97,12 +98,11 @@ def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], not
     return Made(page, tuple(files), tuple(notes))
 
 
-def draw_all(findings: Findings, clock: str, out: Path) -> list[Picture]:
+def draw_all(findings: Findings, out: Path) -> list[Picture]:
     """Draws all that there is something to see of, into files as well.
 
     Args:
         findings: what was found.
-        clock: what time is called on axes.
         out: the folder.
 
     Raises:
@@ -113,7 +113,7 @@ def draw_all(findings: Findings, clock: str, out: Path) -> list[Picture]:
     # Those that move or run tasks come first: they get the colours that are easiest to tell apart.
     busy = [*sorted(findings.paths.commands), *sorted(findings.paths.batteries), *findings.agents]
     palette = Palette([*busy, *findings.paths.truth])
-    traffic = findings.traffic
+    traffic, clock = findings.traffic, findings.time.name
     draws: tuple[Callable[[], Picture | None], ...] = (
         lambda: scenes.draw_paths(findings, palette, out),
         lambda: scenes.draw_course(findings, palette, clock, out),

@@ -83,16 +83,21 @@ def draw_lateness(findings: Findings, palette: Palette, clock: str, out: Path) -
         left, right = made.subplots(1, 2, width_ratios=(1.0, 1.15))
         for place, timer in enumerate(shown):
             colour = palette.colour(timer.agent)
-            mean_ms, max_ms = 1e3 * max(timer.lateness_mean_s, 1e-6), 1e3 * timer.lateness_max_s
-            left.plot([mean_ms, max_ms], [place, place], lw=1.0, color=colour)
-            left.plot(mean_ms, place, "o", ms=3.5, color=colour)
+            usual_s = timer.lateness_quantile_s(0.5)
+            usual_ms = 1e3 * max(timer.lateness_mean_s if usual_s is None else usual_s, 1e-6)
+            rare_ms, max_ms = 1e3 * (timer.lateness_quantile_s(0.99) or 0.0), 1e3 * timer.lateness_max_s
+            left.plot([usual_ms, max_ms], [place, place], lw=1.0, color=colour)
+            left.plot(usual_ms, place, "o", ms=3.5, color=colour)
             left.plot(max_ms, place, "|", ms=6, mew=1.2, color=colour)
+            if rare_ms > usual_ms:
+                left.plot(rare_ms, place, "D", ms=2.6, color=colour)
         left.set_yticks(range(len(shown)), [_timer_name(timer) for timer in shown])
         left.set_ylim(len(shown) - 0.4, -0.6)
         left.tick_params(axis="y", length=0)
         left.set_xscale("log")
         label_log(left.xaxis)
-        left.set_xlabel("lateness [ms]: mean, and largest")
+        counted = any(timer.lateness_counts for timer in shown)
+        left.set_xlabel("lateness [ms]: p50, p99, and largest" if counted else "lateness [ms]: mean, and largest")
         for timer in shown[:MOST_LINES]:
             points = timer.lateness.whole()
             number = [other for other in shown if other.agent == timer.agent].index(timer)
@@ -107,7 +112,7 @@ def draw_lateness(findings: Findings, palette: Palette, clock: str, out: Path) -
         right.set_yscale("log")
         label_log(right.yaxis)
         right.set_ylabel("mean lateness [ms]")
-        time_axis(right, findings.duration_s, clock)
+        time_axis(right, findings.begin_s, findings.end_s, clock)
         made.legend(loc="outside upper right", ncols=3, handlelength=1.8)
         return save(
             made, out, "lateness", "How late ticks were; right: the means of a second each, of the latest tasks."
@@ -119,6 +124,8 @@ def draw_drops(findings: Findings, palette: Palette, clock: str, out: Path) -> P
     drops = sorted((it for it in findings.rates.drops.values() if it.total), key=lambda it: -it.total)[:MOST_LINES]
     if not drops:
         return None
+    from matplotlib.ticker import MaxNLocator
+
     with figure(COLUMN_IN, 1.9) as made:
         axes = made.add_subplot()
         for number, it in enumerate(drops):
@@ -133,7 +140,8 @@ def draw_drops(findings: Findings, palette: Palette, clock: str, out: Path) -> P
                 label=f"{it.agent} {it.task.rpartition('/')[2]}",
             )
         axes.set_ylabel("packets dropped")
-        time_axis(axes, findings.duration_s, clock)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        time_axis(axes, findings.begin_s, findings.end_s, clock)
         made.legend(loc="outside upper center", ncols=2, handlelength=1.8)
         return save(made, out, "drops", "Packets that fell out of mailboxes because their readers were slow, so far.")
 
@@ -142,7 +150,7 @@ def draw_traffic(findings: Findings, clock: str, out: Path, name: str, flow: Flo
     """Draws packets and bytes over time. None where nothing travelled.
 
     Args:
-        findings: how long the recording is.
+        findings: from when to when the recording is.
         clock: what time is called.
         out: the folder.
         name: of the files.
@@ -152,30 +160,31 @@ def draw_traffic(findings: Findings, clock: str, out: Path, name: str, flow: Flo
     names = flow.names()
     if not names:
         return None
-    end_s = findings.duration_s
+    begin_s, length_s = findings.begin_s, findings.duration_s
     shown, others = names[:MOST_LINES], names[MOST_LINES:]
     with figure(WIDE_IN, 2.3) as made:
         left, right = made.subplots(1, 2)
-        sizes = [rate for kind in shown for _, rate in flow.bytes.rates(kind, end_s)]
+        sizes = [rate for kind in shown for _, rate in flow.bytes.rates(kind, length_s)]
         factor, unit = unit_of_bytes(max(sizes, default=0.0))
         for number, kind in enumerate(shown):
-            _line(left, flow.packets, kind, end_s, 1.0, number)
-            _line(right, flow.bytes, kind, end_s, factor, number)
+            _line(left, flow.packets, kind, (begin_s, length_s), 1.0, number)
+            _line(right, flow.bytes, kind, (begin_s, length_s), factor, number)
         left.set_ylabel("packets/s")
         right.set_ylabel(unit)
         for axes in (left, right):
             axes.set_ylim(bottom=0.0)
-            time_axis(axes, end_s, clock)
+            time_axis(axes, begin_s, findings.end_s, clock)
         handles, labels = left.get_legend_handles_labels()
         made.legend(handles, labels, loc="outside upper center", ncols=4, handlelength=1.8)
         less = f"; {len(others)} with less are left out" if others else ""
         return save(made, out, name, f"Packets and bytes between agents, by {of}{less}.")
 
 
-def _line(axes: Axes, counts: Counts, kind: str, end_s: float, factor: float, number: int) -> None:
-    points = counts.rates(kind, end_s)
+def _line(axes: Axes, counts: Counts, kind: str, span_s: tuple[float, float], factor: float, number: int) -> None:
+    begin_s, length_s = span_s
+    points = counts.rates(kind, length_s)
     axes.plot(
-        [point[0] for point in points],
+        [begin_s + point[0] for point in points],
         [point[1] / factor for point in points],
         lw=0.9,
         ls=DASHES[number % len(DASHES)],
@@ -219,7 +228,7 @@ def _steps(axes: Axes, it: Reaction) -> None:
     axes.set_ylim(len(it.steps) - 0.4, -0.6)
     axes.set_xlim(0.0, 1.04 * at_ms if at_ms > 0 else 1.0)
     axes.tick_params(axis="y", length=0)
-    axes.set_title(f"{it.count} times", loc="left", pad=3)
+    axes.set_title(f"{it.count:,} times", loc="left", pad=3)
 
 
 def _step_name(step: str) -> str:

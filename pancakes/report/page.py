@@ -9,6 +9,8 @@ from typing import Any, Final
 from pancakes.report.findings import Findings
 from pancakes.report.happenings import Happening
 from pancakes.report.moves import Move
+from pancakes.report.picker import CSS as PICKER_CSS
+from pancakes.report.picker import picker_html
 from pancakes.report.style import Picture
 
 MOST_ROWS: Final = 200
@@ -85,7 +87,7 @@ def make_page(
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_CSS}</style></head><body>"
+        f"<title>{escape(title)}</title><style>{_CSS}{PICKER_CSS}</style></head><body>"
         f"<header><h1>{escape(title)}</h1><dl>{told}</dl></header>{noted}<nav>{links}</nav>"
         f"<main>{body}</main></body></html>\n"
     )
@@ -144,9 +146,11 @@ def _move(move: Move) -> str:
     who = "a rule of its own" if move.asked_by == "rule" else move.asked_by
     parts = [f"Asked for by {who}; cost: {move.cost}. It took {_seconds(move.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
-        parts.append(f"The task stood still for {_seconds(move.started_s - move.frozen_s)}.")
+        parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
     if move.silence_s is not None:
-        parts.append(f"Between its last packet there and its first here were {_seconds(move.silence_s)}.")
+        parts.append(
+            f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
+        )
     rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in move.answers]
     asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("Nobody was asked.")
     head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome} from {move.source}{to}"
@@ -188,14 +192,19 @@ def _lateness(findings: Findings, pictures: Mapping[str, Picture]) -> str:
             timer.ticks,
             timer.missed,
             1e3 * timer.lateness_mean_s,
+            *(_ms(timer.lateness_quantile_s(share)) for share in (0.5, 0.99)),
             1e3 * timer.lateness_max_s,
         )
         for _, timer in sorted(findings.rates.timers.items(), key=lambda it: (-it[1].lateness_max_s, it[0]))
     ]
-    head = ("agent", "task", "timer", "ticks", "missed", "mean [ms]", "largest [ms]")
+    head = ("agent", "task", "timer", "ticks", "missed", "mean [ms]", "p50 [ms]", "p99 [ms]", "largest [ms]")
     shown = _shown(pictures, "lateness", "No tick was late, as is so in virtual time.")
     told = _faint("In mission time. The largest counts from the start of the task on, also before the recording began.")
     return shown + (_table(head, rows) + told if "lateness" in pictures else "")
+
+
+def _ms(seconds: float | None) -> float | None:
+    return 1e3 * seconds if seconds is not None else None
 
 
 def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
@@ -245,7 +254,8 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     found = findings.reactions
     if not found.commands:
         return _faint("No actuator was commanded.")
-    said = f"{found.commands:,} commands to actuators; {found.uncaused:,} of them answer no packet that was recorded."
+    alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
+    said = f"{found.commands:,} commands to actuators; {alone} that was recorded."
     html = f"<p>{said}</p>" + _shown(pictures, "reactions", "")
     for it in found.reactions()[:12]:
         means, travels = [*it.step_means_s, None], [*it.travel_means_s, None]
@@ -257,7 +267,8 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         html += f"<h3>{it.count:,} times: {shares}, longest {_seconds(it.latency_s.largest)}</h3>"
         html += _table(("step", "to the next [ms]", "of that between agents [ms]"), rows)
     left = len(found.reactions()) - 12
-    return html + (_faint(f"{left} rarer kinds of chains are left out.") if left > 0 else "")
+    html += _faint(f"{left} rarer kinds of chains are left out.") if left > 0 else ""
+    return html + picker_html(found)
 
 
 def _happenings(findings: Findings) -> str:

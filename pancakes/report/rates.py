@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.recording.latenesses import quantile_s
 from pancakes.report.series import Series
 
 
@@ -37,6 +38,8 @@ class Timer:
         lateness_sum_s: of all ticks together, in mission time.
         lateness_max_s: the largest.
         lateness: over time, the mean of the ticks since the sample before, in seconds.
+        lateness_counts: how many of the ticks were how late, by the number of the bucket (see `latenesses.bucket_of`);
+            empty where that was not recorded.
     """
 
     agent: str
@@ -49,6 +52,7 @@ class Timer:
     lateness_sum_s: float = 0.0
     lateness_max_s: float = 0.0
     lateness: Series = field(default_factory=Series)
+    lateness_counts: dict[int, int] = field(default_factory=dict)
     _before: tuple[float, int, TimerFigures] | None = None
 
     @property
@@ -56,11 +60,18 @@ class Timer:
         """The mean of all ticks."""
         return self.lateness_sum_s / self.ticks if self.ticks else 0.0
 
+    def lateness_quantile_s(self, share: float) -> float | None:
+        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None where nobody counted."""
+        return quantile_s(self.lateness_counts, share)
+
     def add(self, t_s: float, mission_s: float, incarnation: int, now: TimerFigures) -> None:
         """Takes a sample."""
+        for bucket, count in now.lateness_counts:
+            self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
         # What was counted before the recording began is no part of it, but for the largest, which nobody can tell.
-        if before is not None and (before[1] != incarnation or now.ticks < before[2].ticks):
+        # Where mission time has gone back the agent was started again, and counts all anew.
+        if before is not None and (mission_s < before[0] or before[1] != incarnation or now.ticks < before[2].ticks):
             before = (mission_s, incarnation, TimerFigures(now.timer, now.rate_hz, 0, 0, 0.0, 0.0))
         if before is None:
             return

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-import msgspec
-
-from pancakes.control import Hold
-from pancakes.packet import CTRL, Packet, agent_of
-from pancakes.recording.chains import Causes, Chain
+from pancakes.recording.chains import Chain
+from pancakes.recording.commands import ActuatorCommand, CommandChains
 from pancakes.recording.entry import Entry
+from pancakes.report.picked import PickedCommands
 from pancakes.report.series import Sample
 
-REMEMBERED: Final = 50_000
-"""So many packets are remembered as causes of later ones."""
 MOST_SHAPES: Final = 200
 """So many kinds of chains are told apart."""
 
@@ -66,41 +62,56 @@ class Reactions:
     """The chains behind the commands on `ctrl`.
 
     Attributes:
+        task_id: only commands of this task; empty: of all.
         commands: how many commands there were.
         uncaused: how many of them answered nothing: a timer led to them, or nothing of theirs was recorded.
         left_out: how many were of further shapes than are told apart.
-        task_id: only commands of this task; empty: of all.
+        picked: those that can be looked at one by one.
     """
 
     task_id: str = ""
     commands: int = 0
     uncaused: int = 0
     left_out: int = 0
+    picked: PickedCommands = field(default_factory=PickedCommands)
     _by_shape: dict[tuple[str, ...], Reaction] = field(default_factory=dict)
-    _causes: Causes = field(default_factory=lambda: Causes(REMEMBERED))
+    # Of causes only the names and times count; what they said may be large.
+    _chains: CommandChains = field(default_factory=lambda: CommandChains(bodies=False))
 
     def add(self, entry: Entry) -> None:
         """Takes a packet, in the order of time."""
-        packet: Packet = entry.packet
-        # Of causes only the names and times count; what they said may be large.
-        self._causes.add(Entry(entry.time_ns, entry.agent, msgspec.structs.replace(packet, body=None)))
-        if packet.channel != CTRL or isinstance(packet.body, Hold) or agent_of(packet.source) != entry.agent:
-            return
-        if self.task_id and (packet.fence is None or packet.fence.task_id != self.task_id):
-            return
+        self._take(self._chains.add(entry))
+
+    def close(self) -> None:
+        """Takes what is left, now that no more packets come."""
+        self._take(self._chains.close())
+
+    def add_command(self, command: ActuatorCommand) -> None:
+        """Counts a command, whatever task gave it."""
         self.commands += 1
-        chain = self._causes.chain(packet.source, packet.seq)
-        if chain is None or len(chain.steps) < 2:
+        self.picked.add(command)
+        if not command.caused:
             self.uncaused += 1
             return
-        reaction = self._by_shape.get(chain.shape)
+        shape = command.chain.shape
+        reaction = self._by_shape.get(shape)
         if reaction is None:
             if len(self._by_shape) >= MOST_SHAPES:
                 self.left_out += 1
                 return
-            reaction = self._by_shape[chain.shape] = Reaction(chain.shape)
-        reaction.add(chain)
+            reaction = self._by_shape[shape] = Reaction(shape)
+        reaction.add(command.chain)
 
     def reactions(self) -> list[Reaction]:
         """Returns the chains by their shape, the most frequent first."""
         return sorted(self._by_shape.values(), key=lambda it: (-it.count, it.steps))
+
+    def alike(self, chain: Chain) -> Reaction | None:
+        """Returns all chains of the shape of one; None where that is none that is told apart."""
+        return self._by_shape.get(chain.shape)
+
+    def _take(self, commands: list[ActuatorCommand]) -> None:
+        for command in commands:
+            fence = command.packet.fence
+            if not self.task_id or (fence is not None and fence.task_id == self.task_id):
+                self.add_command(command)

@@ -109,11 +109,11 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
     lanes = [lane for _, lane in sorted(findings.course.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
-    end_s = findings.duration_s
+    shortest_s = 0.002 * findings.duration_s
     with figure(WIDE_IN, 0.2 * len(lanes) + 0.65) as made:
         axes = made.add_subplot()
         for place, lane in enumerate(lanes):
-            bars = [(span.from_s, max(span.to_s - span.from_s, 0.002 * end_s)) for span in lane.spans]
+            bars = [(span.from_s, max(span.to_s - span.from_s, shortest_s)) for span in lane.spans]
             axes.broken_barh(bars, (place - 0.36, 0.72), color=palette.colour(lane.agent), lw=0)
             for span in lane.spans:
                 if span.ended in ("failed", "given up"):
@@ -123,7 +123,7 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
         axes.set_yticks(range(len(lanes)), [f"{lane.agent}  {lane.task}" for lane in lanes])
         axes.set_ylim(len(lanes) - 0.4, -0.6)
         axes.tick_params(axis="y", length=0)
-        time_axis(axes, end_s, clock)
+        time_axis(axes, findings.begin_s, findings.end_s, clock)
         moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
         return save(made, out, "tasks", f"Who ran what. Crosses: failures.{moved}")
 
@@ -163,7 +163,7 @@ def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) 
                 axes.axvline(move.at_s, color=FAINT, lw=0.7, zorder=0)
         axes.set_ylabel("battery [%]")
         axes.margins(y=0.08)
-        time_axis(axes, findings.duration_s, clock)
+        time_axis(axes, findings.begin_s, findings.end_s, clock)
         made.legend(loc="outside upper center", ncols=min(4, len(batteries)), handlelength=1.6)
         return save(made, out, "batteries", "What is left of the batteries' range. Vertical lines: moves of tasks.")
 

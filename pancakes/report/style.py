@@ -46,6 +46,9 @@ _STYLE: Final = {
     "ytick.major.width": 0.6,
     "xtick.minor.width": 0.4,
     "ytick.minor.width": 0.4,
+    # Minor ticks are 1.5 pt shorter: their labels then stand in one line with those of major ones.
+    "xtick.minor.pad": 5.0,
+    "ytick.minor.pad": 5.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
@@ -153,9 +156,9 @@ def _as_wide_as_room(size: re.Match[str]) -> str:
     return f'{broad} style="max-width: {float(size[1]) * ON_SCREEN:.0f}px"'
 
 
-def time_axis(axes: Axes, end_s: float, clock: str) -> None:
+def time_axis(axes: Axes, begin_s: float, end_s: float, clock: str) -> None:
     """Makes the horizontal axis one of time."""
-    axes.set_xlim(0.0, max(end_s, 1e-3))
+    axes.set_xlim(begin_s, max(end_s, begin_s + 1e-3))
     axes.set_xlabel(f"{clock} [s]")
 
 

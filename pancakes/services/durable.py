@@ -8,7 +8,6 @@ in order.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -53,8 +52,7 @@ SETTLE_S = 10.0
 MIGRATOR = "TaskMigrator"
 
 
-@dataclass
-class Move:
+class Move(msgspec.Struct):
     """A move that is under way.
 
     Attributes:
@@ -236,7 +234,7 @@ class DurableService(RecordedService):
         if slot is not None and slot.task is None and slot.state in (TaskState.STARTING, TaskState.STOPPING):
             slot.state = TaskState.STOPPED
             self._let_go(slot)
-            ended, slot.on_ended = slot.on_ended, []
+            ended, slot.on_ended = slot.on_ended, ()
             for then_ended in ended:
                 then_ended()
         for then in self._starting.pop(task_id, []):

@@ -8,7 +8,8 @@ from typing import Any
 
 import msgspec
 
-from pancakes.kernel.component import Component, TaskTimer
+from pancakes.kernel.component import Component
+from pancakes.kernel.task_timer import TaskTimer
 
 
 class Load(msgspec.Struct, frozen=True):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TextIO
@@ -14,17 +13,20 @@ from typing import Any, ClassVar, Literal, TextIO
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.control import History
+from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
 from pancakes.kernel.mailbox import queue
 from pancakes.packet import LOG, Packet, agent_of
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
-from pancakes.slot import Request, Slot
+from pancakes.services.traces import Tracing
+from pancakes.services.wanted_recording import Wanted, WantedRecording
+from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
-from pancakes.task import Task, TaskSpec
+from pancakes.task import Carried, Task, TaskSpec
 
+RECORDER = "Recorder"
 KEEP = queue(4096)
 """A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
 
@@ -42,6 +44,8 @@ def record_of(packet: Packet) -> dict[str, Any]:
 
 def line_of(record: dict[str, Any]) -> str:
     """Returns a record as one line of JSON, its keys in their order."""
+    import json  # takes 2 ms of an agent's start, for files and questions that most agents never see
+
     return json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": "))
 
 
@@ -119,8 +123,12 @@ LONGEST = 20_000
 class LogService(Service):
     """Listens to `log` (paper §3.3), and records what is said on all channels where that is asked for.
 
+    A recording that a control packet began goes on in a further file when its agent comes back from a crash or a
+    reboot, until it is stopped or ends by itself.
+
     Args:
         record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: there is none.
+        wanted: which recording is to go on; None: none ever does.
     """
 
     durable: ClassVar[bool] = False
@@ -139,12 +147,30 @@ class LogService(Service):
         level: Literal["debug", "info", "warning", "error"] = "info"
         file: str = ""
 
-    def __init__(self, *args: Any, record: Mapping[str, Any] | None = None, **others: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        record: Mapping[str, Any] | None = None,
+        wanted: WantedRecording | None = None,
+        **others: Any,
+    ) -> None:
         super().__init__(*args, **others)
+        self._wanted = wanted
         self._records = record is not None and record["start"]
         self._record = {key: value for key, value in (record or {}).items() if key != "start"}
+        # What is to be recorded from the start begins anew with each start.
+        self._goes_on = wanted.now if wanted is not None and not self._records else None
         self._newest: deque[tuple[int, Packet]] = deque(maxlen=REMEMBERED)
         self._entries = 0
+        self._tracing = Tracing(self)
+
+    def close(self, then: Callable[[], None]) -> None:
+        self._tracing.end()
+        super().close(then)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self._tracing.end()
+        super().on_failure(exception_type, exception_value, traceback)
 
     @on(LOG, None, keep=KEEP)
     def remember(self, packet: Packet) -> None:
@@ -155,11 +181,15 @@ class LogService(Service):
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, History):
             self.reply(request, result=self._page(body))
+        elif isinstance(body, Traces):
+            self.reply(request, result=self._tracing.answer(body, request.by))
         else:
             super().carry_out_command(body, slot, request)
 
     def _page(self, body: History) -> list[dict[str, Any]]:
         """Returns what was asked for, as far as it fits a packet."""
+        import json
+
         # What was said before the question belongs to the answer, also where it waits behind it.
         waiting = self.actor_inbox.queues[LOG]
         while (packet := waiting.pop()) is not None:
@@ -188,5 +218,69 @@ class LogService(Service):
             tasks.append(TaskSpec("File", LogFile, settings={"path": self.settings.file}))
         # What has made it stop, such as a full disk, has not changed a moment later.
         never = RestartSpec("temporary")
-        tasks.append(TaskSpec("Recorder", Recorder, settings=self._record, start=self._records, restart=never))
+        start = self._records or self._goes_on is not None
+        tasks.append(TaskSpec(RECORDER, Recorder, settings=self._record, start=start, restart=never))
         return tasks
+
+    # A recording that goes on ----------------------------------------------------------------------------------
+
+    def after_start(self) -> None:
+        super().after_start()
+        if self._records:
+            self._want(None, lambda why_not: None)
+
+    def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
+        super().take_up(slot, kept)
+        if slot.name == RECORDER and self._goes_on is not None:
+            slot.carried = Carried({**self._record, **self._goes_on.settings}, {})
+
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        arguments = super().arguments_of(slot)
+        if slot.name != RECORDER or self._goes_on is None:
+            return arguments
+        first, self._goes_on = Path(self._goes_on.first), None
+        return {**arguments, "goes_on": first}
+
+    def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
+        if slot.name == RECORDER and slot.state in (TaskState.STOPPED, TaskState.FAILED):
+            slot.carried = None  # what is not said now is as the configuration says, not as it was said last time
+        super().start_asked(slot, body, request)
+
+    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
+        def begun(reason: str) -> None:
+            recorder = slot.task
+            if reason or not isinstance(recorder, Recorder):
+                then(reason)
+                return
+            settings = self.settings_of(slot)
+            self._want(Wanted(str(recorder.first.absolute()), settings), lambda why_not: then(""))
+
+        super().start_anew(slot, begun if slot.name == RECORDER else then)
+
+    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
+        if slot.name != RECORDER:
+            super().when_stopped(slot, then)
+            return
+
+        def forgotten(why_not: str) -> None:
+            then(f"{slot.address} is stopped, but may record again after a crash: {why_not}" if why_not else "")
+
+        self._want(None, forgotten)
+
+    def task_ended(self, slot: Slot) -> None:
+        if slot.name == RECORDER and not self.closing:
+            self._want(None, lambda why_not: None)
+
+    def _want(self, wanted: Wanted | None, then: Callable[[str], None]) -> None:
+        """Writes down what is to go on; `then` is called in this actor, with the reason where that failed."""
+        kept = self._wanted
+        if kept is None or (wanted is None and kept.now is None and kept.on_disk is None):
+            then("")
+            return
+
+        def failed(reason: str) -> None:
+            what = f"the recording {wanted.first} will not go on" if wanted is not None else "a recording may go on"
+            self.log("warning", f"{what} when {self.agent} is started again: {reason}")
+            self.call(lambda: then(reason))
+
+        kept.want(wanted, lambda: self.call(lambda: then("")), failed)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
-from functools import partial
+from functools import cache, partial
 from typing import Any, ClassVar, Protocol
 
 import msgspec
@@ -62,6 +63,8 @@ class RecordedService(Service):
     """
 
     durable: ClassVar[bool] = True
+    # A record must have been taken up before anything else is heard of its task.
+    started_at_once: ClassVar[int] = sys.maxsize
 
     def __init__(self, *args: Any, records: Records, catalogue: Catalogue, **others: Any) -> None:
         super().__init__(*args, **others)
@@ -180,7 +183,7 @@ class RecordedService(Service):
             posted=posted,
             heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
             sent={slot.address: self.kernel.seq_of(slot.address).value - 1},
-            restart=asdict(spec.restart),
+            restart=_plain_restart(spec.restart),
             durability=spec.durability,
             migrate=asdict(spec.rule) if spec.rule is not None else None,
         ).encode()
@@ -561,7 +564,7 @@ class RecordedService(Service):
         if slot.state is TaskState.STOPPING:
             # Its service was told to stop while the record of its start was being written.
             slot.carried = None
-            slot.on_running.append(launched)
+            slot.on_running = (*slot.on_running, launched)
             self._rest(slot, slot.reason)
             return
         self.launch(slot, launched)
@@ -582,6 +585,11 @@ class RecordedService(Service):
             names = ", ".join([*changed, *removed])
             self.log("info", f"{slot.address} takes what has changed in its configuration: {names}")
         return settings
+
+
+@cache
+def _plain_restart(spec: RestartSpec) -> dict[str, Any]:
+    return asdict(spec)
 
 
 def _carried(snapshot: Snapshot) -> Carried:

@@ -35,6 +35,7 @@ from pancakes.control import (
     Shutdown,
     Start,
     Stop,
+    Traces,
     Unfollow,
 )
 from pancakes.errors import ControlRefused, PancakesError
@@ -317,7 +318,7 @@ class Root(Component):
         if isinstance(body, (Follow, Unfollow)):
             self._hand(NETWORK, "", body, request)
             return
-        if isinstance(body, History):
+        if isinstance(body, (History, Traces)):
             self._hand(LOG_SERVICE, "", body, request)
             return
         if isinstance(body, Channels):

@@ -1,92 +1,128 @@
-"""Why an actuator was commanded: the chain back to the sensor reading, and how long its steps took. Pure."""
+"""Why actuators were commanded: of any command the chain back to the sensor reading, and its times. Pure."""
 
 from __future__ import annotations
 
-from collections import deque
+from bisect import bisect_right, insort
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from typing import Any, Final
 
-import msgspec
+from pancakes.packet import Cause
+from pancakes.recording.chains import Chain
+from pancakes.recording.commands import ActuatorCommand, body_text
+from pancakes.recording.entry import NANOSECONDS
+from pancakes.report.series import Sample
 
-from pancakes.control import Hold
-from pancakes.packet import CTRL, Packet, agent_of
-from pancakes.recording.chains import Causes, Chain, latencies
-from pancakes.recording.entry import NANOSECONDS, Entry
+MOST_COMMANDS: Final = 20_000
+"""So many commands are kept, as many of each actuator; then the oldest are forgotten."""
+FEW: Final = 100
+"""So many of each actuator are kept at least."""
+BINS: Final = 30
+"""A distribution is shown in so many bars."""
 
-REMEMBERED: Final = 20_000
-"""So many packets are remembered."""
-COMMANDS: Final = 500
-"""So many commands to the actuators of each agent are remembered: for how long their chains took."""
-BODY_CHARACTERS: Final = 160
-"""A packet's body is shown in so many characters."""
+
+@dataclass(order=True, frozen=True, slots=True)
+class _Given:
+    """A command, and where it lies on the timeline."""
+
+    t: float
+    number: int
+    command: ActuatorCommand = field(compare=False)
 
 
 class Explaining:
-    """Learns packets and explains commands. Times are seconds as they pass for whoever watches.
+    """Keeps the commands of the last minutes, and explains any of them.
 
-    Packets bear the mission time of their publisher. How that lies on the timeline is told by the packet of each agent
-    that was the least held up on its way here, of all that were heard; so what happens inside an agent is exact, and
-    what lies between two agents is as exact as that.
+    Times `t` are seconds on the page's timeline.
     """
 
-    def __init__(self, limit: int = REMEMBERED) -> None:
-        self._heard: deque[tuple[str, Packet, float, float]] = deque(maxlen=limit)
-        self._commands: dict[str, deque[tuple[str, int]]] = {}
-        self._offsets: dict[str, float] = {}
+    def __init__(self, most: int = MOST_COMMANDS) -> None:
+        self._most = most
+        self._given: dict[tuple[str, str], list[_Given]] = {}
+        self._kinds: dict[tuple[str, ...], Sample] = {}
+        self._count = 0
 
-    def hear(self, agent: str, packet: Packet, t: float, speed: float) -> None:
-        """Takes a packet that was seen on an agent's channel.
+    def add(self, commands: Iterable[tuple[float, ActuatorCommand]]) -> set[str]:
+        """Takes commands, each with its time; returns the agents of which an actuator was commanded for the first time.
+
+        Of those, and of all others, `actuators` tells which they are.
+        """
+        new = set()
+        for t, command in commands:
+            key = (command.agent, command.packet.type)
+            given = self._given.get(key)
+            if given is None:
+                given = self._given[key] = []
+                new.add(command.agent)
+            self._count += 1
+            insort(given, _Given(t, self._count, command))
+            if len(given) > 1.25 * (most := max(FEW, self._most // len(self._given))):
+                del given[: len(given) - most]
+            if command.caused:
+                self._kinds.setdefault(command.chain.shape, Sample()).add(command.chain.latency_s)
+        return new
+
+    def actuators(self, agent: str) -> list[str]:
+        """Returns which actuators of an agent were commanded, by their types."""
+        return sorted(type_ for name, type_ in self._given if name == agent)
+
+    def explain(
+        self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
+    ) -> dict[str, Any] | None:
+        """Returns why a command was given, as plain values; None where there is none.
 
         Args:
-            agent: on whose channel.
-            packet: the packet.
-            t: when it came here.
-            speed: how fast the publisher's mission time goes.
-        """
-        source = agent_of(packet.source)
-        offset = t - packet.stamp / speed
-        if source == agent:
-            self._offsets[source] = min(self._offsets.get(source, offset), offset)
-        else:
-            self._offsets.setdefault(source, offset)
-        self._heard.append((agent, packet, t, packet.stamp / speed))
-        if packet.channel == CTRL and source == agent and not isinstance(packet.body, Hold):
-            self._commands.setdefault(agent, deque(maxlen=COMMANDS)).append((packet.source, packet.seq))
+            agent: whose actuator was commanded.
+            type_: the actuator's type; empty: the one that was commanded last until then.
+            t: the command that was in force then: the newest that is no later; None: the newest of all.
+            command: this one, by its source and number, and not that at `t`.
+            step: so many commands after it, or before it where it is negative.
 
-    def explain(self, agent: str) -> dict[str, Any] | None:
-        """Returns why the newest command on an agent was given, as plain values; None where there was none.
-
-        `steps`: the first cause first, each with `source`, `channel`, `type`, `body`, `at_ms` (since the first),
-        `travel_ms` (to the agent of the next step) and `handling_ms` (until the next was published). `alike`: of the
-        commands with a chain of the same shape, `count`, and `p50_ms`, `p90_ms` and `max_ms` from end to end.
+        Returns:
+            `agent`, `type`, `source`, `seq`, `t`, `mission_s`; `place` among the `count` commands that are known, from
+            1; `actuators`; `steps`, the first cause first, each with `source`, `seq`, `channel`, `type`, `body`,
+            `at_ms` (since the first), `travel_ms` (to the agent of the next step) and `handling_ms` (until the next was
+            published); and `alike`: of the commands whose chain has the same shape `count`, `p50_ms`, `p90_ms`,
+            `p99_ms`, `max_ms` from end to end, and `bars` of a histogram from `from_ms` to `to_ms`, the last with
+            all that took longer. It is None where the command answers no packet that is known.
         """
-        causes = self._causes()
-        chains = [
-            chain for source, seq in self._commands.get(agent, ()) if (chain := causes.chain(source, seq)) is not None
-        ]
-        if not chains:
+        found = self._find(agent, type_, t, command)
+        if found is None:
             return None
-        newest = chains[-1]
-        alike = next(it for it in latencies(chains) if it.shape == newest.shape)
+        kept_type, place = found
+        given = self._given[agent, kept_type]
+        place = min(max(place + step, 0), len(given) - 1)
+        it = given[place]
+        packet = it.command.packet
         return {
             "agent": agent,
-            "steps": _steps(newest),
-            "alike": {
-                "count": len(alike.seconds),
-                "p50_ms": _ms(alike.quantile_s(0.5)),
-                "p90_ms": _ms(alike.quantile_s(0.9)),
-                "max_ms": _ms(alike.seconds[-1]),
-            },
+            "type": kept_type,
+            "source": packet.source,
+            "seq": packet.seq,
+            "t": round(it.t, 3),
+            "mission_s": round(packet.stamp, 3),
+            "place": place + 1,
+            "count": len(given),
+            "actuators": self.actuators(agent),
+            "steps": _steps(it.command.chain),
+            "alike": _spread(self._kinds[it.command.chain.shape]) if it.command.caused else None,
         }
 
-    def _causes(self) -> Causes:
-        """Only now: a packet that comes later may tell better how an agent's time lies on the timeline."""
-        causes = Causes(REMEMBERED)
-        for agent, packet, t, stamp_s in self._heard:
-            source = agent_of(packet.source)
-            causes.add(Entry(round((self._offsets[source] + stamp_s) * NANOSECONDS), source, packet))
-            if source != agent:
-                causes.add(Entry(round(t * NANOSECONDS), agent, packet))
-        return causes
+    def _find(self, agent: str, type_: str, t: float | None, command: Cause | None) -> tuple[str, int] | None:
+        """Returns the actuator's type, and the place of the command among those to it."""
+        best: tuple[float, str, int] | None = None
+        for name in [type_] if type_ else self.actuators(agent):
+            given = self._given.get((agent, name))
+            if not given:
+                continue
+            if command is not None:
+                for place, it in enumerate(given):
+                    if (it.command.packet.source, it.command.packet.seq) == command:
+                        return name, place
+            place = len(given) - 1 if t is None else bisect_right(given, t, key=lambda it: it.t) - 1
+            if best is None or (place >= 0 and given[place].t > best[0]):
+                best = (given[place].t if place >= 0 else float("-inf"), name, max(0, place))
+        return best[1:] if best is not None else None
 
 
 def _steps(chain: Chain) -> list[dict[str, Any]]:
@@ -94,9 +130,10 @@ def _steps(chain: Chain) -> list[dict[str, Any]]:
     return [
         {
             "source": step.packet.source,
+            "seq": step.packet.seq,
             "channel": step.packet.channel,
             "type": step.packet.type,
-            "body": _text(step.packet.body),
+            "body": body_text(step.packet.body),
             "at_ms": _ms((step.time_ns - first_ns) / NANOSECONDS),
             "travel_ms": _ms(step.travel_s),
             "handling_ms": _ms(step.handling_s),
@@ -105,22 +142,24 @@ def _steps(chain: Chain) -> list[dict[str, Any]]:
     ]
 
 
+def _spread(sample: Sample) -> dict[str, Any]:
+    low_s = min(sample.values)
+    # A few that took very long would leave the others one bar: they are all in the last one.
+    high_s = max(sample.quantile(0.97), low_s + 1e-6)
+    bars = [0] * BINS
+    for value in sample.values:
+        bars[min(BINS - 1, int(BINS * (value - low_s) / (high_s - low_s)))] += 1
+    return {
+        "count": sample.count,
+        "p50_ms": _ms(sample.quantile(0.5)),
+        "p90_ms": _ms(sample.quantile(0.9)),
+        "p99_ms": _ms(sample.quantile(0.99)),
+        "max_ms": _ms(sample.largest),
+        "from_ms": _ms(low_s),
+        "to_ms": _ms(high_s),
+        "bars": bars,
+    }
+
+
 def _ms(seconds: float) -> float:
     return round(max(0.0, 1000.0 * seconds), 3)
-
-
-def _text(body: Any) -> str:
-    plain = msgspec.to_builtins(body, enc_hook=str, str_keys=True)
-    if isinstance(plain, dict):
-        text = ", ".join(f"{name} {_value(value)}" for name, value in plain.items())
-    else:
-        text = _value(plain)
-    return text if len(text) <= BODY_CHARACTERS else text[: BODY_CHARACTERS - 1] + "…"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, list | tuple) and (len(value) > 4 or any(isinstance(it, dict) for it in value)):
-        return f"{len(value)} values"
-    return str(value)

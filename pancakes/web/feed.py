@@ -44,6 +44,8 @@ class Feed:
 
     def __init__(self, now: Callable[[], float]) -> None:
         self.now = now
+        self._present = now
+        self._gap_s = 0.0
         self.lock = threading.Lock()
         self.model = FleetModel()
         self._history = History()
@@ -61,9 +63,23 @@ class Feed:
     def end(self, sentence: str) -> None:
         """Says that nothing more will happen, and how it went: from now on there is only the timeline."""
         with self.lock:
-            end_s = self.now()
-            self.now = lambda: end_s
+            if not self._over:
+                end_s = self.now()
+                self.now = lambda: end_s
             self._over = sentence
+
+    def go_on(self) -> None:
+        """Says that something happens again after the end: the timeline goes on from there."""
+        with self.lock:
+            if self._over:
+                self._gap_s = self._present() - self.now()
+                self.now = lambda: self._present() - self._gap_s
+                self._over = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether it was said that nothing more will happen."""
+        return bool(self._over)
 
     def record(self) -> None:
         """Keeps the present in the history, where it is time to. To be called at least `FRAMES_HZ` times a second."""

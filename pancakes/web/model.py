@@ -16,6 +16,7 @@ The values of the board, by name (AGENT, TASK ... stand for names; all are what 
 | `service/AGENT/SERVICE` | `[state, reason]` |
 | `task/AGENT/SERVICE/TASK` | a mapping, see `_task` |
 | `circle/AGENT/TASK` | `[x_m, y_m, radius_m]`: a task with `centre_m` in its state or settings, and `radius_m` |
+| `commands/AGENT` | the types of its actuators of which a command can be explained |
 | `link/A/B` | the round trip in milliseconds, of two agents A < B; -1 while it is not known |
 """
 
@@ -146,6 +147,10 @@ class FleetModel:
     def _forget_task(self, agent: str, service: str, task: str) -> None:
         self.board.set(f"task/{agent}/{service}/{task}", None)
         self.board.set(f"circle/{agent}/{task}", None)
+
+    def commanded(self, agent: str, types: Sequence[str]) -> None:
+        """Shows which actuators of an agent were commanded, so that somebody may ask why."""
+        self.board.set(f"commands/{agent}", list(types))
 
     # What was asked --------------------------------------------------------------------------------------------
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
+from pancakes.packet import Cause
 from pancakes.web.feed import Feed
 
 if TYPE_CHECKING:
@@ -21,13 +22,13 @@ class Shown:
 
     Attributes:
         feed: the fleet.
-        explain: returns why an agent's actuator was commanded (`Explaining.explain`); it may wait.
+        explain: returns why an agent's actuator was commanded; as `Explaining.explain`, from any thread.
         order: asks an agent for something within a time limit; None: the page may only look.
         title: what the page is headed with; empty: the fleet's name.
     """
 
     feed: Feed
-    explain: Callable[[str], dict[str, Any] | None]
+    explain: Callable[[str, str, float | None, Cause | None, int], dict[str, Any] | None]
     order: Callable[[str, Any, float], Future[Reply]] | None = None
     title: str = ""
 

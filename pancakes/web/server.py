@@ -18,6 +18,7 @@ from websockets.http11 import Request, Response
 
 from pancakes.control import Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError
+from pancakes.packet import Cause
 from pancakes.web.feed import FRAMES_HZ, Cursor
 from pancakes.web.files import static_files
 from pancakes.web.orders import order_from
@@ -247,8 +248,7 @@ class PageServer:
             t = asked.get("t")
             return msgspec.Raw(shown.feed.chunk(float(t) if isinstance(t, float | int) else 0.0))
         if what == "explain":
-            agent = str(asked.get("agent", ""))
-            return await self._loop.run_in_executor(None, shown.explain, agent)
+            return await self._loop.run_in_executor(None, shown.explain, *_command_of(asked))
         if what == "order":
             if shown.order is None:
                 raise ControlRefused("this page may only look: start it with --control to change something")
@@ -261,6 +261,26 @@ class PageServer:
             except TimeoutError:
                 raise NoAnswer(f"{order.agent} did not answer in time") from None
         raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+
+
+def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | None, int]:
+    """Returns which command a page asks about, see `Explaining.explain`.
+
+    Raises:
+        msgspec.ValidationError: it says so in another way.
+    """
+    it = msgspec.convert(asked, _Asked)
+    return it.agent, it.type, it.t, it.command, it.step
+
+
+class _Asked(msgspec.Struct):
+    """What a page says of the command that it asks about."""
+
+    agent: str
+    type: str = ""
+    t: float | None = None
+    command: Cause | None = None
+    step: int = 0
 
 
 class _Page:

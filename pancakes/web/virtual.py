@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 from pancakes.agent import Agent
@@ -12,7 +12,9 @@ from pancakes.client.looks import Looks
 from pancakes.clock import MonotonicClock
 from pancakes.fleet import VirtualFleet
 from pancakes.kernel.component import Component
-from pancakes.packet import CTRL, LOG, SYSTEM, Packet, agent_of
+from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
+from pancakes.recording.commands import ActuatorCommand, CommandChains
+from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.service import Service
 from pancakes.services.root import Root
 from pancakes.web.causes import Explaining
@@ -51,6 +53,7 @@ class VirtualWatch:
         self._looked_s = -LOOK_S
         self._detailed_s: dict[tuple[str, str, str], float] = {}
         self._stale: set[tuple[str, str, str]] = set()
+        self._chains = CommandChains()
         self._explaining = Explaining()
 
     def begin(self, fleet: VirtualFleet) -> None:
@@ -74,11 +77,15 @@ class VirtualWatch:
     def end(self) -> None:
         """Looks no more: that agents stop once a mission is over is no part of it."""
         self._over = True
-
-    def explain(self, agent: str) -> dict[str, Any] | None:
-        """Returns why an agent's actuator was commanded last, see `Explaining.explain`. Any thread."""
         with self.feed.lock:
-            return self._explaining.explain(agent)
+            self._explain(self._chains.close())
+
+    def explain(
+        self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
+    ) -> dict[str, Any] | None:
+        """Returns why an agent's actuator was commanded, see `Explaining.explain`. Any thread."""
+        with self.feed.lock:
+            return self._explaining.explain(agent, type_, t, command, step)
 
     def _now(self) -> float:
         return self._time_s / self.speed
@@ -86,14 +93,22 @@ class VirtualWatch:
     def _tap(self, agent: Agent) -> None:
         name, stream = agent.name, agent.kernel.stream
 
+        def trace(packet: Packet) -> None:
+            if packet.channel not in (LOG, SYSCTRL):
+                self._explain(self._chains.add(Entry(int(agent.kernel.host.now() * NANOSECONDS), name, packet)))
+
+        def leaves(packet: Packet) -> None:
+            if not self._over:
+                with self.feed.lock:
+                    trace(packet)
+
         def hear(packet: Packet) -> None:
             if self._over:
                 return
             own = agent_of(packet.source) == name
             t = agent.kernel.host.now() / self.speed
             with self.feed.lock:
-                if packet.channel != LOG:
-                    self._explaining.hear(name, packet, agent.kernel.host.now(), 1.0)
+                trace(packet)
                 if own and (packet.channel == LOG or packet.type in FOLLOWED + POSES):
                     self.feed.model.hear(name, packet, t)
                     if packet.type == "event":
@@ -101,6 +116,13 @@ class VirtualWatch:
 
         for channel in (LOG, SYSTEM, CTRL):
             stream.tap(channel, hear)
+        # When it leaves, a packet is not on any channel here.
+        stream.tap_outgoing(leaves)
+
+    def _explain(self, commands: Iterable[ActuatorCommand]) -> None:
+        new = self._explaining.add((it.time_ns / NANOSECONDS / self.speed, it) for it in commands)
+        for agent in new:
+            self.feed.model.commanded(agent, self._explaining.actuators(agent))
 
     def _notice(self, packet: Packet) -> None:
         agent, service, task = (*packet.source.split("/"), "", "")[:3]

@@ -14,11 +14,12 @@ from pancakes.client import Client
 from pancakes.client.door import Door
 from pancakes.client.following import Following
 from pancakes.client.looks import Looks
-from pancakes.control import Describe, History, Reply
+from pancakes.control import Describe, History, Reply, Traces
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.packet import CTRL, LOG, SYSTEM, agent_of
+from pancakes.packet import LOG, SYSTEM, Cause
 from pancakes.web.causes import Explaining
 from pancakes.web.feed import FRAMES_HZ, Feed
+from pancakes.web.traces import FleetTraces
 
 TURN_S: Final = 0.04
 """So often it looks what came."""
@@ -34,8 +35,9 @@ RECALL_S: Final = 600.0
 """So much of what was said before, in mission time, is asked of an agent that is met."""
 MOST_ANSWERS: Final = 20
 """So many replies full of what was said before are asked of one agent."""
-EXPLAIN_S: Final = 1.5
-"""So long everything is listened to for an explanation."""
+ENDED_S: Final = 1.0
+"""After so long without anybody the fleet is shown as ended."""
+ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
 FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
 POSES: Final = ("pose",)
 
@@ -50,6 +52,7 @@ class _Asked:
     agent: str
     about: str
     answer: Future[Reply] | None = None
+    packets: tuple[Cause, ...] = ()
 
 
 @dataclass
@@ -58,7 +61,7 @@ class _Met:
 
     asked_s: float = -1e9
     answered_s: float = -1e9
-    speed: float = 1.0
+    traced_s: float = -1e9
     recalled: int = 0
     detailed_s: dict[str, float] = field(default_factory=dict)
     stale: set[str] = field(default_factory=set)
@@ -114,7 +117,9 @@ class Watch:
         self._met: dict[str, _Met] = {}
         self._looks = Looks()
         self._silent: set[str] = set()
-        self._explaining = threading.Lock()
+        self._traces = FleetTraces()
+        self._explaining = Explaining()
+        self._seen_s: float | None = None
         self._closed = False
 
     def start(self) -> None:
@@ -145,28 +150,13 @@ class Watch:
         self._orders.put((agent, body, timeout_s, answer))
         return answer
 
-    def explain(self, agent: str) -> dict[str, Any] | None:
-        """Listens to everything for a while, and returns why an agent's actuator was commanded. It waits; any thread.
-
-        See `Explaining.explain`.
-
-        Raises:
-            PancakesError: it cannot be listened to.
-        """
-        with self._explaining, Client(self._at, self._timeout_s) as client, ExitStack() as stack:
-            explaining = Explaining()
-            heard = [
-                stack.enter_context(Following(client, channel, foreign=True, fleet=self._fleet))
-                for channel in (SYSTEM, CTRL)
-            ]
-            speeds = {name: met.speed for name, met in list(self._met.items())}
-            until_s = client.now() + EXPLAIN_S
-            while client.now() < until_s and not self._stopping.wait(TURN_S):
-                for following in heard:
-                    while (it := following.next(client.now())) is not None:
-                        speed = speeds.get(agent_of(it.packet.source), 1.0)
-                        explaining.hear(it.agent, it.packet, it.at_s, speed)
-            return explaining.explain(agent)
+    def explain(
+        self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
+    ) -> dict[str, Any] | None:
+        """Returns why an agent's actuator was commanded, see `Explaining.explain`; and `left_out`. Any thread."""
+        with self._feed.lock:
+            found = self._explaining.explain(agent, type_, t, command, step)
+            return {**found, "left_out": self._traces.left_out(agent)} if found is not None else None
 
     # In its thread from here on --------------------------------------------------------------------------------
 
@@ -201,7 +191,12 @@ class Watch:
                 self._hear(client, log)
                 self._hear(client, system)
                 self._tend(client)
+                self._look_who_is_there(client)
                 self._feed.record()
+            for door in client.doors():
+                for hello in door.agents():
+                    if hello.name in self._met:
+                        door.ask(hello.name, Traces(most=0))
 
     def _hear(self, client: Client, following: Following) -> None:
         heard = []
@@ -243,8 +238,39 @@ class Watch:
                     met.asked_s = now_s
                     self._ask(door, hello.name, Describe(), "look", now_s + SILENT_S)
                     self._ask_details(door, hello.name, met, now_s)
+            self._ask_traces(door, now_s)
         self._take_orders(doors, now_s)
         self._take_answers(now_s)
+        self._take_commands()
+
+    def _look_who_is_there(self, client: Client) -> None:
+        """Says that the fleet has ended where it has: until somebody comes back."""
+        now_s = client.now()
+        doors = [door for door in client.doors() if door.fleet == self._fleet]
+        if any(door.agents() or door.asleep() for door in doors):
+            self._seen_s = now_s
+            if self._feed.over:
+                self._feed.go_on()
+        elif self._seen_s is not None and now_s - self._seen_s >= ENDED_S and not self._feed.over:
+            self._feed.end(ENDED)
+
+    # Why actuators are commanded ---------------------------------------------------------------------------------
+
+    def _ask_traces(self, door: Door, now_s: float) -> None:
+        for hello in door.agents():
+            met = self._met[hello.name]
+            if now_s - met.traced_s >= self._traces.pause_s(hello.name):
+                met.traced_s = now_s
+                question = self._traces.question(hello.name)
+                self._ask(door, hello.name, question, "traces", now_s + SILENT_S).packets = question.packets
+
+    def _take_commands(self) -> None:
+        settled = self._traces.settled(self._feed.now())
+        if not settled:
+            return
+        with self._feed.lock:
+            for agent in self._explaining.add(settled):
+                self._feed.model.commanded(agent, self._explaining.actuators(agent))
 
     def _ask_details(self, door: Door, agent: str, met: _Met, now_s: float) -> None:
         with self._feed.lock:
@@ -293,6 +319,8 @@ class Watch:
                     self._feed.model.detail(asked.agent, result)
                 elif asked.about == "recall":
                     self._feed.model.recall(result, now)
+                elif asked.about == "traces":
+                    self._traces.take(asked.agent, asked.packets, result, now)
             if asked.about == "recall" and result:
                 self._recall(asked.door, asked.agent, result[-1]["entry"], now_s)
 
@@ -306,11 +334,12 @@ class Watch:
     def _take_looks(self, answers: Sequence[tuple[_Asked, Mapping[str, Any]]], now_s: float) -> None:
         described = [result for _, result in answers]
         for it in described:
-            met = self._met[it["agent"]]
-            met.answered_s, met.speed = now_s, float(it["speed"])
+            self._met[it["agent"]].answered_s = now_s
         silent = {name for name, met in self._met.items() if now_s - met.answered_s >= SILENT_S}
         if not described and silent == self._silent:
             return
+        for name in silent - self._silent:
+            self._traces.forget(name)
         self._silent = silent
         shown = silent.union(it["agent"] for it in described)
         rows = [row for row in self._looks.look(described) if row["agent"] in shown]

@@ -22,6 +22,15 @@ def test_a_sigterm_stops_it_in_good_order_within_two_seconds(rig: Rig):
     assert list(rig.runtime.iterdir()) == []
 
 
+def test_what_a_simulated_world_holds_is_freed_before_python_takes_its_modules_apart(rig: Rig):
+    world = '[task.World]\ntype = "sim.world"\n[task.World.settings]\nbus = "tcp://127.0.0.1:0"\n'
+    agent = rig.ready("w", world + 'robots.r = { model = "khepera3", x_m = 0.0, y_m = 0.0, theta_rad = 0.0 }\n')
+
+    code, _ = agent.signalled(signal.SIGTERM)
+
+    assert (code, "extern" in agent.everything()) == (0, False)
+
+
 def test_a_sigint_does_the_same(rig: Rig):
     code, took_s = rig.ready("a").signalled(signal.SIGINT)
 

@@ -61,6 +61,43 @@ def test_recordings_are_started_listed_stopped_and_looked_at(rig):
     assert "whole" in rig.pancakes("record", "info", "run").stdout
 
 
+def test_a_channel_that_nobody_has_is_refused_and_of_one_that_some_have_it_is_told(rig):
+    rig.ready("a", "[channel.map]\n")
+    rig.ready("b")
+    result = rig.pancakes("record", "start", "--channel", "mapp")
+    assert (result.returncode, result.stderr.partition(",")[0]) == (1, "no agent has a channel 'mapp'")
+    assert {row["path"] for row in rows(rig, "list")} == {None}
+    result = rig.pancakes("record", "start", "--channel", "map", "--channel", "recording", "--path", "{agent}.mcap")
+    assert (result.returncode, result.stderr) == (0, "b: no channel 'map', so nothing of it is recorded there\n")
+
+
+def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):
+    agent = rig.ready("a", LOAD)
+    rows(rig, "start", "--path", "run/{agent}.mcap")
+    grown(rig.directory / "run" / "a.mcap", 4000)
+    os.kill(agent.pid, signal.SIGKILL)
+    agent.ended()
+    agent = rig.ready("a", LOAD)
+    grown(rig.directory / "run" / "a.002.mcap", 4000)
+    assert [(row["done"], row["path"]) for row in rows(rig, "list")] == [
+        ("recording", str(rig.directory / "run" / "a.mcap"))
+    ]
+    assert [row["done"] for row in rows(rig, "stop")] == ["complete"]
+    os.kill(agent.pid, signal.SIGKILL)
+    agent.ended()
+    rig.ready("a", LOAD)
+    assert [row["done"] for row in rows(rig, "list")] == ["stopped"]
+    assert not (rig.directory / "run" / "a.003.mcap").exists()
+
+
+def test_too_little_room_is_said_at_once(rig):
+    rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n")
+    result = rig.pancakes("record", "start", "--path", "r.mcap")
+    assert result.returncode == 1
+    assert "r.mcap does not begin: less than 1e+09 MiB are free on the disk of . (" in result.stderr
+    assert not (rig.directory / "r.mcap").exists()
+
+
 def test_a_bad_setting_is_refused_before_anything_is_recorded(rig):
     rig.ready("a")
     result = rig.pancakes("record", "start", "--path", "/proc/nowhere/a.mcap")

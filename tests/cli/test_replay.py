@@ -62,9 +62,10 @@ def rows(rig, *arguments, code=0):
 
 
 def pose_times(rig):
-    """Returns when the poses were seen, in seconds from the recording's beginning."""
-    entries = list(RecordingReader(rig.directory / "r").entries())
-    return [(entry.time_ns - entries[0].time_ns) / 1e9 for entry in entries if entry.packet.type == "pose"]
+    """Returns when the poses were seen, in mission time."""
+    reader = RecordingReader(rig.directory / "r")
+    time = reader.mission_time()
+    return [time.at(entry.time_ns) for entry in reader.entries() if entry.packet.type == "pose"]
 
 
 def test_packets_reach_the_agent_that_they_were_seen_on_in_the_name_of_who_said_them(walk):

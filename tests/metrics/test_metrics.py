@@ -1,8 +1,10 @@
 """The Metrics Service: what Prometheus would read of an agent that runs."""
 
+import re
 import urllib.request
 
 import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
 from pancakes.control import Reschedule, Restart, Stop
@@ -70,7 +72,7 @@ def test_what_waits_what_was_lost_and_what_failed_is_told(agent):
     agent.wait_for_event("task_failed")
     agent.wait_until(lambda: agent.slot("Slow").state.value == "running")
     told = scraped(agent)
-    assert told["pancakes_task_failures_total", "", "Slow", "restart"] == 1.0
+    assert told["pancakes_task_failures_total", "client", "Slow", "restart"] == 1.0
     assert told["pancakes_dead_letters_total",] == 1.0
     assert told["pancakes_task_starts_total", "client", "Slow"] == 2.0
     assert told["pancakes_mailbox_handled_packets_total", "system", "client", "Slow"] == 1.0
@@ -102,9 +104,34 @@ def test_names_follow_the_conventions_of_prometheus(agent):
     ours = [family for family in families if family.name.startswith("pancakes_")]
     assert len(ours) > 15
     for family in ours:
-        assert family.documentation
+        assert family.documentation.endswith(".")
+        assert re.fullmatch(r"pancakes(_[a-z]+)+", family.name)
+        assert not re.search(r"_(ms|us|milliseconds|kib|mib|percent)(_|$)", family.name)  # base units only
         if family.type == "counter":
             assert all(sample.name.endswith(("_total", "_created")) for sample in family.samples)
+        else:
+            assert not family.name.endswith("_total")
+    names = {family.name: family.type for family in families}
+    assert len(names) == len(families)
+    assert names["pancakes_task_lateness_seconds"] == "histogram"
+
+
+def test_a_strict_reader_of_openmetrics_understands_it_all(agent):
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    agent.wait_for_event("task_failed")
+    url = f"http://127.0.0.1:{port(agent)}/metrics"
+    wanted = "application/openmetrics-text; version=1.0.0"
+    with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": wanted}), timeout=5) as answer:
+        assert answer.headers["Content-Type"].startswith(wanted)
+        families = {family.name: family for family in openmetrics_families(answer.read().decode())}
+    assert families["pancakes_task_failures"].type == "counter"
+    buckets = [
+        float(sample.labels["le"])
+        for sample in families["pancakes_task_lateness_seconds"].samples
+        if sample.name.endswith("_bucket") and sample.labels["task"] == "Tick"
+    ]
+    assert buckets == sorted(buckets)
+    assert buckets[-1] == float("inf")
 
 
 def test_a_restart_of_the_service_serves_anew_and_its_port_is_free_again(agent):

@@ -1,7 +1,9 @@
 """The files of a recording: packets go in and come out as they were, also where a crash has cut the file off."""
 
 import math
+import os
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +12,11 @@ from mcap.reader import make_reader
 from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
-from pancakes.recording.entry import Entry, EntryEncoder, RecordingError, packet_from_data, schema_for
+from pancakes.recording.entry import Entry, EntryEncoder, RecordingError, packet_from_data
 from pancakes.recording.parts import Parts, part_path, parts_of
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.repair import repair
+from pancakes.recording.schemas import schema_for
 from pancakes.recording.viewing import TRAIL_NS, Viewer
 from pancakes.recording.writer import RecordingWriter
 
@@ -171,9 +174,27 @@ def test_a_recorder_that_was_killed_after_a_flush_has_lost_nothing_of_before(tmp
     writer.close()
 
 
-@pytest.mark.parametrize("data", [b"", b"no recording", b"\x89MCAP0\r\n"])
-def test_what_is_no_recording_is_named(tmp_path, data):
-    (tmp_path / "r.mcap").write_bytes(data)
+@pytest.mark.parametrize("data", [b"", b"\x89MCA", b"\x89MCAP0\r\n"])
+def test_a_file_that_was_only_just_made_spoils_no_recording(tmp_path, data):
+    written(tmp_path / "r.mcap", [pose(0)])
+    (tmp_path / "r.002.mcap").write_bytes(data)
+    entries, reader = read(tmp_path / "r.mcap")
+    assert entries == [pose(0)]
+    assert reader.notes() == [f"{tmp_path}/r.002.mcap is cut off: it holds nothing yet"]
+    assert not repair(tmp_path / "r.002.mcap").whole
+    entries, reader = read(tmp_path / "r.mcap")
+    assert (entries, reader.notes()) == ([pose(0)], [])
+
+
+def test_a_file_is_one_from_its_making_on(tmp_path):
+    writer = RecordingWriter(tmp_path / "r.mcap", {"agent": "a"})
+    entries, reader = read(tmp_path / "r.mcap")
+    assert (entries, reader.readings[0].about) == ([], {"agent": "a"})
+    writer.close()
+
+
+def test_what_is_no_recording_is_named(tmp_path):
+    (tmp_path / "r.mcap").write_bytes(b"no recording")
     with pytest.raises(RecordingError, match=r"r\.mcap is no recording"):
         read(tmp_path / "r.mcap")
     with pytest.raises(RecordingError, match="there is no recording"):
@@ -235,9 +256,18 @@ def test_at_its_limit_a_recording_ends_or_forgets_its_oldest(tmp_path):
     assert list(last.entries())[-1].packet.seq == 2000
 
 
-def test_a_recording_ends_before_the_disk_is_full(tmp_path):
-    reason = filled(make_parts(tmp_path / "r.mcap", free_mib=1e9), 100)
-    assert reason == f"less than 1e+09 MiB are free on the disk of {tmp_path}"
+def test_a_recording_ends_before_the_disk_is_full_and_does_not_begin_after_that(tmp_path, monkeypatch):
+    parts = make_parts(tmp_path / "r.mcap", free_mib=64.0)
+    full = os.statvfs(tmp_path)
+    monkeypatch.setattr(
+        os, "statvfs", lambda path: SimpleNamespace(f_frsize=full.f_frsize, f_bavail=63 * 2**20 // full.f_frsize)
+    )
+    reason = filled(parts, 100)
+    assert reason.startswith(f"less than 64 MiB are free on the disk of {tmp_path} (63 MiB; free_mib")
+    assert len(read(tmp_path / "r.mcap")[0]) == 50
+    with pytest.raises(RecordingError, match=r"s\.mcap does not begin: less than 64 MiB are free"):
+        make_parts(tmp_path / "s.mcap", free_mib=64.0)
+    assert not (tmp_path / "s.mcap").exists()
 
 
 def test_nothing_is_overwritten_and_what_cannot_be_written_is_named(tmp_path):

@@ -7,8 +7,10 @@ import pytest
 
 from pancakes.control import Describe, Migrate, Reschedule, Start, Stop
 from pancakes.devices.types import Load, Pose
+from pancakes.kernel.backlog import MOST_BYTES
+from pancakes.packet import packet_type
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.parts import Parts
+from pancakes.recording.parts import Parts, parts_of
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.summary import Summary, Topic
 from pancakes.task import Task, every, on
@@ -38,6 +40,14 @@ class Count(Task):
         self.publish("ctrl", Load(-1.0))
 
 
+@packet_type("test_recorder.picture")
+@dataclass
+class Picture:
+    """A body that may be large."""
+
+    pixels: bytes
+
+
 class Talk(Task):
     """Tells the neighbours."""
 
@@ -64,8 +74,8 @@ def finish(agent, path):
 
 def test_everything_that_is_seen_on_an_agent_is_recorded_with_its_causes(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Count": Count})
-    record(agent, tmp_path / "r.mcap")
     begun_s = agent.kernel.mission.now()
+    record(agent, tmp_path / "r.mcap")
     sent = agent.publish("system", Pose(1.0, 2.0, 3.0))
     fleet.run_for(2.0)
     entries = finish(agent, tmp_path / "r.mcap")
@@ -183,6 +193,112 @@ def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet
     assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
     assert agent.running() == ["Count"]
     assert agent.kernel.stream._taps["system"] == ()
+
+
+def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(fleet, tmp_path, monkeypatch):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap", types=["test_recorder.picture"])
+    recording = agent.task("Recorder", "log")._recording
+    monkeypatch.setattr(recording, "write", lambda: "")
+    for _ in range(70):
+        agent.publish("system", Picture(bytes(2**20)))
+        assert recording._waiting.heavy_bytes <= MOST_BYTES
+    monkeypatch.undo()
+    fleet.run_for(2.0)
+    (warning,) = [line for line in agent.lines("warning") if "lacks" in line]
+    assert "the recording lacks" in warning and "the disk is too slow" in warning
+    assert len(finish(agent, tmp_path / "r.mcap")) == 64
+
+
+def kill(fleet, name):
+    """Ends an agent as a kill does, and closes the file that was being written as the operating system does."""
+    recording = fleet.agents[name].task("Recorder", "log")._recording
+    fleet.crash(name)
+    recording._parts._writer._file.raw.close()
+
+
+def parts(path):
+    return [file.name for file in parts_of(path)]
+
+
+def test_a_recording_that_was_asked_for_goes_on_in_a_further_file_after_a_kill(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap", types=["load"])
+    fleet.run_for(2.0)
+    for boot in (2, 3):
+        kill(fleet, "a")
+        agent = fleet.restart("a")
+        fleet.run_for(2.0)
+        assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap", "r.003.mcap"][:boot]
+        assert agent.ask(Describe(RECORDER)).result["settings"]["types"] == ("load",)
+    entries = finish(agent, tmp_path / "r.mcap")
+    assert {entry.topic for entry in entries} == {"/a/system/load"}
+    assert len(entries) > 40  # of 60, less than a second's at each kill
+    fleet.crash("a")
+    agent = fleet.restart("a")
+    assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
+    assert len(parts(tmp_path / "r.mcap")) == 3
+
+
+def test_what_the_configuration_records_begins_anew_with_each_start_whatever_went_on(fleet, tmp_path):
+    config = f'[record]\npath = "{tmp_path}/c.mcap"\n'
+    agent = fleet.start("a", config)
+    assert agent.ask(Stop(RECORDER)).ok
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(1.0)
+    kill(fleet, "a")
+    fleet.restart("a")
+    fleet.run_for(1.0)
+    assert parts(tmp_path / "r.mcap") == ["r.mcap"]
+    assert sorted(path.name for path in tmp_path.glob("c*")) == ["c-2.mcap", "c.mcap"]
+
+
+def test_it_goes_on_where_the_agent_was_stopped_in_good_order_too(fleet, tmp_path):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(1.0)
+    fleet.stop("a")
+    fleet.restart("a")
+    assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap"]
+
+
+def test_a_recording_that_ended_by_itself_does_not_go_on(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap", limit_mib=0.01)
+    assert "its limit of 0.01 MiB" in agent.wait_for_event("recording_stopped")["reason"]
+    fleet.run_for(0.1)
+    fleet.crash("a")
+    assert fleet.restart("a").ask(Describe(RECORDER)).result["state"] == "stopped"
+
+
+def test_what_goes_on_keeps_to_the_limit_of_the_whole(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap", limit_mib=0.05)
+    fleet.run_for(2.0)
+    size = sum(path.stat().st_size for path in parts_of(tmp_path / "r.mcap"))
+    assert size < 0.05 * 2**20
+    while agent.ask(Describe(RECORDER)).result["state"] == "running":
+        kill(fleet, "a")
+        agent = fleet.restart("a")
+        fleet.run_for(2.0)
+    assert sum(path.stat().st_size for path in parts_of(tmp_path / "r.mcap")) < 0.1 * 2**20
+
+
+def test_what_is_not_said_at_a_start_is_as_the_configuration_says(fleet, tmp_path):
+    agent = fleet.start("a", '[record]\nstart = false\ntypes = ["pose"]\n')
+    record(agent, tmp_path / "r.mcap", channels=["system"], split_mib=1)
+    finish(agent, tmp_path / "r.mcap")
+    record(agent, tmp_path / "s.mcap")
+    settings = agent.ask(Describe(RECORDER)).result["settings"]
+    assert (settings["channels"], settings["types"], settings["split_mib"]) == ((), ("pose",), 256.0)
+
+
+def test_too_little_room_on_the_disk_is_refused_at_once(fleet, tmp_path):
+    agent = fleet.start("a")
+    reply = agent.ask(Start(RECORDER, {"path": str(tmp_path / "r.mcap"), "free_mib": 1e9}))
+    assert not reply.ok
+    assert f"r.mcap does not begin: less than 1e+09 MiB are free on the disk of {tmp_path} (" in reply.reason
+    assert not (tmp_path / "r.mcap").exists()
 
 
 def test_a_place_that_cannot_be_written_is_refused_with_the_reason(fleet, tmp_path):

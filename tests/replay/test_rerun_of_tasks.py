@@ -412,3 +412,27 @@ def test_on_threads_a_task_agrees_with_itself_as_well(tmp_path):
     assert again.comparison.differences == []
     changed = run_again(tmp_path, "Track", Other, live=True)
     assert changed.comparison.streams["ctrl", "load", ""].different == 5
+
+
+def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Track": {"type": Track, "durability": "each"}})
+        assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "a.mcap")})).ok
+        for x_m in (1.0, 2.0, 3.0):
+            agent.publish("system", Pose(x_m, 0.0, 0.0))
+            fleet.run_for(1.0)
+        recording = agent.task("Recorder", "log")._recording
+        fleet.crash("a")
+        recording._parts._writer._file.raw.close()  # as the operating system does
+        agent = fleet.restart("a")
+        agent.publish("system", Pose(4.0, 0.0, 0.0))
+        fleet.run_for(2.0)
+        assert agent.ask(Stop("log/Recorder")).ok
+    first, second = (run_again(tmp_path, "Track", Track, number=number) for number in (1, 2))
+    assert (first.kinds, second.kinds) == ([], [])
+    assert (first.stay.end, first.stay.whole, second.stay.whole) == ("", False, True)
+    assert second.stay.begins_s < 0.1  # its mission time began anew
+    assert len(first.outcome.outputs) > 20
+    assert len(second.outcome.outputs) == pytest.approx(22, abs=1)
+    steeper = run_again(tmp_path, "Track", Steeper, number=2)
+    assert steeper.kinds != []

@@ -6,6 +6,7 @@ from pancakes.devices.types import Load, Pose
 from pancakes.errors import ControlRefused
 from pancakes.packet import Fence, Packet
 from pancakes.recording.entry import Entry
+from pancakes.recording.mission_time import MissionTime
 from pancakes.replay.selection import Live, Selection, tally_of
 
 
@@ -63,9 +64,11 @@ def test_only_fits_topics_and_sources_and_takes_nothing_else():
     assert told(entries, only=("c/*",)) == []
 
 
-def test_a_time_is_counted_from_the_beginning_of_the_recording():
+def test_a_time_is_the_missions():
     entries = [seen(5.0 + number, "a", "a/device/load") for number in range(5)]
-    assert [it.packet.stamp for it in fed(entries, from_s=1.0, to_s=3.0)] == [6.0, 7.0]
+    assert [it.packet.stamp for it in fed(entries, from_s=6.0, to_s=8.0)] == [6.0, 7.0]
+    twice_as_fast = MissionTime(zero_ns=4_000_000_000, speed=2.0)  # so that they are at 2, 4, 6, 8, 10 s
+    assert [it.packet.stamp for it in fed(entries, from_s=4.0, to_s=8.0, time=twice_as_fast)] == [6.0, 7.0]
 
 
 def test_another_agent_gets_it_in_its_own_name_and_nobody_speaks_under_an_old_right():

@@ -11,6 +11,7 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
 from pancakes.recording.entry import Entry
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.recording.mission_time import MissionTime
 from pancakes.report.findings import Findings
 from pancakes.report.series import MOST_POINTS, MOST_SLOTS, Counts, Sample, Series
 from pancakes.sim.state import BodyState, WorldState
@@ -71,10 +72,42 @@ def test_who_ran_what_follows_a_task_over_agents(book):
     lanes = book.find().course.lanes
     (on_a,) = lanes["a", "client", "Scan"].spans
     (on_b,) = lanes["b", "client", "Scan"].spans
-    begin_s = 1.0  # the recording begins with its first packet
-    assert (on_a.from_s, on_a.to_s, on_a.ended) == (0.0, pytest.approx(10.02 - begin_s), "handed over to b")
-    assert (on_b.from_s, on_b.epoch, on_b.ended) == (pytest.approx(10.03 - begin_s), 1, "")
-    assert on_b.to_s == pytest.approx(20.0 - begin_s)  # b was last seen then
+    assert (on_a.from_s, on_a.to_s, on_a.ended) == (1.0, pytest.approx(10.02), "handed over to b")
+    assert (on_b.from_s, on_b.epoch, on_b.ended) == (pytest.approx(10.03), 1, "")
+    assert on_b.to_s == pytest.approx(20.0)  # b was last seen then
+
+
+def test_an_agent_that_was_gone_for_a_while_ran_nothing_meanwhile(book):
+    def figures(t_s, mission_s, ticks):
+        timer = TimerFigures("tick", 10.0, ticks, 0, 0.0, 0.0)
+        body = TaskFigures(mission_s, (OneTask("client/Scan", SCAN, 1, 0, 0, (timer,)),))
+        book.see(t_s, "a", "a/log/Recorder", body, "task_figures", "recording")
+
+    book.event(1.0, "a", "task_started", task="Scan", service="client", epoch=0)
+    figures(2.0, 2.0, 10)
+    figures(3.0, 3.0, 20)
+    # Killed here; its mission time begins anew.
+    body = Event("recording_started", {"path": "a.mcap"})
+    book.see(9.0, "a", "a/log/Recorder", body, "event", "log")
+    book.event(9.5, "a", "task_started", task="Scan", service="client", epoch=0)
+    figures(12.0, 2.5, 25)
+    figures(13.0, 3.5, 35)
+    found = book.find()
+    spans = found.course.lanes["a", "client", "Scan"].spans
+    assert [(span.from_s, span.to_s, span.ended) for span in spans] == [(1.0, 3.0, "not recorded"), (9.5, 13.0, "")]
+    timer = found.rates.timers["a", "client/Scan", "tick"]
+    assert timer.ticks == 10 + 25 + 10
+    assert timer.at[0].achieved_hz is None or timer.at[0].achieved_hz == pytest.approx(10.0)
+
+
+def test_all_is_told_in_mission_time(book):
+    move(book)
+    book.entries.sort(key=lambda entry: entry.time_ns)
+    findings = Findings.of(book.entries, "", MissionTime(zero_ns=int(0.5 * S), speed=2.0))
+    assert (findings.begin_s, findings.end_s) == (1.0, 40.0)
+    assert findings.course.lanes["a", "client", "Scan"].spans[0].to_s == pytest.approx(2 * 9.52)
+    assert findings.moves.moves[0].at_s == pytest.approx(2 * 9.55)
+    assert findings.traffic.local.rates("ctrl", findings.duration_s)[0][0] == 0.5  # counted from the first packet on
 
 
 def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book):
@@ -82,7 +115,7 @@ def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book
     book.see(6.0, "a", "a/device/ir", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/ir", (0, "a")))
     book.see(9.0, "a", "a/client/Share", Pose(0.0, 0.0, 0.0), "pose", fence=Fence("a/Share", (2, "b")))
     (lane,) = book.find().course.lanes.values()
-    assert (lane.task_id, lane.spans[0].to_s, lane.spans[0].epoch) == ("a/Share", 4.0, 2)
+    assert (lane.task_id, lane.spans[0].to_s, lane.spans[0].epoch) == ("a/Share", 9.0, 2)
 
 
 def test_a_move_has_its_ledger_and_the_times_of_its_parts(book):

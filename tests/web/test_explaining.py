@@ -1,88 +1,116 @@
-"""Why an actuator was commanded: the chain over two agents, with the times of its steps."""
+"""Why an actuator was commanded: any command of the last minutes, by its moment or one after the other."""
 
-from told import packet
+from __future__ import annotations
 
-from pancakes.control import Hold
-from pancakes.devices.types import Pose, Twist
-from pancakes.web.causes import Explaining
+from typing import Any
 
-POSE = Pose(0.0, 0.0, 0.0)
+import pytest
 
+from pancakes.devices.types import Twist
+from pancakes.packet import Packet
+from pancakes.recording.chains import Chain, Step
+from pancakes.recording.commands import ActuatorCommand
+from pancakes.web.causes import FEW, Explaining
 
-def loop(explaining: Explaining, number: int, t: float) -> None:
-    """One turn of a control loop: a pose comes from afar, the device tells it, and a task steers."""
-    sent = packet("world/client/Capture", "system", "pose", POSE, stamp=t, seq=number)
-    # The world's clock goes as this agent's, but it began 100 s earlier.
-    explaining.hear(
-        "world", packet("world/client/World", "system", "pose", POSE, stamp=t + 99.0, seq=number), t - 1.0, 1.0
-    )
-    sent = packet("world/client/Capture", "system", "pose", POSE, stamp=t + 100.0, seq=number)
-    explaining.hear("a", sent, t + 0.003, 1.0)
-    read = packet(
-        "a/device/pose", "system", "pose", POSE, stamp=t + 0.004, seq=number, cause=("world/client/Capture", number)
-    )
-    explaining.hear("a", read, t + 0.004, 1.0)
-    steer = packet(
-        "a/client/T", "ctrl", "motors", Twist(0.1, 0.2), stamp=t + 0.006, seq=number, cause=("a/device/pose", number)
-    )
-    explaining.hear("a", steer, t + 0.006, 1.0)
+S = 1_000_000_000
 
 
-def test_the_newest_command_is_led_back_to_its_first_cause():
+def command(t: float, number: int, took_ms: float = 6.0, type_: str = "motors", caused: bool = True) -> Any:
+    """A command on the agent `a` that answers a pose from afar, and when it was given."""
+    begun_ns = round(t * S - took_ms * 1e6)
+    sent = Packet("system", "pose", "world/client/Capture", "", t - 0.006, number, None)
+    read = Packet("system", "pose", "a/device/pose", "", t - 0.002, number, None)
+    given = Packet("ctrl", type_, "a/client/T", "", t, number, Twist(0.1, 0.2))
+    steps = [
+        Step(sent, begun_ns, 0.003, 0.001),
+        Step(read, begun_ns + 4_000_000, 0.0, took_ms / 1e3 - 0.004),
+        Step(given, round(t * S), 0.0, 0.0),
+    ]
+    return t, ActuatorCommand(round(t * S), given, Chain(tuple(steps if caused else steps[-1:])))
+
+
+@pytest.fixture
+def explaining() -> Explaining:
+    """Ten commands, one a second from 11 s on; each takes 2 ms longer than the one before."""
     explaining = Explaining()
-    loop(explaining, 1, 10.0)
-    loop(explaining, 2, 11.0)
-
-    found = explaining.explain("a")
-
-    assert found is not None
-    assert [step["source"] for step in found["steps"]] == ["world/client/Capture", "a/device/pose", "a/client/T"]
-    assert [step["at_ms"] for step in found["steps"]] == [0.0, 4.0, 6.0]
-    assert [step["travel_ms"] for step in found["steps"]] == [3.0, 0.0, 0.0]
-    assert [step["handling_ms"] for step in found["steps"]] == [1.0, 2.0, 0.0]
-    assert found["steps"][-1]["body"] == "v_mps 0.1, omega_radps 0.2"
-    assert found["alike"] == {"count": 2, "p50_ms": 6.0, "p90_ms": 6.0, "max_ms": 6.0}
+    explaining.add(command(10.0 + number, number, 4.0 + 2.0 * number) for number in range(1, 11))
+    return explaining
 
 
-def test_mission_time_that_goes_faster_is_told_in_the_time_that_passes():
-    explaining = Explaining()
-    explaining.hear("a", packet("a/device/pose", "system", "pose", POSE, stamp=50.0), 10.0, 5.0)
-    steer = packet("a/client/T", "ctrl", "motors", Twist(0.1, 0.0), stamp=50.01, cause=("a/device/pose", 1))
-    explaining.hear("a", steer, 10.005, 5.0)
-
-    found = explaining.explain("a")
-
-    assert found is not None
-    assert found["steps"][0]["handling_ms"] == 2.0
+def found(explaining: Explaining, **asked: Any) -> dict[str, Any]:
+    explained = explaining.explain("a", **asked)
+    assert explained is not None
+    return explained
 
 
-def test_a_safe_hold_is_no_command_and_who_was_not_commanded_has_no_chain():
-    explaining = Explaining()
-    explaining.hear("a", packet("a/device", "ctrl", "hold", Hold("its holder is gone")), 0.0, 1.0)
+def test_the_newest_command_is_led_back_to_its_first_cause(explaining: Explaining):
+    newest = found(explaining)
 
-    assert explaining.explain("a") is None
+    assert (newest["type"], newest["source"], newest["seq"]) == ("motors", "a/client/T", 10)
+    assert (newest["t"], newest["mission_s"], newest["place"], newest["count"]) == (20.0, 20.0, 10, 10)
+    assert [step["source"] for step in newest["steps"]] == ["world/client/Capture", "a/device/pose", "a/client/T"]
+    assert [step["at_ms"] for step in newest["steps"]] == [0.0, 4.0, 24.0]
+    assert [step["travel_ms"] for step in newest["steps"]] == [3.0, 0.0, 0.0]
+    assert [step["handling_ms"] for step in newest["steps"]] == [1.0, 20.0, 0.0]
+    assert newest["steps"][-1]["body"] == "v_mps 0.1, omega_radps 0.2"
+
+
+def test_a_moment_means_the_command_that_was_in_force_then(explaining: Explaining):
+    assert found(explaining, t=15.9)["seq"] == 5
+    assert found(explaining, t=16.0)["seq"] == 6
+    assert found(explaining, t=99.0)["seq"] == 10
+    assert found(explaining, t=1.0)["seq"] == 1, "before all of them it is the first"
+
+
+def test_one_steps_from_a_command_to_the_ones_before_and_after_whatever_comes_meanwhile(explaining: Explaining):
+    explaining.add([command(21.0, 11)])
+
+    assert found(explaining, command=("a/client/T", 5), step=-1)["seq"] == 4
+    assert found(explaining, command=("a/client/T", 5), step=1)["seq"] == 6
+    assert found(explaining, command=("a/client/T", 1), step=-1)["seq"] == 1
+    assert found(explaining, command=("a/client/T", 11), step=1)["seq"] == 11
+
+
+def test_how_long_all_took_that_are_alike(explaining: Explaining):
+    alike = found(explaining, t=11.0)["alike"]
+
+    assert (alike["count"], alike["p50_ms"], alike["p90_ms"], alike["max_ms"]) == (10, 16.0, 24.0, 24.0)
+    assert (alike["from_ms"], alike["to_ms"], sum(alike["bars"])) == (6.0, 24.0, 10)
+
+
+def test_a_command_of_a_timer_has_no_distribution(explaining: Explaining):
+    explaining.add([command(30.0, 12, caused=False)])
+
+    assert found(explaining)["alike"] is None
+    assert len(found(explaining)["steps"]) == 1
+
+
+def test_each_actuator_has_its_own_commands(explaining: Explaining):
+    assert explaining.add([command(15.5, 1, type_="gripper")]) == {"a"}
+    assert explaining.add([command(16.5, 2, type_="gripper")]) == set()
+
+    assert explaining.actuators("a") == ["gripper", "motors"]
+    assert found(explaining, t=15.9)["type"] == "gripper", "it was commanded last until then"
+    assert found(explaining, t=15.9, type_="motors")["seq"] == 5
+    assert found(explaining)["actuators"] == ["gripper", "motors"]
+
+
+def test_commands_that_come_out_of_order_find_their_place(explaining: Explaining):
+    explaining.add([command(15.5, 77)])
+
+    assert found(explaining, t=15.6)["seq"] == 77
+    assert found(explaining, command=("a/client/T", 77), step=1)["seq"] == 6
+
+
+def test_who_was_not_commanded_has_no_chain(explaining: Explaining):
     assert explaining.explain("b") is None
+    assert explaining.explain("a", "gripper") is None
 
 
-def test_the_steps_add_up_to_the_whole_though_whoever_watches_is_late():
-    explaining = Explaining()
-    # The first packets of both agents come 5 ms and 20 ms late, the next ones at once.
-    for number, late_s in ((1, 0.02), (2, 0.0)):
-        t = 10.0 + number
-        sent = packet("world/client/Capture", "system", "pose", POSE, stamp=t, seq=number)
-        explaining.hear("world", sent, t + late_s / 4, 1.0)
-        explaining.hear("a", sent, t + 0.008, 1.0)
-        cause = ("world/client/Capture", number)
-        read = packet("a/device/pose", "system", "pose", POSE, stamp=t + 0.002, seq=number, cause=cause)
-        explaining.hear("a", read, t + 0.002 + late_s, 1.0)
-        cause = ("a/device/pose", number)
-        steer = packet("a/client/T", "ctrl", "motors", Twist(0.1, 0.2), stamp=t + 0.003, seq=number, cause=cause)
-        explaining.hear("a", steer, t + 0.003 + late_s, 1.0)
+def test_the_oldest_are_forgotten_at_the_limit():
+    explaining = Explaining(most=0)
+    explaining.add(command(float(number), number) for number in range(1, 1001))
 
-    found = explaining.explain("a")
-
-    assert found is not None
-    assert [step["at_ms"] for step in found["steps"]] == [0.0, 2.0, 3.0]
-    assert [step["travel_ms"] for step in found["steps"]] == [2.0, 0.0, 0.0]
-    assert [step["handling_ms"] for step in found["steps"]] == [0.0, 1.0, 0.0]
-    assert found["alike"] == {"count": 2, "p50_ms": 3.0, "p90_ms": 3.0, "max_ms": 3.0}
+    assert FEW <= found(explaining)["count"] <= 1.25 * FEW
+    assert found(explaining, t=1.0)["seq"] > 1
+    assert found(explaining)["alike"]["count"] == 1000

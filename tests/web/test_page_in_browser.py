@@ -133,12 +133,40 @@ def test_a_mission_is_seen_as_it_happens_and_again(browser: Any, mission: str, f
     expect(page.locator("#status")).to_have_text("past")
     expect(page.get_by_role("button", name="Play")).to_be_visible()
 
-    # Why it moved.
+    expect(page.locator("#status")).to_have_text("past")
+    page.keyboard.press("l")
+    expect(page.locator("#status")).to_have_text("ended")
+
+    # Why it moved, at the end.
     page.locator("[data-agent=agent1]").get_by_role("button", name="Why?").click()
-    chain = page.locator(".chain li")
-    expect(chain.last).to_contain_text("motors agent1/client/")
+    dialog, chain = page.get_by_role("dialog"), page.locator(".chain li")
+    expect(chain.last).to_contain_text("motors agent1/client/GoHome")
     assert chain.count() >= 3
-    expect(page.get_by_text("commands that came about like this")).to_be_visible()
+    expect(page.get_by_text("commands came about like this")).to_be_visible()
+    assert page.locator(".alike .bars i").count() == 30
+
+    # From command to command by keyboard, and to the moment of one.
+    expect(dialog.get_by_role("button", name="Previous command")).to_be_focused()
+    (place, count) = re.findall(r"\d+", dialog.locator(".whynav .dim").inner_text())
+    assert place == count
+    for _ in range(3):
+        before = dialog.locator(".whynav .dim").inner_text()
+        page.keyboard.press("ArrowLeft")
+        expect(dialog.locator(".whynav .dim")).not_to_have_text(before)
+    expect(dialog.locator(".whynav .dim")).to_have_text(f"{int(count) - 3} of {count}")
+    page.keyboard.press("End")
+    expect(dialog.locator(".whynav .dim")).to_have_text(f"{count} of {count}")
+    dialog.get_by_role("button", name="To its moment on the timeline").press("Enter")
+    expect(dialog).to_have_count(0)
+
+    # Why it moved earlier, when another task did that.
+    page.get_by_role("slider", name="Time").focus()
+    page.keyboard.press("Home")
+    for _ in range(20):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#status")).to_have_text("past")
+    page.locator("[data-agent=agent1]").get_by_role("button", name="Why?").press("Enter")
+    expect(chain.last).to_contain_text("motors agent1/client/ScanTarget")
     assert faults == []
 
 
@@ -157,6 +185,10 @@ def test_it_fits_a_phone_and_follows_the_colours_that_a_person_likes(browser: An
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     page.get_by_role("button", name="Keys and hints").click()
     expect(page.get_by_role("dialog")).to_contain_text("This page only looks")
+    page.keyboard.press("Escape")
+    page.locator("[data-agent=agent1]").get_by_role("button", name="Why?").click()
+    expect(page.locator(".chain li").last).to_contain_text("motors agent1/client/")
+    assert page.evaluate("document.querySelector('dialog[open]').scrollWidth") <= PHONE["width"]
     assert faults == []
 
 
@@ -210,6 +242,57 @@ def test_without_poses_the_mesh_is_shown_with_its_round_trips(looking: Any):
     expect(looking.locator("[data-agent=a] [data-task=Walk] .figure")).to_have_text(re.compile(r"of 4 Hz"))
 
 
+def test_of_fifty_agents_each_has_a_place_of_its_own_and_the_nearest_is_picked(looking: Any):
+    picked = looking.evaluate(
+        """async () => {
+          const { Mesh } = await import("/mesh.js");
+          const canvas = document.createElement("canvas");
+          canvas.style = "position: fixed; top: 0; left: 0; width: 370px; height: 360px";
+          document.body.append(canvas);
+          const names = Array.from({length: 50}, (_, number) => `agent-with-a-long-name-${number}`);
+          const links = names.slice(1).map((name) => [`${names[0]}/${name}`, 1.5]);
+          const row = {role: "agent", state: "ready"};
+          const picture = {agents: () => names, table: () => new Map(links), get: () => row};
+          const mesh = new Mesh(canvas);
+          mesh.selected = names[0];
+          mesh.draw(picture, [], 0);
+          const found = names.filter((name) => mesh.bodyAt(picture, ...mesh.places.get(name)) === name).length;
+          const places = [...mesh.places.values()];
+          const gaps = places.map(([x, y], at) => {
+            const [nextX, nextY] = places[(at + 1) % 50];
+            return Math.hypot(x - nextX, y - nextY);
+          });
+          canvas.remove();
+          return [found, Math.min(...gaps) >= 1.5 * mesh.radius];
+        }"""
+    )
+    assert picked == [50, True]
+
+
+def test_a_fleet_that_has_ended_is_said_to_have_and_its_past_is_still_there(rig: Rig, browser: Any, faults: list[str]):
+    rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\n", WALK)
+    running = rig.ready("a", WALKING)
+    page = opened(browser, view(rig), faults)
+    expect(page.locator("#status")).to_have_text("live")
+    expect(page.locator("[data-agent=a] .services")).to_have_text(re.compile("client, .*network"))
+    expect(chip(page, "a", "Walk").locator(".figure")).to_have_text(re.compile("of 4 Hz"))
+
+    running.close()
+    expect(page.locator("#status")).to_have_text("ended")
+    expect(page.locator("#waiting")).to_contain_text("the fleet has ended")
+    page.get_by_role("slider", name="Time").focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowLeft")
+    expect(page.locator("#status")).to_have_text("past")
+    expect(chip(page, "a", "Walk")).to_have_attribute("data-state", "running")
+    page.keyboard.press("l")
+    expect(page.locator("#status")).to_have_text("ended")
+
+    rig.ready("a", WALKING)
+    expect(page.locator("#status")).to_have_text("live")
+    assert faults == []
+
+
 def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
     expect(chip(looking, "a", "Walk")).to_have_attribute("data-state", "running")
     drag(looking, chip(looking, "a", "Walk"), looking.locator("[data-agent=b]"))
@@ -246,6 +329,88 @@ def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
     expect(chip(acting, "b", "Walk")).to_have_attribute("data-state", "running")
     expect(dialog).to_have_count(0)
     expect(acting.locator("#events").get_by_text("Walk moved to b")).to_be_visible()
+
+
+@pytest.fixture
+def touched(pair: Rig, browser: Any, faults: list[str]) -> Iterator[Any]:
+    """The page on a phone with a screen that is so small that only one card is seen at a time."""
+    small = {"width": 390, "height": 420}
+    yield opened(browser, view(pair, "--control"), faults, viewport=small, has_touch=True, is_mobile=True)
+    assert faults == []
+
+
+def middle(target: Any) -> dict[str, float]:
+    box = target.bounding_box()
+    return {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+
+
+def test_a_task_is_moved_stopped_and_changed_by_touch(touched: Any):
+    walk = chip(touched, "a", "Walk")
+    expect(walk).to_have_attribute("data-state", "running")
+    expect(touched.locator("[data-agent=a] .links")).to_have_text(re.compile("links: b"))
+
+    # It is changed by tapping.
+    walk.get_by_role("button").tap()
+    dialog = touched.get_by_role("dialog")
+    dialog.get_by_role("spinbutton", name="Rate in hertz").fill("9")
+    dialog.get_by_role("button", name="Change").tap()
+    expect(dialog).to_contain_text("it ticks at 9 Hz from now on")
+    dialog.get_by_role("button", name="Stop").tap()
+    expect(dialog).to_contain_text("it has stopped")
+    dialog.get_by_role("button", name="Close").tap()
+    expect(walk).to_have_attribute("data-state", "stopped")
+    walk.get_by_role("button").tap()
+    dialog.get_by_role("button", name="Start").tap()
+    expect(walk).to_have_attribute("data-state", "running")
+    dialog.get_by_role("button", name="Close").tap()
+
+    # Elsewhere than on its grip a finger scrolls, and moves nothing.
+    finger = touched.context.new_cdp_session(touched)
+
+    def touch(kind: str, *points: dict[str, float]) -> None:
+        finger.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": list(points)})
+
+    walk.scroll_into_view_if_needed()
+    at = middle(walk)
+    touch("touchStart", at)
+    for step in range(1, 8):
+        touch("touchMove", {"x": at["x"], "y": at["y"] - 15 * step})
+    touch("touchEnd")
+    expect(touched.locator(".ghost")).to_have_count(0)
+    expect(dialog).to_have_count(0)
+    touched.evaluate("""() => new Promise((still) => {
+      let before = NaN;
+      const look = () => (scrollY === before ? still() : ((before = scrollY), setTimeout(look, 150)));
+      look();
+    })""")
+
+    # By its grip it is dragged, and the page goes along at its edge, until the other agent is there.
+    touched.locator("[data-agent=a]").evaluate("(card) => card.scrollIntoView({block: 'end'})")
+    at = middle(walk.locator(".grip"))
+    touch("touchStart", at)
+    for step in range(1, 11):
+        touch("touchMove", {"x": at["x"] - 10 * step, "y": at["y"] + (412 - at["y"]) * step / 10})
+    expect(touched.locator("[data-agent=b].target")).to_have_count(1)
+    touch("touchEnd")
+    expect(dialog).to_contain_text("Move Walk from a to b?")
+    # Not tapped: so soon after a finger was lifted Chromium makes no click of it; no person is that quick.
+    dialog.get_by_role("button", name="Move it to b").click()
+    expect(chip(touched, "b", "Walk")).to_have_attribute("data-state", "running")
+
+
+def test_escape_ends_a_drag_and_nothing_is_asked(acting: Any):
+    walk = chip(acting, "a", "Walk")
+    expect(walk).to_have_attribute("data-state", "running")
+    at = middle(walk)
+    acting.mouse.move(at["x"], at["y"])
+    acting.mouse.down()
+    target = middle(acting.locator("[data-agent=b]"))
+    acting.mouse.move(target["x"], target["y"], steps=5)
+    expect(acting.locator("[data-agent=b].target")).to_have_count(1)
+    acting.keyboard.press("Escape")
+    expect(acting.locator(".ghost")).to_have_count(0)
+    acting.mouse.up()
+    expect(acting.get_by_role("dialog")).to_have_count(0)
 
 
 def test_a_task_is_moved_stopped_and_changed_by_keyboard_alone(acting: Any):

@@ -18,6 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from pancakes.control import Migrate, Reply
 from pancakes.errors import NoAnswer, PancakesError
+from pancakes.packet import Cause
 from pancakes.web.feed import Feed
 from pancakes.web.page import Shown, open_page
 from pancakes.web.server import MOST_PAGES, PageServer
@@ -42,8 +43,10 @@ class Fleet:
             future.set_exception(self.answer)
         return future
 
-    def explain(self, agent: str) -> dict[str, Any] | None:
-        return {"agent": agent}
+    def explain(
+        self, agent: str, type_: str, t: float | None, command: Cause | None, step: int
+    ) -> dict[str, Any] | None:
+        return {"agent": agent, "asked": [type_, t, command, step]}
 
 
 @pytest.fixture
@@ -242,7 +245,10 @@ def test_what_an_agent_refuses_or_does_not_answer_is_told(server: PageServer, fl
     assert (silent["ok"], silent["reason"]) == (False, "a did not answer")
 
 
-@pytest.mark.parametrize("message", ["nonsense", "[1]", '{"ask": "shutdown"}', '{"ask": 7}', '{"ask": "order"}'])
+NONSENSE = ["nonsense", "[1]", '{"ask": "shutdown"}', '{"ask": 7}', '{"ask": "order"}', '{"ask": "explain"}']
+
+
+@pytest.mark.parametrize("message", NONSENSE)
 def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer, message: str):
     with page(server) as connection:
         ask(connection, "hello", token=server.token)
@@ -251,7 +257,18 @@ def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer, message: s
         while "answer" not in answer:
             answer = json.loads(connection.recv(PATIENCE_S))
         assert answer["ok"] is False and answer["reason"]
-        assert ask(connection, "explain", agent="a")["result"] == {"agent": "a"}
+        assert ask(connection, "explain", agent="a")["result"] == {"agent": "a", "asked": ["", None, None, 0]}
+
+
+def test_a_page_asks_why_of_any_command(server: PageServer):
+    with page(server) as connection:
+        at = ask(connection, "explain", agent="a", type="motors", t=3)["result"]
+        assert at["asked"] == ["motors", 3.0, None, 0]
+        before = ask(connection, "explain", agent="a", command=["a/client/T", 7], step=-1)["result"]
+        assert before["asked"] == ["", None, ["a/client/T", 7], -1]
+        for nonsense in ({}, {"agent": 1}, {"agent": "a", "command": ["x"]}, {"agent": "a", "step": "on"}):
+            answer = ask(connection, "explain", **nonsense)
+            assert not answer["ok"] and answer["reason"]
 
 
 def test_the_past_is_fetched_in_pieces(server: PageServer, fleet: Fleet):

@@ -101,6 +101,70 @@ def test_an_agent_that_comes_later_is_seen_and_one_that_goes_is_seen_to_be_silen
     seen.wait(lambda it: it["set"]["agent/a"]["state"] == "no answer")
 
 
+def test_a_fleet_that_has_ended_is_said_to_have_ended_until_somebody_comes_back(rig: Rig, seen: Seen, watch: Watch):
+    running = rig.ready("a", LOAD)
+    watch.start()
+    seen.wait(lambda it: it["set"].get("agent/a", {}).get("state") == "ready" and "over" not in it)
+    running.close()
+    ended = seen.wait(lambda it: "over" in it)
+    assert "the fleet has ended" in ended["over"]
+    assert seen.feed.now() == pytest.approx(ended["t"], abs=0.002), "nothing happens any more, so no time passes"
+    assert json.loads(seen.feed.chunk(ended["t"])), "what was can still be looked at"
+
+    rig.ready("a", LOAD)
+    back = seen.wait(lambda it: "over" not in it and it["set"]["agent/a"]["state"] == "ready")
+    assert back["t"] >= ended["t"]
+
+
+STEER = """
+from pancakes.devices.types import Load
+from pancakes.task import Task, on
+
+class Steer(Task):
+    @on("system", Load)
+    def steer(self, packet):
+        if packet.destination or not packet.source.startswith(self.agent):
+            self.publish("ctrl", Load(packet.body.cpu))
+
+class Tell(Task):
+    @on("system", Load)
+    def tell(self, packet):
+        self.publish("system", Load(packet.body.cpu), to="*")
+"""
+
+
+def test_any_command_is_led_back_over_agents_and_is_still_known_when_the_fleet_has_gone(
+    rig: Rig, seen: Seen, watch: Watch
+):
+    rig.install("steer", "[pancakes.tasks]\nsteer.Steer = plugin_steer:Steer\nsteer.Tell = plugin_steer:Tell\n", STEER)
+    first = rig.ready("a", LOAD + '[task.Tell]\ntype = "steer.Tell"\n')
+    second = rig.ready("b", '[task.Steer]\ntype = "steer.Steer"\n', agent=f'peers = ["{rig.address(first)}"]')
+    watch.start()
+    seen.wait(lambda it: it["set"].get("commands/b") == ["load"])
+
+    def explained(**asked: Any) -> dict[str, Any]:
+        found = watch.explain("b", **asked)
+        assert found is not None
+        return found
+
+    seen.wait(lambda it: explained()["count"] >= 5 and len(explained()["steps"]) == 3)
+    steps = explained()["steps"]
+    assert [(step["source"], step["type"]) for step in steps] == [
+        ("a/device/load", "load"), ("a/client/Tell", "load"), ("b/client/Steer", "load"),
+    ]  # fmt: skip
+    assert steps[1]["travel_ms"] > 0.0 and steps[0]["travel_ms"] == 0.0
+    assert sum(step["travel_ms"] + step["handling_ms"] for step in steps) == pytest.approx(steps[-1]["at_ms"], abs=0.01)
+    newest = explained()
+    before = explained(command=(newest["source"], newest["seq"]), step=-1)
+    assert (before["seq"], before["place"]) == (newest["seq"] - 1, newest["place"] - 1)
+    assert explained(t=before["t"] + 0.01)["seq"] == before["seq"]
+
+    second.close()
+    first.close()
+    seen.wait(lambda it: "over" in it)
+    assert explained(command=(newest["source"], newest["seq"]))["mission_s"] == newest["mission_s"]
+
+
 def test_what_is_asked_for_is_done_and_seen(rig: Rig, seen: Seen, watch: Watch):
     rig.ready("a", LOAD)
     watch.start()

@@ -93,7 +93,7 @@ class Card {
     this.name = name;
     this.cards = cards;
     this.chips = new Map();
-    this.whyButton = h("button.quiet", { type: "button", onclick: () => cards.asks.why(name), title: "What led to the newest command to its motors?" }, "Why?");
+    this.whyButton = h("button.quiet", { type: "button", onclick: () => cards.asks.why(name), title: "What led to the command to its actuators at this moment?" }, "Why?");
     this.state = h("span.badge");
     this.bar = h("meter", { min: 0, max: 1, low: 0.35, high: 0.65, optimum: 1 });
     this.level = h("span.figure");
@@ -105,6 +105,7 @@ class Card {
     this.nothing = h("p.nothing.dim", {}, "runs no task of its own");
     this.own = h("ul.tasks");
     this.summary = h("summary.dim");
+    this.services = h("p.services.dim");
     this.root = h(
       "article.card.panel",
       { "aria-label": `Agent ${name}`, "data-agent": name, onclick: (event) => this.#click(event) },
@@ -114,7 +115,7 @@ class Card {
       this.nothing,
       this.figures,
       this.links,
-      h("details", {}, this.summary, this.own),
+      h("details", {}, this.summary, this.services, this.own),
     );
   }
 
@@ -144,7 +145,7 @@ class Card {
       set(this.bar, "aria-label", `battery of ${this.name}`);
       say(this.level, `${percent(battery[1])}${battery[0] === null ? "" : ` · ${battery[0].toFixed(2)} V`}`);
     }
-    show(this.whyButton, (row.devices || []).includes("motors"));
+    show(this.whyButton, Boolean(picture.get("commands", this.name)));
     this.#figure("processor", row.processor === null || row.processor === undefined ? null : percent(row.processor));
     this.#figure("memory", row.memory_mib ? `${Math.round(row.memory_mib)} MiB` : null);
     this.#figure("late", row.late_ms === null || row.late_ms === undefined ? null : `${row.late_ms.toFixed(1)} ms`);
@@ -181,7 +182,9 @@ class Card {
     this.#order(this.tasks, false);
     this.#order(this.own, true);
     show(this.nothing, users === 0);
-    const stopped = [...(picture.services.get(this.name) || new Map())].filter(([, [state]]) => state !== RUNNING);
+    const services = [...(picture.services.get(this.name) || new Map())].sort(([one], [other]) => (one < other ? -1 : 1));
+    say(this.services, `services: ${services.map(([name, [state]]) => (state === RUNNING ? name : `${name} (${state})`)).join(", ")}`);
+    const stopped = services.filter(([, [state]]) => state !== RUNNING);
     const trouble = stopped.map(([name, [state]]) => ` · ${name} ${state}`).join("");
     say(this.summary, `${running} of ${own} tasks of its services run${trouble}`);
     this.summary.classList.toggle("warn", stopped.length > 0);

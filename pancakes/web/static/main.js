@@ -9,7 +9,7 @@ import { Orders } from "./orders.js";
 import { Past } from "./past.js";
 import { Picture } from "./state.js";
 import { Timeline } from "./timeline.js";
-import { why } from "./why.js";
+import { Why } from "./why.js";
 import { clock, dark, say, set, show } from "./words.js";
 
 const DESCRIBED_MS = 5000;
@@ -44,9 +44,10 @@ const past = new Past(link);
 const timeline = new Timeline(past, { present: showPresent, past: showPast, mission: () => shown.m });
 const events = new Events(find("events"), find("filter"), (t) => timeline.go(t));
 const orders = new Orders(link, dialog, () => present.agents().filter((name) => present.get("agent", name).role === "agent"));
+const why = new Why(link, dialog, timeline);
 const cards = new Cards(find("agents"), {
   select,
-  why: (agent) => why(link, dialog, agent),
+  why: (agent) => why.open(agent),
   act: (agent, key, row) => orders.open(agent, key, row),
 });
 
@@ -94,7 +95,7 @@ function state(what, greeting) {
   say(
     find("help-control"),
     control
-      ? "This page may change what the agents do: drag a task onto another agent, or open it. You are asked before it moves."
+      ? "This page may change what the agents do: drag a task onto another agent (by its ⠿ with a finger; escape lets go), or open it. You are asked before it moves."
       : "This page only looks. Started with --control it lets you move tasks between agents, change rates, stop and start.",
   );
 }
@@ -205,7 +206,7 @@ function head() {
   say(find("title"), fleet ? fleet.name.replace(/-\d+$/, "") : "Pancakes");
   say(find("speed"), fleet ? (fleet.held ? "held" : fleet.speed !== 1 ? `×${fleet.speed}` : "") : "");
   const open = document.body.dataset.link === "open";
-  const status = !open ? "no server" : !timeline.live ? "past" : lastFrame.over ? "over" : lastFrame.waiting ? "waiting" : "live";
+  const status = !open ? "no server" : !timeline.live ? "past" : lastFrame.over ? "ended" : lastFrame.waiting ? "waiting" : "live";
   say(find("status"), status);
   set(find("status"), "data-state", status);
   const waiting = !open ? "The page has lost its server. It looks for it every second." : lastFrame.over || lastFrame.waiting || "";

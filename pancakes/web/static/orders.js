@@ -4,6 +4,8 @@ import { OWN_SERVICES, RUNNING } from "./state.js";
 import { h, hertz } from "./words.js";
 
 const FAR_PX = 6;
+const EDGE_PX = 56;
+const SCROLL_PX = 14;
 
 export class Orders {
   /**
@@ -31,17 +33,20 @@ export class Orders {
     // A finger scrolls the page, unless it takes hold of the grip.
     if (event.pointerType === "touch" && !event.target.closest(".grip")) return;
     const agent = chip.closest(".card").dataset.agent;
-    const drag = { chip, agent, x: event.clientX, y: event.clientY, ghost: null, target: null };
+    const drag = { chip, agent, list: chip.closest(".agents"), x: event.clientX, y: event.clientY, ghost: null, target: null };
     const move = (it) => this.#move(drag, it);
     const end = (it) => {
+      if (it.type === "keydown" && it.key !== "Escape") return;
       document.removeEventListener("pointermove", move);
       document.removeEventListener("pointerup", end);
       document.removeEventListener("pointercancel", end);
+      document.removeEventListener("keydown", end);
       this.#drop(drag, it.type === "pointerup");
     };
     document.addEventListener("pointermove", move);
     document.addEventListener("pointerup", end);
     document.addEventListener("pointercancel", end);
+    document.addEventListener("keydown", end);
   }
 
   #move(drag, event) {
@@ -51,11 +56,35 @@ export class Orders {
       document.body.append(drag.ghost);
       document.body.classList.add("dragging");
       drag.chip.classList.add("dragged");
+      requestAnimationFrame(() => this.#scroll(drag));
     }
     event.preventDefault();
+    [drag.x, drag.y] = [event.clientX, event.clientY];
     drag.ghost.style.left = `${event.clientX + 10}px`;
     drag.ghost.style.top = `${event.clientY + 8}px`;
-    const card = document.elementFromPoint(event.clientX, event.clientY)?.closest(".card");
+    this.#aim(drag);
+  }
+
+  /** Scrolls towards agents that are out of sight, while a task is held near the edge of the page or of their list. */
+  #scroll(drag) {
+    if (!drag.ghost) return;
+    const { list } = drag;
+    const own = list.scrollHeight > list.clientHeight + 1 && getComputedStyle(list).overflowY === "auto";
+    const { top, bottom } = list.getBoundingClientRect();
+    const [first, last] = own ? [Math.max(0, top), Math.min(bottom, window.innerHeight)] : [0, window.innerHeight];
+    // The page goes no further than to the ends of the list.
+    const [before, after] = own ? [Infinity, Infinity] : [Math.max(0, first - top), Math.max(0, bottom - last)];
+    const step = (px) => (SCROLL_PX * Math.min(EDGE_PX, px)) / EDGE_PX;
+    const by = Math.min(after, step(Math.max(0, drag.y - last + EDGE_PX))) - Math.min(before, step(Math.max(0, first + EDGE_PX - drag.y)));
+    if (by) {
+      (own ? list : window).scrollBy({ top: by, behavior: "instant" });
+      this.#aim(drag);
+    }
+    requestAnimationFrame(() => this.#scroll(drag));
+  }
+
+  #aim(drag) {
+    const card = document.elementFromPoint(drag.x, drag.y)?.closest(".card");
     const target = card && card.dataset.agent !== drag.agent && card.dataset.role === "agent" ? card : null;
     if (target === drag.target) return;
     drag.target?.classList.remove("target");
@@ -69,6 +98,7 @@ export class Orders {
     window.addEventListener("click", stop, { capture: true, once: true });
     setTimeout(() => window.removeEventListener("click", stop, { capture: true }), 0);
     drag.ghost.remove();
+    drag.ghost = null;
     drag.chip.classList.remove("dragged");
     document.body.classList.remove("dragging");
     drag.target?.classList.remove("target");

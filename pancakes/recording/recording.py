@@ -1,0 +1,277 @@
+"""What is kept of one agent: packets are taken from its channels, and written into MCAP files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
+
+from pancakes.clock import wall_ns
+from pancakes.errors import PancakesError
+from pancakes.events import Event
+from pancakes.kernel.backlog import Backlog
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.stream import Tap
+from pancakes.migration.record import TaskId
+from pancakes.packet import TO_TASK, Packet, type_name
+from pancakes.recording.description import CHANNEL, TaskDescription
+from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.figures import figures_of
+from pancakes.recording.latenesses import Latenesses
+from pancakes.recording.viewing import SHOWN, Viewer
+
+WAITING: Final = 20_000
+"""So many packets wait for the disk, of large ones fewer; then the oldest are left out and counted."""
+FLUSH_S: Final = 0.74
+"""How often, in host time, what was written is brought to the disk: with the time between two turns less than a second,
+which is what a crash may cost."""
+SAMPLE_S: Final = 0.99
+"""How often, in host time, it is noted how tasks and links fare: once a second."""
+
+Size = Annotated[float, Meta(ge=0, le=1e9)]
+
+
+@dataclass
+class RecordingSettings:
+    """What is recorded, and where to.
+
+    Attributes:
+        path: the file; one that is there already is left alone, and a number added to the name. `{agent}` stands
+            for the agent's name.
+        channels: the channels to record; empty: all, those too that are added later.
+        types: the packet types to record; empty: all.
+        task: record only what this task (`birthplace/name`) reads and publishes, on whatever agent it is; empty:
+            everything.
+        split_mib: a new file begins where one has grown this large.
+        limit_mib: how large the recording may become; 0 for no limit.
+        at_limit: what happens then: it ends (`stop`), or its oldest file is removed (`drop_oldest`).
+        free_mib: the recording ends before less than this is free on the disk, and does not begin where less is.
+        viewer: whether poses are written in the schemas of Foxglove as well.
+    """
+
+    path: str = "recordings/{agent}.mcap"
+    channels: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
+    task: str = ""
+    split_mib: Annotated[float, Meta(gt=0, le=1e6)] = 256.0
+    limit_mib: Size = 0.0
+    at_limit: Literal["stop", "drop_oldest"] = "stop"
+    free_mib: Size = 64.0
+    viewer: bool = True
+
+
+def is_described(target: str) -> bool:
+    """Returns whether a recording holds what a task is, given as `service/task`: not of an agent's own ones."""
+    return not target.startswith(("log/", "network/", "device/"))
+
+
+class Recording:
+    """The recording of one agent.
+
+    Packets are taken in the publishers' threads, which costs them little more than an append to a list; all else
+    happens in the one thread that calls the methods.
+
+    Args:
+        kernel: the agent's kernel.
+        settings: what is recorded, and where to.
+        say: takes a level and a sentence on what is not as it should be.
+        take_seq: numbers what the recording adds itself, in the name of `source`.
+        source: whose name that is.
+        goes_on: the first file of an earlier recording, which goes on in a new file; None: a new one begins.
+
+    Attributes:
+        first: its first file.
+        asking: says whether something was asked about the only task that is recorded and is not answered yet, so that
+            what waits must wait on.
+
+    Raises:
+        PancakesError: nothing can be written there, too little is free on the disk, mcap is not installed, ...
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        settings: RecordingSettings,
+        say: Callable[[str, str], None],
+        take_seq: Callable[[], int],
+        source: str,
+        goes_on: Path | None = None,
+    ) -> None:
+        # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
+        try:
+            from pancakes.recording.parts import Parts
+        except ModuleNotFoundError as error:
+            raise PancakesError(
+                f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
+            ) from None
+        if settings.task:
+            TaskId.parse(settings.task)  # a bare name would fit nothing, and nobody would be told
+        self._kernel = kernel
+        self._agent = kernel.agent
+        self._settings = settings
+        self._say = say
+        self._take_seq = take_seq
+        self._source = source
+        self._everything = not (settings.channels or settings.types or settings.task)
+        self._taps: dict[str, Tap] = {}
+        self._waiting: Backlog[tuple[float, Packet]] = Backlog(WAITING)
+        self._viewer = Viewer()
+        self._lost_before = 0
+        self._tasks: dict[str, TaskDescription] = {}
+        self._latenesses = Latenesses()
+        self.asking: Callable[[], bool] = lambda: False
+        # One look at the time of day: between two packets only the monotonic clock counts.
+        virtual = kernel.virtual is not None
+        self._epoch_ns = 0 if virtual else wall_ns() - int(kernel.host.now() * NANOSECONDS)
+        about = {
+            "agent": self._agent,
+            "clock": "mission time" if virtual else "time of day",
+            "speed": str(kernel.mission.speed),
+            "task": settings.task,
+        }
+        path = goes_on or Path(settings.path.replace("{agent}", self._agent))
+        drop_oldest = settings.at_limit == "drop_oldest"
+        limits = (settings.split_mib, settings.limit_mib, drop_oldest, settings.free_mib)
+        self._parts = Parts(path, about, *limits, goes_on=goes_on is not None)
+        self.first = self._parts.first
+        self._flushed_s = self._sampled_s = kernel.host.now()
+        self._tap_channels()
+        kernel.stream.tap_outgoing(self._take)
+        kernel.hear_lateness(self._latenesses.heard)
+
+    # Taking: in the publishers' threads ------------------------------------------------------------------------
+
+    def _take(self, packet: Packet) -> None:
+        self._waiting.put(packet, (self._kernel.host.now(), packet))
+
+    def _tap_channels(self) -> None:
+        stream = self._kernel.stream
+        there = stream.channels()
+        for channel in [name for name in self._taps if name not in there]:
+            del self._taps[channel]
+        for channel in self._settings.channels or there:
+            if channel in there and channel not in self._taps:
+                self._taps[channel] = self._take
+                stream.tap(channel, self._take)
+
+    def _note(self, body: Any) -> None:
+        """Takes something that nobody published."""
+        kernel = self._kernel
+        self._take(Packet(CHANNEL, type_name(body), self._source, "", kernel.mission.now(), self._take_seq(), body))
+
+    # What the tasks are ----------------------------------------------------------------------------------------
+
+    def describe(self, told: Mapping[str, Any], seen: bool) -> None:
+        """Takes what a task is.
+
+        Args:
+            told: what its agent answers to `Describe(target, state=True)`.
+            seen: whether the recording saw the task start.
+        """
+        described = TaskDescription.of(told, self._time_ns, self._kernel.seed, seen)
+        self._tasks[described.task_id] = described
+        self._note(described)
+
+    def ended(self, address: str) -> None:
+        """A task has ended; what has come until now came while it ran."""
+        self._write_waiting()
+        self._tasks = {task_id: told for task_id, told in self._tasks.items() if told.address != address}
+
+    # Writing ---------------------------------------------------------------------------------------------------
+
+    def write(self) -> str:
+        """Writes what has come since the last time.
+
+        Returns:
+            Why the recording must end; empty where it may go on.
+        """
+        now_s = self._kernel.host.now()
+        if now_s - self._sampled_s >= SAMPLE_S:
+            self._sampled_s = now_s
+            self._note(figures_of(self._kernel, self._latenesses.take()))
+        try:
+            if not (self._settings.task and self.asking()):
+                # What one task reads is known only once its service has said so.
+                self._write_waiting()
+            if now_s - self._flushed_s < FLUSH_S:
+                return ""
+            self._flushed_s = now_s
+            self._write_waiting()
+            reason = self._parts.flush()
+        except OSError as error:
+            reason = f"its disk failed: {error.strerror or error}"
+        if not reason:
+            self._tap_channels()
+            self._tell_lost()
+        return reason
+
+    def waits(self) -> int:
+        """Returns how many packets wait to be written."""
+        return len(self._waiting)
+
+    def end(self) -> None:
+        """Takes nothing any more, writes what has come, and closes the file."""
+        self._kernel.unhear_lateness(self._latenesses.heard)
+        for channel, tap in self._taps.items():
+            self._kernel.stream.untap(channel, tap)
+        self._kernel.stream.untap_outgoing(self._take)
+        try:
+            self._write_waiting()
+            self._parts.close()
+        except OSError as error:
+            self._say("warning", f"the recording {self.first} could not be closed: {error.strerror or error}")
+
+    def _write_waiting(self) -> None:
+        for _ in range(len(self._waiting)):
+            taken = self._waiting.take()
+            if taken is None:  # old ones fell out just now
+                return
+            host_s, packet = taken
+            if self._wanted(packet):
+                self._put(Entry(self._time_ns(host_s), self._agent, packet))
+
+    def _time_ns(self, host_s: float) -> int:
+        return self._epoch_ns + int(host_s * NANOSECONDS)
+
+    def _put(self, entry: Entry) -> None:
+        try:
+            self._parts.write(entry)
+        except PancakesError as error:
+            self._say("warning", str(error))
+            return
+        if self._settings.viewer and entry.packet.type in SHOWN:
+            for message in self._viewer.messages(entry):
+                self._parts.add(*message)
+
+    def _wanted(self, packet: Packet) -> bool:
+        settings = self._settings
+        if self._everything:
+            return True
+        if settings.channels and packet.channel not in settings.channels:
+            return False
+        if settings.types and packet.type not in settings.types:
+            return False
+        if not settings.task:
+            return True
+        if packet.fence is not None and packet.fence.task_id == settings.task:
+            return True
+        body = packet.body
+        if getattr(body, "task_id", "") == settings.task or packet.destination == TO_TASK + settings.task:
+            return True  # what it was, and what is addressed to it wherever it is
+        if isinstance(body, Event) and body.kind == "recording_started":
+            return True
+        reader = self._tasks.get(settings.task)
+        if reader is None:
+            return False
+        if isinstance(body, Event) and f"{packet.source}/{body.fields.get('task')}" == reader.address:
+            return True  # what its service says of it, such as that its rate was changed
+        return reader.reads_packet(packet.channel, packet.type)
+
+    def _tell_lost(self) -> None:
+        lost = self._waiting.dropped
+        if lost > self._lost_before:
+            self._say("warning", f"the recording lacks {lost - self._lost_before} packets: the disk is too slow")
+            self._lost_before = lost

@@ -1,0 +1,209 @@
+"""What led to the commands of an agent's actuators, for who watches: noted only while somebody asks for it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.clock import wall_ns
+from pancakes.control import Traces
+from pancakes.kernel.component import Component
+from pancakes.packet import LOG, SYSCTRL, Cause, Packet
+from pancakes.recording.chains import LONGEST
+from pancakes.recording.commands import body_text, is_command
+
+LEASE_S: Final = 10.0
+"""So long after somebody asked last, in host time, packets are noted for who went away without a word."""
+LOOK_LATER_S: Final = 0.1
+WAITING: Final = 20_000
+"""So many packets are noted between two questions; of more, the oldest are forgotten."""
+KEPT_NS: Final = 8_000_000_000
+"""So long a packet is known; what it led to elsewhere may be asked about seconds later."""
+MOST_KEPT: Final = 20_000
+MOST_ROWS: Final = 600
+"""So many packets go into one answer."""
+LARGE_BYTES: Final = 4096
+"""What packets say is not kept of types whose packets are larger: images would fill the memory."""
+
+_SIZE: Final = msgspec.json.Encoder(enc_hook=lambda value: value.tolist() if hasattr(value, "tolist") else str(value))
+
+
+class TracedPackets:
+    """The newest packets, and which of them led to commands. Pure.
+
+    Args:
+        agent: the agent's name.
+    """
+
+    def __init__(self, agent: str) -> None:
+        self._agent = agent
+        self._waiting: deque[tuple[int, Packet]] = deque(maxlen=WAITING)
+        self._known: OrderedDict[Cause, tuple[int, Packet]] = OrderedDict()
+        self._commands: deque[tuple[int, Cause]] = deque(maxlen=MOST_KEPT)
+        self._sizes: dict[str, int] = {}
+        self._large: frozenset[str] = frozenset()
+
+    def hear(self, time_ns: int, packet: Packet) -> None:
+        """Takes a packet that was seen here. In any thread, and of little cost: everything that is published comes."""
+        if packet.type in self._large:
+            packet = msgspec.structs.replace(packet, body=None)
+        self._waiting.append((time_ns, packet))
+
+    def answer(self, asked: Traces, now_ns: int) -> dict[str, Any]:
+        """Returns the answer to a question, see `Traces`. In one thread."""
+        self._take(now_ns)
+        given = [(time_ns, key) for time_ns, key in self._commands if time_ns > asked.since_ns]
+        stride = max(1, -(-len(given) // max(1, asked.most)))
+        chosen = given[::-1][::stride][::-1]  # the newest is always among them
+        rows: dict[Cause, None] = {}
+        left_out = len(given) - len(chosen)
+        for key in (*asked.packets, *(key for _, key in chosen)):
+            if len(rows) < MOST_ROWS:
+                rows.update(dict.fromkeys(self._chain(key)))
+            else:
+                left_out += 1
+        seen = sorted((self._known[key] for key in rows), key=lambda it: it[0])
+        return {
+            "now_ns": now_ns,
+            "until_ns": given[-1][0] if given else max(asked.since_ns, 0),
+            "left_out": left_out,
+            "rows": [_row(time_ns, packet) for time_ns, packet in seen],
+        }
+
+    def _take(self, now_ns: int) -> None:
+        """Finds a place for what has come since the last time."""
+        fresh: dict[str, Packet] = {}
+        for _ in range(len(self._waiting)):
+            try:
+                time_ns, packet = self._waiting.popleft()
+            except IndexError:  # an old one fell out just now
+                break
+            key = (packet.source, packet.seq)
+            if key in self._known:
+                continue
+            self._known[key] = (time_ns, packet)
+            fresh[packet.type] = packet
+            if is_command(self._agent, packet):
+                self._commands.append((time_ns, key))
+        while self._known and (len(self._known) > MOST_KEPT or next(iter(self._known.values()))[0] < now_ns - KEPT_NS):
+            self._known.popitem(last=False)
+        while self._commands and self._commands[0][1] not in self._known:
+            self._commands.popleft()
+        self._weigh(fresh.values())
+
+    def _weigh(self, packets: Iterable[Packet]) -> None:
+        """Finds out of which types packets are large."""
+        large = {packet.type for packet in packets if packet.body is not None and _size(packet.body) > LARGE_BYTES}
+        if not large <= self._large:
+            self._large |= large
+
+    def _chain(self, key: Cause) -> Sequence[Cause]:
+        """Returns what led to a packet on this agent, as far as it is known, the first cause first."""
+        keys: list[Cause] = []
+        found: Cause | None = key
+        while found is not None and found in self._known and found not in keys and len(keys) < LONGEST:
+            keys.append(found)
+            cause = self._known[found][1].cause
+            found = (cause[0], cause[1]) if cause is not None else None
+        return keys[::-1]
+
+
+class Tracing:
+    """Notes the packets of an agent for as long as somebody asks what led to its commands.
+
+    Args:
+        owner: the component in which questions are answered.
+    """
+
+    def __init__(self, owner: Component) -> None:
+        self._owner = owner
+        self._packets: TracedPackets | None = None
+        self._taps: dict[str, Callable[[Packet], None]] = {}
+        self._epoch_ns = 0
+        self._asked_s: dict[str, float] = {}
+
+    def answer(self, asked: Traces, by: str) -> dict[str, Any] | None:
+        """Returns the answer to a question; the first one begins it all. In the owner's thread.
+
+        Args:
+            asked: the question; with `most` 0 it is the last one, and has no answer.
+            by: the address of who asks.
+        """
+        now_s = self._owner.kernel.host.now()
+        if asked.most <= 0:
+            self._asked_s.pop(by, None)
+            if not self._asked_s:
+                self.end()
+            return None
+        if self._packets is None:
+            self._begin(now_s)
+        self._asked_s[by] = now_s
+        self._tap_channels()
+        assert self._packets is not None
+        return self._packets.answer(asked, self._ns(now_s))
+
+    def end(self) -> None:
+        """Notes nothing any more."""
+        if self._packets is None:
+            return
+        self._packets = None
+        stream = self._owner.kernel.stream
+        for channel, tap in self._taps.items():
+            stream.untap(channel, tap)
+        stream.untap_outgoing(self._tap)
+        self._taps = {}
+
+    def _begin(self, now_s: float) -> None:
+        kernel = self._owner.kernel
+        # As recordings have it: the agents of one machine, and those whose clocks agree, can be compared.
+        self._epoch_ns = 0 if kernel.virtual is not None else wall_ns() - int(now_s * 1e9)
+        packets = self._packets = TracedPackets(self._owner.agent)
+        hear, now, epoch_ns = packets.hear, kernel.host.now, self._epoch_ns
+
+        def tap(packet: Packet) -> None:
+            if packet.channel not in (SYSCTRL, LOG):
+                hear(epoch_ns + int(now() * 1e9), packet)
+
+        self._tap = tap
+        kernel.stream.tap_outgoing(tap)
+        self._owner.after_host(LEASE_S, self._look)
+
+    def _look(self) -> None:
+        if self._packets is None:
+            return
+        until_s = self._owner.kernel.host.now() - LEASE_S
+        self._asked_s = {by: asked_s for by, asked_s in self._asked_s.items() if asked_s > until_s}
+        if self._asked_s:
+            # Not the instant itself: a sum of floating-point numbers may fall short of it for ever.
+            self._owner.after_host(min(self._asked_s.values()) - until_s + LOOK_LATER_S, self._look)
+        else:
+            self.end()
+
+    def _tap_channels(self) -> None:
+        """Takes channels that were added since."""
+        stream = self._owner.kernel.stream
+        there = [name for name in stream.channels() if name not in (SYSCTRL, LOG)]
+        self._taps = {channel: tap for channel, tap in self._taps.items() if channel in there}
+        for channel in there:
+            if channel not in self._taps:
+                self._taps[channel] = self._tap
+                stream.tap(channel, self._tap)
+
+    def _ns(self, now_s: float) -> int:
+        return self._epoch_ns + int(now_s * 1e9)
+
+
+def _row(time_ns: int, packet: Packet) -> list[Any]:
+    said = "" if packet.body is None else body_text(packet.body)
+    cause = list(packet.cause) if packet.cause is not None else None
+    return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp, cause, said]
+
+
+def _size(body: Any) -> int:
+    try:
+        return len(_SIZE.encode(body))
+    except (TypeError, ValueError):
+        return LARGE_BYTES + 1

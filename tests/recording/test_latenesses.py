@@ -1,0 +1,62 @@
+"""How late ticks were is counted while an agent is recorded, and percentiles are found in what was counted."""
+
+import random
+
+import pytest
+
+from pancakes.control import Start, Stop
+from pancakes.recording.latenesses import Latenesses, bucket_of, quantile_s
+from pancakes.recording.reader import RecordingReader
+from pancakes.report.rates import Rates
+from pancakes.task import Task, every
+from pancakes.testing import FleetInTest
+
+
+class Tick100(Task):
+    @every(hz=100)
+    def tick(self, tick):
+        pass
+
+
+def counted(values):
+    counts = {}
+    for value in values:
+        counts[bucket_of(value)] = counts.get(bucket_of(value), 0) + 1
+    return counts
+
+
+def test_percentiles_are_found_to_within_ten_per_cent():
+    draw = random.Random(1)
+    values = sorted(draw.lognormvariate(-8.0, 1.5) for _ in range(10_000))
+    counts = counted(values)
+    for share in (0.5, 0.9, 0.99):
+        assert quantile_s(counts, share) == pytest.approx(values[int(share * len(values))], rel=0.1)
+
+
+def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
+    assert quantile_s(counted([0.0, 0.0, 5e-7]), 0.99) == 0.0
+    assert quantile_s({}, 0.5) is None
+
+
+def test_each_tick_is_counted_once():
+    heard = Latenesses()
+    for lateness_s in (0.0, 0.001, 0.001):
+        heard.heard("timer", lateness_s)
+    assert heard.take() == {"timer": {0: 1, bucket_of(0.001): 2}}
+    assert heard.take() == {}
+
+
+def test_a_recording_holds_all_ticks_and_nobody_counts_once_it_has_ended(tmp_path):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Tick100": Tick100})
+        assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "r.mcap")})).ok
+        fleet.run_for(5.0)
+        assert agent.ask(Stop("log/Recorder")).ok
+        assert agent.kernel.lateness_heard == ()
+    rates = Rates()
+    for entry in RecordingReader(tmp_path / "r.mcap").entries():
+        if entry.packet.type == "task_figures":
+            rates.add("a", entry.packet.body, entry.time_ns / 1e9)
+    timer = rates.timers["a", "client/Tick100", "tick"]
+    assert sum(timer.lateness_counts.values()) == pytest.approx(500, abs=105)  # up to the last sample, once a second
+    assert (timer.lateness_quantile_s(0.5), timer.lateness_quantile_s(0.99)) == (0.0, 0.0)

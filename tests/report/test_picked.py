@@ -1,0 +1,90 @@
+"""Which commands a report lets one look at, and the part of its page in which that is done."""
+
+import json
+import re
+
+import msgspec
+import pytest
+from commanded import command
+
+from pancakes.recording.mission_time import MissionTime
+from pancakes.report.picked import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands
+from pancakes.report.picker import picker_html
+from pancakes.report.reactions import Reactions
+
+
+@pytest.fixture
+def picked():
+    return PickedCommands()
+
+
+def test_few_commands_are_all_kept(picked):
+    for number in range(100):
+        picked.add(command(number))
+    (actuator,) = picked.actuators()
+    assert (actuator.agent, actuator.type, actuator.count, actuator.stride) == ("a", "motors", 100, 1)
+    assert [it.steps[-1].seq for it in actuator.commands()] == list(range(1, 101))
+
+
+def test_of_many_evenly_spread_ones_and_the_slowest_are_kept(picked):
+    for number in range(100_000):
+        picked.add(command(number, latency_ms=50.0 if number in (12_345, 77_777) else 2.0))
+    (actuator,) = picked.actuators()
+    kept = actuator.commands()
+    assert actuator.count == 100_000
+    assert MOST_EVEN_EACH / 2 <= len(kept) <= MOST_EVEN_EACH + MOST_SLOW
+    assert [it.steps[-1].seq for it in actuator.slowest()[:2]] == [12_346, 77_778]
+    seqs = [it.steps[-1].seq for it in kept]
+    assert seqs == sorted(seqs) and {12_346, 77_778} <= set(seqs)
+    assert all((number * actuator.stride) + 1 in seqs for number in range(100_000 // actuator.stride))
+
+
+def test_many_actuators_share_what_there_is_room_for(picked):
+    for number in range(2000):
+        for robot in range(MOST_ACTUATORS + 1):
+            picked.add(command(number, agent=f"r{robot:03}"))
+    assert len(picked.actuators()) == MOST_ACTUATORS
+    assert picked.left_out == 2000
+    assert sum(len(it.commands()) for it in picked.actuators()) <= 24_000 + MOST_ACTUATORS * MOST_SLOW
+    assert len(json.dumps(picked.plain())) < 3_000_000
+
+
+def test_the_plain_values_add_up(picked):
+    picked.add(command(3, latency_ms=2.5))
+    plain = picked.plain()
+    assert plain["names"] == ["a/device/pose pose", "a/client/Scan motors"]
+    assert plain["texts"] == ["v_mps 0.1, omega_radps 0"]
+    assert plain["kinds"] == [(0, 1)]
+    assert plain["actuators"][0]["commands"] == [[302, 0, 0, [4, 4], [500], [2000]]]
+
+
+def test_it_is_the_recordings_time_that_counts_as_an_agent_that_is_started_again_stamps_from_0_again():
+    again = command(300)
+    again = msgspec.structs.replace(again, packet=msgspec.structs.replace(again.packet, stamp=0.5))
+    picked = PickedCommands(MissionTime(zero_ns=10 * 10**9, speed=5.0))
+    picked.add(again)
+    assert [it.mission_s for it in picked.actuators()[0].commands()] == [pytest.approx(5 * (30.002 - 10))]
+
+
+def test_the_page_holds_the_data_and_nothing_in_it_ends_the_script():
+    found = Reactions()
+    for number in range(20):
+        found.add_command(command(number, latency_ms=float(number + 1), source="client/</script><b>"))
+    html = picker_html(found)
+    (text,) = re.findall(r'<script type="application/json" id="commands-data">(.*?)</script>', html)
+    data = json.loads(text)
+    assert data["distributions"] == [
+        {"count": 20, "p50": "11 ms", "p90": "19 ms", "p99": "20 ms", "max": "20 ms"},
+    ]
+    assert len(data["actuators"][0]["commands"]) == 20
+    assert "<b>" not in html and "&lt;/script&gt;&lt;b&gt; motors" in html
+
+
+def test_without_scripts_the_slowest_are_there_step_by_step():
+    found = Reactions()
+    for number in range(20):
+        found.add_command(command(number, latency_ms=float(number + 1)))
+    html = picker_html(found)
+    rows = re.findall(r'<tr><td class="n">([\d.]+)</td><td class="n">([\d.]+ ms)</td><td>(.*?)</td>', html)
+    assert rows[0] == ("1.920", "20 ms", "a/device/pose pose #20 → 20 ms → a/client/Scan motors #20")
+    assert len(rows) == 5 and "<noscript>" in html and "pancakes why FILE" in html

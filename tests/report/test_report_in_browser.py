@@ -1,0 +1,107 @@
+"""The report's page in a real browser without a window: any command is picked by pointer and by keyboard."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commanded import command
+
+from pancakes.report.findings import Findings
+from pancakes.report.page import make_page
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+PHONE = {"width": 360, "height": 740}
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    program = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if program is None:
+        pytest.skip("there is no chromium here: apt install chromium")
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def report(tmp_path: Path) -> str:
+    """A report on two robots; command 60 of `a` took longest."""
+    findings = Findings()
+    for number in range(100):
+        for agent in ("a", "b"):
+            slow = agent == "a" and number in (59, 20)
+            findings.reactions.add_command(command(number, 40.0 + number if slow else 2.0, agent))
+    page = tmp_path / "report.html"
+    page.write_text(make_page("Report", {}, [], findings, {}), encoding="utf-8")
+    return page.as_uri()
+
+
+def opened(browser: Any, address: str, **options: Any) -> tuple[Any, list[str]]:
+    faults: list[str] = []
+    page = browser.new_context(**{"viewport": {"width": 1100, "height": 900}, **options}).new_page()
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+    page.on("request", lambda request: faults.append(request.url) if request.url != address else None)
+    page.goto(address)
+    return page, faults
+
+
+def expect(target: Any) -> Any:
+    from playwright.sync_api import expect
+
+    return expect(target)
+
+
+def test_a_command_is_picked_and_its_chain_is_seen(browser: Any, report: str):
+    page, faults = opened(browser, report)
+    said, rows = page.locator("#picker-said"), page.locator("#picker-chain tr")
+    expect(said).to_contain_text("Command 1 of 100, at 0.002 s: v_mps 0.1, omega_radps 0. 2 ms from the first cause")
+    assert rows.all_inner_texts()[0].split("\t")[:4] == ["0 ms", "a/device/pose pose #1", "0.5 ms", "1.5 ms"]
+    expect(page.locator("#picker-alike")).to_contain_text("Of 100 that came about like this: p50 2 ms")
+
+    # The slowest, and then the next slowest.
+    page.get_by_role("button", name="slowest").click()
+    expect(said).to_contain_text("Command 60 of 100, at 5.999 s")
+    expect(said).to_contain_text("99 ms from the first cause")
+    page.get_by_role("button", name="slowest").click()
+    expect(said).to_contain_text("Command 21 of 100")
+
+    # By keyboard: a moment, and from one command to the next.
+    page.get_by_role("spinbutton").fill("3.14")
+    page.keyboard.press("Enter")
+    expect(said).to_contain_text("Command 32 of 100, at 3.102 s")
+    page.get_by_role("slider", name="Command").focus()
+    page.keyboard.press("ArrowRight")
+    expect(said).to_contain_text("Command 33 of 100")
+    page.get_by_role("button", name="Previous command").press("Enter")
+    expect(said).to_contain_text("Command 32 of 100")
+
+    # By pointer: the point that stands out is the slowest.
+    box = page.locator("#picker-plot").bounding_box()
+    page.mouse.click(box["x"] + 60 + 0.6 * (box["width"] - 70), box["y"] + 18)
+    expect(said).to_contain_text("Command 60 of 100")
+
+    # Another actuator.
+    page.get_by_role("combobox").select_option("b motors")
+    expect(rows.first).to_contain_text("b/device/pose")
+    assert faults == []
+
+
+def test_it_fits_a_phone_in_the_dark(browser: Any, report: str):
+    page, faults = opened(browser, report, viewport=PHONE, color_scheme="dark")
+    expect(page.locator("#picker")).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    assert faults == []
+
+
+def test_without_scripts_the_slowest_commands_are_there(browser: Any, report: str):
+    page, _ = opened(browser, report, java_script_enabled=False)
+    expect(page.locator("#picker")).to_be_hidden()
+    page.get_by_text("a motors: the slowest of 100 commands").click()
+    expect(page.get_by_text("a/device/pose pose #60 → 99 ms → a/client/Scan motors #60")).to_be_visible()

@@ -1,0 +1,126 @@
+"""What led to commands: an agent notes it for as long as somebody asks, and tells what was seen on it."""
+
+from pancakes.control import Traces
+from pancakes.devices.types import Load, Pose, Twist
+from pancakes.packet import Packet
+from pancakes.services.traces import LARGE_BYTES, LEASE_S, MOST_ROWS, TracedPackets
+from pancakes.task import Task, every, on
+from pancakes.testing import FleetInTest
+
+MS = 1_000_000
+
+
+def heard(traced, ms, source, seq, kind="pose", cause=None, channel="system", body=None):
+    body = body if body is not None else Pose(1.0, 2.0, 0.0)
+    traced.hear(ms * MS, Packet(channel, kind, source, "", ms / 1000, seq, body, cause))
+
+
+def reaction(traced, ms, seq):
+    heard(traced, ms, "world/client/Mocap", seq, cause=("world/client/World", seq))
+    heard(traced, ms + 1, "a/device/pose", seq, cause=("world/client/Mocap", seq))
+    heard(traced, ms + 2, "a/device/ir", seq)  # leads to nothing
+    heard(traced, ms + 3, "a/client/Scan", seq, "motors", ("a/device/pose", seq), "ctrl", Twist(0.1, 0.0))
+
+
+def names(answer):
+    return [(row[3], row[4]) for row in answer["rows"]]
+
+
+def test_only_what_led_to_a_command_is_told_and_each_command_once():
+    traced = TracedPackets("a")
+    reaction(traced, 100, 1)
+    first = traced.answer(Traces(), 200 * MS)
+    assert names(first) == [("world/client/Mocap", 1), ("a/device/pose", 1), ("a/client/Scan", 1)]
+    assert first["rows"][2] == [
+        103 * MS, "ctrl", "motors", "a/client/Scan", 1, 0.103, ["a/device/pose", 1], "v_mps 0.1, omega_radps 0",
+    ]  # fmt: skip
+    assert (first["now_ns"], first["until_ns"], first["left_out"]) == (200 * MS, 103 * MS, 0)
+    reaction(traced, 300, 2)
+    assert names(traced.answer(Traces(first["until_ns"]), 400 * MS))[-1] == ("a/client/Scan", 2)
+    assert traced.answer(Traces(303 * MS), 500 * MS)["rows"] == []
+
+
+def test_packets_that_led_to_commands_elsewhere_are_asked_for_by_name():
+    traced = TracedPackets("world")
+    heard(traced, 10, "world/client/World", 7, "world_state")
+    heard(traced, 11, "world/client/Mocap", 9, cause=("world/client/World", 7))
+    answer = traced.answer(Traces(packets=(("world/client/Mocap", 9), ("world/client/Mocap", 10))), 20 * MS)
+    assert names(answer) == [("world/client/World", 7), ("world/client/Mocap", 9)]
+
+
+def test_of_too_many_commands_some_are_told_the_newest_always_and_the_rest_counted():
+    traced = TracedPackets("a")
+    for seq in range(1, 1001):
+        reaction(traced, 4 * seq, seq)
+    answer = traced.answer(Traces(most=10), 5000 * MS)
+    told = [row[4] for row in answer["rows"] if row[1] == "ctrl"]
+    assert told == [100 * n for n in range(1, 11)]
+    assert answer["left_out"] == 990
+    assert len(traced.answer(Traces(most=1000), 5000 * MS)["rows"]) <= MOST_ROWS + 3
+
+
+def test_old_packets_are_forgotten():
+    traced = TracedPackets("a")
+    reaction(traced, 100, 1)
+    assert traced.answer(Traces(), 20_000 * MS)["rows"] == []
+
+
+def test_what_large_packets_say_is_not_kept():
+    traced = TracedPackets("a")
+    heard(traced, 1, "a/device/camera", 1, "image", body={"pixels": [0] * LARGE_BYTES})
+    traced.answer(Traces(), 2 * MS)
+    heard(traced, 3, "a/device/camera", 2, "image", body={"pixels": [0] * LARGE_BYTES})
+    heard(traced, 4, "a/client/Scan", 1, "motors", ("a/device/camera", 2), "ctrl", Twist(0.1, 0.0))
+    image, command = traced.answer(Traces(), 5 * MS)["rows"]
+    assert (image[3], image[7]) == ("a/device/camera", "")
+    assert command[7] != ""
+
+
+class Read(Task):
+    @every(hz=10)
+    def read(self, tick):
+        self.publish("system", Load(0.5))
+
+
+class Steer(Task):
+    @on("system", Load)
+    def steer(self, packet):
+        self.publish("ctrl", Load(packet.body.cpu))
+
+
+def test_an_agent_notes_nothing_until_it_is_asked_and_ceases_when_nobody_asks_any_more():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        fleet.run_for(1.0)
+
+        def taps():
+            return len(agent.kernel.stream._taps.get("system", ()))
+
+        unwatched = taps()
+        assert agent.ask(Traces()).result["rows"] == []
+        assert taps() == unwatched + 1
+        fleet.run_for(1.05)
+        answer = agent.ask(Traces()).result
+        assert [row[2:4] for row in answer["rows"][:2]] == [["load", "a/client/Read"], ["load", "a/client/Steer"]]
+        assert len(answer["rows"]) >= 20
+        again = agent.ask(Traces(answer["until_ns"])).result
+        assert again["rows"] == []
+        fleet.run_for(LEASE_S - 1.0)
+        assert taps() == unwatched + 1
+        fleet.run_for(1.5)
+        assert taps() == unwatched
+        assert agent.ask(Traces()).result["rows"] == []
+
+
+def test_who_asks_no_more_may_say_so_and_others_still_get_answers():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        tracing = agent.component("log")._tracing
+        fleet.run_for(0.5)
+        for by in ("page1", "page2"):
+            assert tracing.answer(Traces(), by)["rows"] == []
+        fleet.run_for(1.05)
+        assert tracing.answer(Traces(most=0), "page1") is None
+        assert len(tracing.answer(Traces(), "page2")["rows"]) >= 20
+        tracing.answer(Traces(most=0), "page2")
+        assert tracing.answer(Traces(), "page3")["rows"] == [], "it had ended"
