@@ -12,7 +12,8 @@ from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on, queue
 
 WINDOW = 4096
-"""Most packets on their way one way; the receiver acknowledges each quarter of that."""
+WINDOW_BYTES = 4 * 1024 * 1024
+"""Most packets on their way one way, and most bytes; the receiver acknowledges each quarter of that."""
 BURST = 64
 """Packets published in one turn."""
 FAR = "far/client/Far"
@@ -71,7 +72,8 @@ class Far(Task):
         """Counts one packet."""
         self.count += 1
         is_last = packet.body.number < 0
-        if is_last or self.count % (WINDOW // 4) == 0:
+        window = min(WINDOW, WINDOW_BYTES // len(packet.body.data))
+        if is_last or self.count % (window // 4) == 0:
             self.publish("bench", Got(self.count, is_last), to=packet.source)
 
 
@@ -91,6 +93,7 @@ class Near(Task):
         self.asked_s = 0.0
         self.is_answered = False
         self.sent = self.got = 0
+        self.window = min(WINDOW, WINDOW_BYTES // self.settings.size)
 
     @every(hz=20)
     def knock(self, tick: Tick) -> None:
@@ -119,7 +122,7 @@ class Near(Task):
     def flood(self) -> None:
         """Publishes a burst, if there is room in the window."""
         packets = self.settings.packets
-        burst = min(BURST, packets - self.sent, WINDOW - (self.sent - self.got))
+        burst = min(BURST, packets - self.sent, self.window - (self.sent - self.got))
         try:
             for _ in range(burst):
                 number = self.sent if self.sent + 1 < packets else -1
@@ -128,13 +131,13 @@ class Near(Task):
         except MailboxFull:
             self.after_host(0.001, self.flood)
             return
-        if self.sent < packets and self.sent - self.got < WINDOW:
+        if self.sent < packets and self.sent - self.got < self.window:
             self.call(self.flood)
 
     @on("bench", Got)
     def go_on(self, packet: Packet) -> None:
         """More is on its way no longer."""
-        was_full = self.sent - self.got >= WINDOW
+        was_full = self.sent - self.got >= self.window
         self.got = packet.body.count
         if packet.body.is_all:
             self.report(time.perf_counter() - self.began_s)
