@@ -21,6 +21,7 @@ from pykka.messages import _ActorStop
 
 from pancakes.kernel.counter import Counter
 from pancakes.packet import Packet
+from pancakes.weight import LIGHT_BYTES, weigher
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
@@ -66,6 +67,13 @@ class Dispatch(Protocol):
     def ready(self, mailbox: Mailbox) -> None:
         """The mailbox has something in it and its token is held: see that its component gets a turn."""
         ...
+
+
+def heavy_weight(packet: Packet) -> int:
+    """Returns the bytes of a packet's body where it is a heavy one; of a light one 0."""
+    weigh = weigher(type(packet.body))
+    weight = weigh(packet.body) if weigh is not None else 0
+    return weight if weight > LIGHT_BYTES else 0
 
 
 class ChannelQueue:
@@ -204,6 +212,12 @@ class ChannelQueue:
     def push_back(self, packet: Packet) -> None:
         """Puts a packet back in front, to be handled again."""
         self.handled -= 1
+        weight = heavy_weight(packet)
+        if weight:
+            with _SCALES:
+                self.heavy = self.heavy or {}
+                self.heavy[id(packet)] = weight
+                self.heavy_bytes += weight
         self.items.appendleft(packet)
 
     def __len__(self) -> int:
@@ -296,12 +310,15 @@ class SharedQueue(ChannelQueue):
                     self._drop_oldest(bound)
             keys.append(number)
             self.items[number] = packet
-            if weight:
-                self._weights[number] = weight
-                self._bytes[bound] = self._bytes.get(bound, 0) + weight
-                self.heavy_bytes += weight
+            self._weigh(bound, number, weight)
         if not self.listed:
             self.enlist()
+
+    def _weigh(self, bound: str | None, number: int, weight: int) -> None:
+        if weight:
+            self._weights[number] = weight
+            self._bytes[bound] = self._bytes.get(bound, 0) + weight
+            self.heavy_bytes += weight
 
     def _unweigh(self, bound: str | None, number: int) -> None:
         weight = self._weights.pop(number, 0)
@@ -324,9 +341,11 @@ class SharedQueue(ChannelQueue):
         with self._lock:
             self.handled -= 1
             number = min(self.items, default=0) - 1
+            bound = self._bound(packet)
             self.items[number] = packet
             self.items.move_to_end(number, last=False)
-            self._keys[self._bound(packet)].appendleft(number)
+            self._keys[bound].appendleft(number)
+            self._weigh(bound, number, heavy_weight(packet))
 
     def __len__(self) -> int:
         return len(self.items)
@@ -416,7 +435,11 @@ class Mailbox:
         self.queues[channel] = made
         if before is not None:
             while (packet := before.pop()) is not None:
-                made.put(packet)
+                weight = heavy_weight(packet)
+                if weight:
+                    made.put_heavy(packet, weight)
+                else:
+                    made.put(packet)
             self._dropped += before.dropped()
         return made
 

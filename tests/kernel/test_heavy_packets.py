@@ -209,3 +209,28 @@ def test_many_threads_at_once_leave_the_scales_right():
     drained(waiting)
     stream.publish(blob(1, 5000))
     assert waiting.heavy_bytes == 5000
+
+
+@pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
+def test_heavy_packets_weigh_the_same_in_the_queue_that_they_move_to(others):
+    mailbox = opened()
+    before = mailbox.subscribe("system", {"heavy.blob": queue(64), **others})
+    packet = blob(1, 5000)
+    before.put_heavy(packet, 5000)
+    after = mailbox.subscribe("system", {"heavy.third": queue(9)})
+    assert after is not before
+    assert after.heavy_bytes == 5000
+    assert drained(after)
+    assert after.heavy_bytes == 0
+
+
+@pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
+def test_a_heavy_packet_that_is_put_back_is_heavy_again(others):
+    waiting = opened().subscribe("system", {"heavy.blob": queue(64), **others})
+    waiting.put_heavy(blob(1, 5000), 5000)
+    packet = waiting.pop()
+    assert waiting.heavy_bytes == 0
+    waiting.push_back(packet)
+    assert waiting.heavy_bytes == 5000
+    assert waiting.pop() is packet
+    assert waiting.heavy_bytes == 0
