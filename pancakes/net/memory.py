@@ -109,7 +109,7 @@ class MemoryNetwork:
         Args:
             one: names of agents.
             other: names of the agents that they do not hear; all that are not in `one` where it is None.
-            from_s: virtual time at which it begins; None for now.
+            from_s: virtual time at which it begins; None: at once.
             until_s: virtual time at which it heals.
             at_once: whether both ends of each connection see it break when it begins. Otherwise they have only
                 the silence to tell them.

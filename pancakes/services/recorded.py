@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache, partial
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import msgspec
 from msgspec.structs import replace
@@ -30,6 +30,7 @@ from pancakes.migration.rule import MigrationRule
 from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
 from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
+from pancakes.services.catalogue import Catalogue
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.slot import Request, Slot, TaskState
@@ -40,18 +41,6 @@ CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
-
-
-class Catalogue(Protocol):
-    """Where task classes are found by name."""
-
-    def find(self, type_name: str) -> tuple[type[Task], str]:
-        """Returns the class of an entry point, and the version of the distribution that it comes from.
-
-        Raises:
-            PancakesError: there is none, or it cannot be loaded.
-        """
-        ...
 
 
 class RecordedService(Service):
