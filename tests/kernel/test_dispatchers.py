@@ -10,7 +10,7 @@ from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.testing import Probe, VirtualClock, assert_published, no_thread_left
+from pancakes.testing import Probe, VirtualClock, assert_published
 
 PATIENCE_S = 10.0
 
@@ -53,16 +53,6 @@ class Failing(Echo):
     @on("system", LogLine)
     def hear(self, packet):
         raise RuntimeError("as it must")
-
-
-@pytest.fixture
-def kernel():
-    with no_thread_left():
-        made = Kernel("a")
-        yield made
-        for component in reversed(made.registry.components()):
-            component.actor_ref.stop(timeout=PATIENCE_S)
-        made.stop()
 
 
 def ready(component):

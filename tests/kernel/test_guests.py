@@ -2,8 +2,6 @@
 
 import threading
 
-import pytest
-
 from pancakes.clock import MonotonicClock
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
@@ -62,16 +60,6 @@ class Ticked(Component):
     def wait(self, count):
         with self.news:
             assert self.news.wait_for(lambda: len(self.deadlines) >= count, PATIENCE_S), f"{self.address} is not ticked"
-
-
-@pytest.fixture
-def kernel():
-    with no_thread_left():
-        made = Kernel("a")
-        yield made
-        for component in reversed(made.registry.components()):
-            component.actor_ref.stop(timeout=PATIENCE_S)
-        made.stop()
 
 
 def ready(component):
