@@ -54,6 +54,10 @@ def scraped(agent, number=None):
     }
 
 
+def wait_for_a_tick(agent):
+    agent.wait_until(lambda: ("pancakes_task_lateness_seconds_count", "client", "Tick", "tick") in scraped(agent))
+
+
 def test_ticks_their_lateness_and_the_rate_asked_for_are_told(agent):
     agent.wait_for(Load, lambda body: agent.task("Tick").timers["tick"].ticks > 20)
     told = scraped(agent)
@@ -90,8 +94,7 @@ def test_the_battery_and_the_process_are_told(agent):
 
 
 def test_a_task_that_has_ended_is_forgotten(agent):
-    agent.wait_for(Load)
-    assert ("pancakes_task_lateness_seconds_count", "client", "Tick", "tick") in scraped(agent)
+    wait_for_a_tick(agent)
     agent.ask(Stop("Tick"))
     told = scraped(agent)
     assert ("pancakes_task_lateness_seconds_count", "client", "Tick", "tick") not in told
@@ -99,6 +102,7 @@ def test_a_task_that_has_ended_is_forgotten(agent):
 
 
 def test_names_follow_the_conventions_of_prometheus(agent):
+    wait_for_a_tick(agent)
     with urllib.request.urlopen(f"http://127.0.0.1:{port(agent)}/metrics", timeout=5) as answer:
         families = list(text_string_to_metric_families(answer.read().decode()))
     ours = [family for family in families if family.name.startswith("pancakes_")]
@@ -119,6 +123,7 @@ def test_names_follow_the_conventions_of_prometheus(agent):
 def test_a_strict_reader_of_openmetrics_understands_it_all(agent):
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     agent.wait_for_event("task_failed")
+    wait_for_a_tick(agent)
     url = f"http://127.0.0.1:{port(agent)}/metrics"
     wanted = "application/openmetrics-text; version=1.0.0"
     with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": wanted}), timeout=5) as answer:

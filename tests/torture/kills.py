@@ -55,14 +55,17 @@ class _Mover(threading.Thread):
         self._fleet, self._task, self._count, self._random, self._calm = fleet, task, count, source, calm
         self.ended = threading.Event()
         self.asking = threading.Event()
+        self.resting = threading.Event()
         self.asked = 0
 
     def run(self) -> None:
         with Client(at=list(self._fleet.addresses.values()), timeout_s=2.0) as client:
             while not self.ended.is_set():
                 if self._calm.is_set():
+                    self.resting.set()
                     self.ended.wait(0.05)
                     continue
+                self.resting.clear()
                 host = last_host(self._count)
                 try:
                     self.asking.set()
@@ -122,6 +125,8 @@ class Kills:
         )
         self.tally = Tally()
         self._trap: Trap | None = None
+        self._calm = threading.Event()
+        self._movers: list[_Mover] = []
 
     def run(
         self, random_kills: int, points: Sequence[Point] = (), told: Callable[[Tally], None] = lambda tally: None
@@ -137,8 +142,8 @@ class Kills:
         Returns:
             What happened.
         """
-        calm = threading.Event()
-        movers = [
+        calm = self._calm
+        movers = self._movers = [
             _Mover(self.fleet, task, self.counts / f"{task}.count", random.Random(self.random.random()), calm)
             for task in BORN
         ]
@@ -191,9 +196,12 @@ class Kills:
         for _ in range(TRIES):
             task = self.random.choice(LAZY if point.lazy else ["Two"])
             self._start_all()
+            if not point.word:
+                self._rest()
             if self._lost(self._until_works([task])):
                 return
             victim = self._spring(point, task, "" if point.word else last_host(self.counts / f"{task}.count"))
+            self._calm.clear()
             if victim:
                 break
         if not victim:
@@ -240,6 +248,12 @@ class Kills:
             self._start_all()
         self.fleet.kill(draw.choice([name for name in NAMES if name in self.fleet.running]))
         self.tally.kills += 1
+
+    def _rest(self) -> None:
+        """Lets nobody ask for moves: a task that never stays as long as a second never writes a checkpoint."""
+        self._calm.set()
+        for mover in self._movers:
+            mover.resting.wait(BACK_WITHIN_S)
 
     def _start_all(self) -> None:
         for name in NAMES:
