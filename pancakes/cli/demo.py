@@ -15,6 +15,7 @@ import click
 
 from pancakes.cli.demo_page import DemoPage
 from pancakes.cli.errors import sentences
+from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import FiniteRange
 from pancakes.cli.view import port_option
 from pancakes.plugins import Plugins, UnknownPlugin
@@ -118,8 +119,8 @@ def demo(
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
     options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
-    interrupted = threading.Event()
-    _on_signal(interrupted)
+    # The agents end with the launcher, also where a second signal ends that at once.
+    interrupted = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     try:
         code = _run(plugins, found, name, out, options, interrupted, page)
@@ -257,22 +258,6 @@ def _compare(
     found.draw(out, runs, summary)
     folders = _listed(variant.name for variant in found.variants)
     return _verdict(summary, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
-
-
-def _on_signal(interrupted: threading.Event) -> None:
-    """Lets SIGINT, SIGTERM and SIGHUP stop the mission in good order; the second one ends the launcher at once.
-
-    Its agents end with it in either case.
-    """
-
-    def stop(number: int, frame: Any) -> None:
-        if interrupted.is_set():
-            os._exit(INTERRUPTED)
-        interrupted.set()
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGHUP, stop)
 
 
 def _listed(names: Iterable[str]) -> str:

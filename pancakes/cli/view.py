@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import signal
-import threading
 import time
 
 import click
 
 from pancakes.cli.errors import sentences
+from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json
 
@@ -55,9 +55,7 @@ def view(
     from pancakes.web.page import Shown, open_page
     from pancakes.web.watch import Watch, fleet_among
 
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    ended = event_at(signal.SIGINT, signal.SIGTERM)
     with Client(at, timeout) as client:
         fleet = fleet_among(client.survey().agents, fleet)
     began_s = time.monotonic()

@@ -181,7 +181,8 @@ class Fleet:
             if self.dead():
                 raise NotInTime(f"{what}: {', '.join(self.dead())} ended by itself; {self.last_words(self.dead()[0])}")
             if time.monotonic() - began_s > within_s:
-                raise NotInTime(f"{what}: not within {within_s:g} s; {self.missing()}")
+                ended = "; ".join(f"{agent} lost {peer}: {reason}" for agent, peer, reason in self.ended_links())
+                raise NotInTime(f"{what}: not within {within_s:g} s; {self.missing()}; {ended or 'no link has ended'}")
             time.sleep(LOOK_S)
 
     def alive(self) -> list[AgentProcess]:
