@@ -14,4 +14,4 @@ def test_a_slow_peer_is_closed_and_comes_back_and_the_others_go_on(tmp_path: Pat
     # A process that is stopped sends no heartbeats; one that reads nothing may send them for ever.
     assert closed_s - 0.6 <= seen.closed_s[0] <= closed_s + 5.0  # its last heartbeat may have come half a second before
     assert seen.joined_s[0] < 10.0
-    assert seen.p99_s[0] < 1.0
+    assert seen.p99_s[0] < closed_s  # the others do not wait for that
