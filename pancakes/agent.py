@@ -8,12 +8,12 @@ import threading
 import uuid
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import asdict
 
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
 from pancakes.control import CONTROLS
@@ -308,8 +308,8 @@ class Agent:
                 return
             say()
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
-        self.kernel.stream.inject_all(packets, partial(self._refused, peer))
+    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+        self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
 
     def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
         reason, root = str(error), self._root

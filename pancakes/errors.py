@@ -7,15 +7,14 @@ line prints it as it stands: a traceback in a user's terminal is a defect.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
 class PancakesError(Exception):
     """The base of all errors that Pancakes raises on purpose."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """One mistake in a configuration.
 
     Attributes:

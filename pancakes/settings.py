@@ -3,6 +3,8 @@
 The values come from a configuration file or from a packet, so nothing about them is taken on trust. msgspec
 checks each value but stops at its first error; here the dataclass is walked, so that a person sees all
 mistakes at once, each with its key.
+
+A `msgspec.Struct` does as well as a dataclass, and is made in a tenth of the time, when its module is imported.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.packet import field_names, has_fields
 from pancakes.suggestion import suggestion
 
 _T = TypeVar("_T")
@@ -83,13 +86,19 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
     states, NaN, and what the dataclass refuses itself (a `ValueError` from its `__post_init__`).
 
     Args:
-        cls: a dataclass, such as the `Settings` of a task, a driver or a service.
+        cls: a dataclass or `msgspec.Struct`, such as the `Settings` of a task, a driver or a service.
         settings: the values as TOML or msgpack give them.
         allow_nan: whether NaN is good for a number: not in settings, but in what a task has computed.
     """
     fault = _fault_of_class(cls)
     if fault:
         return [Problem((), fault)]
+    if isinstance(settings, dict) and _is_simple(cls, settings, allow_nan):
+        try:
+            msgspec.convert(settings, cls)
+            return []
+        except (TypeError, ValueError, NameError):
+            pass  # the walk says what is wrong, and where
     try:
         problems = list(_walk(cls, settings, ()))
         nans = [] if allow_nan else [Problem(path, text) for path, text in _not_finite(settings, ())]
@@ -166,16 +175,47 @@ def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
 @cache
 def known_keys(cls: type) -> tuple[str, ...]:
     """Returns the keys of a dataclass, in their order."""
+    if not dataclasses.is_dataclass(cls):
+        return field_names(cls)
     return tuple(field.name for field in dataclasses.fields(cls) if field.init)
 
 
 def required_keys(cls: type) -> list[str]:
     """Returns the keys of a dataclass that have no default, in their order."""
+    if not dataclasses.is_dataclass(cls):
+        names, defaults = cls.__struct_fields__, cls.__struct_defaults__  # type: ignore[attr-defined]
+        first = len(names) - len(defaults)
+        return [
+            name
+            for name, value in zip(names, (msgspec.NODEFAULT,) * first + defaults, strict=True)
+            if value is msgspec.NODEFAULT
+        ]
     return [
         field.name
         for field in dataclasses.fields(cls)
         if field.init and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
     ]
+
+
+def plain_settings(settings: Any) -> dict[str, Any]:
+    """Returns settings, or the state of a task, as plain values.
+
+    Every field is there. msgspec alone leaves out what was never assigned in a dataclass and so has its default from
+    the class, and in a structure what it was told to leave out; and another version may have other defaults.
+    """
+    plain: dict[str, Any] = msgspec.to_builtins(_all_fields(settings))
+    return plain
+
+
+def _all_fields(value: Any) -> Any:
+    cls = type(value)
+    if has_fields(cls):
+        return {name: _all_fields(getattr(value, name)) for name in field_names(cls)}
+    if isinstance(value, dict):
+        return {key: _all_fields(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return (list if isinstance(value, list) else tuple)(map(_all_fields, value))
+    return value
 
 
 def _owner(cls: type) -> str:
@@ -185,10 +225,10 @@ def _owner(cls: type) -> str:
 
 @cache
 def _fault_of_class(cls: type) -> str:
-    if not dataclasses.is_dataclass(cls):
+    if not has_fields(cls):
         return f"{_owner(cls)} has Settings that are no dataclass: decorate them with @dataclass"
     declared = inspect.get_annotations(cls)
-    if declared and "__dataclass_fields__" not in cls.__dict__:
+    if declared and dataclasses.is_dataclass(cls) and "__dataclass_fields__" not in cls.__dict__:
         return f"{_owner(cls)} has Settings that add keys to inherited ones without @dataclass: decorate them with it"
     return ""
 
@@ -227,7 +267,7 @@ def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Probl
     kind = _container(kind, value)
     origin, arguments = get_origin(kind), get_args(kind)
     if isinstance(value, Mapping):
-        if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        if isinstance(kind, type) and has_fields(kind):
             yield from _fields(kind, value, path)
         elif origin is not None and isinstance(origin, type) and issubclass(origin, Mapping) and len(arguments) == 2:
             for key, item in value.items():

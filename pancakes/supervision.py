@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
+import msgspec
 
-@dataclass(frozen=True, slots=True)
-class RestartSpec:
+
+class RestartSpec(msgspec.Struct, frozen=True):
     """What a service does when a task has ended by itself.
 
     Attributes:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
-
-import msgspec
 
 from pancakes.control import Hold
 from pancakes.errors import ControlRefused, PancakesError
@@ -16,7 +13,7 @@ from pancakes.kernel.component import Component, describe
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
 from pancakes.schema import schema_of
-from pancakes.settings import SettingsError, make_settings
+from pancakes.settings import SettingsError, make_settings, plain_settings
 from pancakes.slot import Slot, TaskState
 from pancakes.supervision import Next, Supervision
 from pancakes.task import Carried, Nothing, Task, TaskSpec
@@ -318,8 +315,7 @@ class Supervisor(Component):
             settings = settings or make_settings(self.settings_class(slot), carried.settings)
         except SettingsError:  # it cannot start with them, and whoever asks wants to see why
             return dict(carried.settings)
-        plain: dict[str, Any] = msgspec.to_builtins(asdict(settings))
-        return plain
+        return plain_settings(settings)
 
     def schema_of_settings(self, slot: Slot) -> dict[str, Any]:
         """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""

@@ -7,16 +7,20 @@ import signal
 from collections.abc import Iterator
 from typing import Any
 
+import hypothesis
 import pytest
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
 
 def pytest_configure() -> None:
-    """Lets the processes that tests start be interrupted, also where this one was started by a shell with `&`.
+    """Lets the processes that tests start be interrupted, and hypothesis be patient.
 
-    Such a shell has SIGINT ignored, and children inherit that; one that is caught here is not ignored there.
+    A shell that started this one with `&` has SIGINT ignored, and children inherit that; one that is caught here is not
+    ignored there. And an example of hypothesis may take long on a machine that has other work, which is no fault of it.
     """
+    hypothesis.settings.register_profile("patient", hypothesis.settings.default, deadline=None)
+    hypothesis.settings.load_profile("patient")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

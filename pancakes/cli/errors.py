@@ -9,8 +9,6 @@ import sys
 from collections.abc import Callable
 from typing import Final, NoReturn, ParamSpec, TypeVar
 
-import click
-
 from pancakes.errors import ConfigError, PancakesError, Unreachable
 
 OK: Final = 0
@@ -21,6 +19,8 @@ USAGE: Final = 2
 UNREACHABLE: Final = 3
 """Nobody answered."""
 BAD_CONFIGURATION: Final = 4
+UNREAD: Final = 141
+"""Nobody read its output to the end; what a shell says of other tools that SIGPIPE has ended then."""
 
 EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
 """What is not installed with the core, by its module, and the extra that brings it."""
@@ -46,6 +46,8 @@ def exit_code(error: PancakesError) -> int:
 
 def fail(error: Exception) -> NoReturn:
     """Says what is wrong on standard error, and exits."""
+    import click
+
     if isinstance(error, PancakesError):
         click.echo(str(error), err=True)
         sys.exit(exit_code(error))
@@ -66,16 +68,27 @@ def fail(error: Exception) -> NoReturn:
     sys.exit(REFUSED)
 
 
+def end_unread() -> NoReturn:
+    """Exits without a word: whoever read the output, such as `head`, has had enough of it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)  # what Python still keeps for standard output would else be an error at its end
+    sys.exit(UNREAD)
+
+
 def sentences(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Decorates the function of a click command: its errors become sentences, its user sees no traceback."""
+    """Decorates the function of a command: its errors become sentences, its user sees no traceback."""
 
     @functools.wraps(function)
     def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         try:
             return function(*args, **kwargs)
-        except (click.ClickException, click.exceptions.Exit, click.Abort, BrokenPipeError):
-            raise  # click has sentences of its own for these
         except Exception as error:
+            import click  # only now: an agent that starts imports this module, and needs no click
+
+            if isinstance(error, (click.ClickException, click.exceptions.Exit, click.Abort)):
+                raise  # click has sentences of its own for these
+            if isinstance(error, BrokenPipeError):
+                end_unread()
             fail(error)
 
     return guarded

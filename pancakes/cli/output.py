@@ -75,8 +75,11 @@ def _print(*things: Any) -> None:
 
     # Into a file or a pipe nothing is cut off or folded.
     console = Console(width=None if sys.stdout.isatty() else 1000)
-    for thing in things:
-        console.print(thing)
+    # By way of click, because rich has an end of its own for an output that nobody reads any more.
+    with console.capture() as captured:
+        for thing in things:
+            console.print(thing)
+    click.echo(captured.get(), nl=False)
 
 
 def _known(value: Any) -> Any:

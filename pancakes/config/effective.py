@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import asdict
 
 from pancakes.config.model import SCHEMA, Config, DeviceConfig
 from pancakes.errors import PluginError
 from pancakes.plugins import Plugins
-from pancakes.settings import SettingsError, make_settings
+from pancakes.settings import SettingsError, make_settings, plain_settings
 
 DEFAULT: Final = "default"
 """Where a value comes from that nobody gave."""
@@ -73,6 +73,4 @@ def _settings(given: Mapping[str, Any], group: str, type_name: str, plugins: Plu
         settings = make_settings(plugins.get(group, type_name).Settings, given)
     except (PluginError, SettingsError, AttributeError):
         return dict(given)
-    # By `asdict`, because msgspec leaves out what an object has from its class, such as a default.
-    plain: dict[str, Any] = msgspec.to_builtins(asdict(settings))
-    return plain
+    return plain_settings(settings)

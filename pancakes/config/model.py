@@ -1,4 +1,4 @@
-"""What a configuration says, once it has been read and found sound: frozen dataclasses, a table each.
+"""What a configuration says, once it has been read and found sound: frozen structures, a table each.
 
 `settings` stay plain mappings here; the class that they belong to checks them (`pancakes.config.check_plugins`).
 Rates are per second of mission time.
@@ -7,14 +7,13 @@ Rates are per second of mission time.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
-from msgspec import Meta
+from msgspec import Meta, Struct, field
 
 from pancakes.config.places import Places
 from pancakes.migration.rule import MigrationRule
-from pancakes.recording.recording import RecordingSettings
+from pancakes.recording.settings import RecordingSettings
 from pancakes.supervision import RestartSpec
 
 SCHEMA: Final = 1
@@ -27,8 +26,7 @@ Positive = Annotated[float, Meta(gt=0, le=1e9)]
 """A number above 0. The upper end keeps out infinity."""
 
 
-@dataclass(frozen=True, slots=True)
-class AgentConfig:
+class AgentConfig(Struct, frozen=True):
     """The table `[agent]`.
 
     Attributes:
@@ -53,8 +51,7 @@ class AgentConfig:
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ClockConfig:
+class ClockConfig(Struct, frozen=True):
     """The table `[clock]`.
 
     Attributes:
@@ -66,7 +63,6 @@ class ClockConfig:
     hold: bool = False
 
 
-@dataclass
 class RecordConfig(RecordingSettings):
     """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
 
@@ -77,15 +73,13 @@ class RecordConfig(RecordingSettings):
     start: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelConfig:
+class ChannelConfig(Struct, frozen=True):
     """A table `[channel.NAME]`: a channel that is there from the start, besides the core ones."""
 
     name: str
 
 
-@dataclass(frozen=True, slots=True)
-class DeviceConfig:
+class DeviceConfig(Struct, frozen=True):
     """A table `[device.NAME]`.
 
     Attributes:
@@ -100,13 +94,12 @@ class DeviceConfig:
     name: str
     driver: str
     rate_hz: Positive | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = {}
     restart: RestartSpec = field(default_factory=RestartSpec)
     hold_after_s: Positive = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class ServiceConfig:
+class ServiceConfig(Struct, frozen=True):
     """A table `[service.NAME]`.
 
     Attributes:
@@ -118,12 +111,11 @@ class ServiceConfig:
 
     name: str
     type: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = {}
     restart: RestartSpec = field(default_factory=RestartSpec)
 
 
-@dataclass(frozen=True, slots=True)
-class TaskConfig:
+class TaskConfig(Struct, frozen=True):
     """A table `[task.NAME]`.
 
     Attributes:
@@ -143,14 +135,13 @@ class TaskConfig:
     service: str = "client"
     start: bool = True
     rate_hz: Positive | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = {}
     restart: RestartSpec = field(default_factory=RestartSpec)
     durability: Literal["lazy", "each"] = "lazy"
     migrate: MigrationRule | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Config:
+class Config(Struct, frozen=True):
     """All that a configuration file says, overrides included.
 
     Attributes:
@@ -173,4 +164,4 @@ class Config:
     services: Mapping[str, ServiceConfig]
     tasks: Mapping[str, TaskConfig]
     path: str
-    places: Places = field(repr=False, compare=False)
+    places: Places

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from math import inf
 from os import PathLike, fspath
 from typing import Any, Final, TypeVar
@@ -33,7 +32,7 @@ from pancakes.config.source import tables_of, text_of
 from pancakes.errors import ConfigError, Fault
 from pancakes.packet import CORE_CHANNELS
 from pancakes.plugins import Plugins
-from pancakes.settings import check_settings, dotted, required_keys
+from pancakes.settings import check_settings, dotted, known_keys, required_keys
 from pancakes.suggestion import suggestion
 from pancakes.supervision import RestartSpec
 
@@ -166,7 +165,7 @@ class _Reader:
         return made
 
     def _make(self, cls: type[_T], values: Mapping[str, Any], key: KeyPath) -> _T:
-        own = {field.name for field in fields(cls)}  # type: ignore[arg-type]
+        own = known_keys(cls)  # type: ignore[arg-type]
         bad = set()
         for problem in check_settings(cls, values):
             text, near = problem.text, problem.suggestion

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import random
 import shutil
@@ -218,7 +217,7 @@ def run_virtual(
     try:
         for config in plan.configs.values():
             record = config.record
-            agent = fleet.start(dataclasses.replace(config, record=None))
+            agent = fleet.start(replace(config, record=None))
             if record is not None and record.start:
                 recorders.append(VirtualRecorder(agent.kernel, record, say))
         if onlooker is not None:

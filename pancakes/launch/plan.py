@@ -73,7 +73,7 @@ def make_fleet(
         try:
             config = load(draft.path, changes, plugins)
         except ConfigError as error:
-            faults += [replace(fault, where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
+            faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
             continue
         if config.agent.name != draft.name:
             problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 from pancakes.migration.cost import CostChoice
 
@@ -10,8 +10,7 @@ ASK_AGAIN_S = 60.0
 """After nobody could take the task, the rule asks again only after this time."""
 
 
-@dataclass(frozen=True, slots=True)
-class MigrationRule:
+class MigrationRule(msgspec.Struct, frozen=True):
     """Moves a task when a reading passes a threshold.
 
     Attributes:

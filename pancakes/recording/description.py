@@ -90,3 +90,8 @@ class TaskDescription(msgspec.Struct, frozen=True):
 def _began(told: Mapping[str, Any], time_ns: Callable[[float], int]) -> dict[str, Any]:
     began = {key: value for key, value in told.items() if key != "host_s"}
     return {**began, "time_ns": time_ns(told["host_s"])}
+
+
+def is_described(target: str) -> bool:
+    """Returns whether a recording holds what a task is, given as `service/task`: not of an agent's own ones."""
+    return not target.startswith(("log/", "network/", "device/"))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse
 from pancakes.devices.driver import Driver

@@ -5,7 +5,6 @@ With --check it writes nothing, names the pages that are no longer current, and 
 
 from __future__ import annotations
 
-import dataclasses
 import inspect
 import json
 import sys
@@ -17,12 +16,12 @@ import click
 from msgspec import NODEFAULT
 from msgspec.inspect import Field, type_info
 
-from pancakes.cli.agent import agent as pancakes_agent
+from pancakes.cli.agent_command import agent as pancakes_agent
 from pancakes.cli.main import pancakes
 from pancakes.config import model
 from pancakes.devices.driver import Driver
 from pancakes.migration.rule import MigrationRule
-from pancakes.packet import known_types
+from pancakes.packet import has_fields, known_types
 from pancakes.plugins import Plugins
 from pancakes.schema import dataclasses_of, field_notes, schema_of, summary_of
 from pancakes.supervision import RestartSpec
@@ -145,7 +144,7 @@ def _default(field: Field) -> str:
         value = field.default
     elif field.default_factory is not NODEFAULT:
         value = field.default_factory()
-        if dataclasses.is_dataclass(value):
+        if has_fields(type(value)):
             return "see there"
     else:
         return "required"

@@ -250,8 +250,21 @@ def test_it_does_not_begin_where_the_process_that_launched_it_has_ended(rig: Rig
 
 HEAVY = (
     # others' packages that something else in the project uses
-    *("docstring_parser", "matplotlib", "mcap", "numpy", "prometheus_client", "psutil", "pymunk", "rich", "tomlkit"),
+    *(
+        "click",
+        "docstring_parser",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "prometheus_client",
+        "psutil",
+        "pymunk",
+        "rich",
+        "tomlkit",
+    ),
     "websockets",
+    # what only a recording, or a question about it, needs
+    *("pancakes.recording.recording", "pancakes.services.traces"),
     # parts of Python, each of which takes milliseconds, and up to 4 MiB
     *("_hashlib", "asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "email", "encodings.idna"),
     *("http", "importlib.metadata", "multiprocessing", "ssl", "subprocess", "unittest", "xml", "zipfile"),
@@ -276,8 +289,8 @@ def test_an_idle_agent_imports_nothing_heavy(rig: Rig):
 
 def test_help_imports_no_part_of_the_agent(rig: Rig):
     source = (
-        "import sys\nfrom pancakes.cli import agent, main\n"
-        "for command in (agent.agent, main.pancakes):\n"
+        "import sys\nfrom pancakes.cli import agent_command, main\n"
+        "for command in (agent_command.agent, main.pancakes):\n"
         "    try: command(['--help'])\n"
         "    except SystemExit: pass\n"
         "print([name for name in sys.modules if name in ('pykka', 'msgpack', 'msgspec', 'rich')], file=sys.stderr)\n"

@@ -2,6 +2,8 @@
 
 import errno
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -71,3 +73,15 @@ def test_an_extra_that_is_not_installed_is_named(capsys: pytest.CaptureFixture[s
         command()
     assert ended.value.code == 1
     assert capsys.readouterr().err == "this needs mcap: pip install 'pancakes-agents[record]'\n"
+
+
+@pytest.mark.parametrize("format_", ["table", "json"])
+def test_who_reads_no_more_ends_a_verb_without_a_word(format_: str):
+    reader, writer = os.pipe()
+    os.close(reader)
+
+    verb = [sys.executable, "-m", "pancakes.cli.main", "plugin", "list", "--format", format_]
+    ended = subprocess.run(verb, stdout=writer, stderr=subprocess.PIPE, check=False)
+
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (141, b"")

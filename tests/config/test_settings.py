@@ -4,9 +4,16 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 import pytest
-from msgspec import Meta
+from msgspec import Meta, Struct
 
-from pancakes.settings import SettingsError, change_plain, change_settings, check_settings, make_settings
+from pancakes.settings import (
+    SettingsError,
+    change_plain,
+    change_settings,
+    check_settings,
+    make_settings,
+    plain_settings,
+)
 
 
 @dataclass
@@ -179,3 +186,74 @@ class TestClassesThatCannotBeSettings:
 
         (problem,) = problems({"radius_m": 1}, Settings)
         assert "cannot be checked: name 'Metres' is not defined" in problem
+
+
+class Wheel(Struct):
+    radius_m: Annotated[float, Meta(gt=0)]
+    spokes: list[str] = []
+    name: str = "front"
+
+    def __post_init__(self):
+        if self.name == "fifth":
+            raise ValueError("a cart has four wheels")
+
+
+class TestStructures:
+    """A `msgspec.Struct` does as well as a dataclass."""
+
+    def test_sound_values_become_an_instance_and_plain_again(self):
+        wheel = make_settings(Wheel, {"radius_m": 0.5, "spokes": ["a"]})
+
+        assert wheel == Wheel(0.5, ["a"], "front")
+        assert plain_settings(wheel) == {"radius_m": 0.5, "spokes": ["a"], "name": "front"}
+        assert change_settings(wheel, {"name": "rear"}) == Wheel(0.5, ["a"], "rear")
+
+    @pytest.mark.parametrize(
+        ("settings", "said"),
+        [
+            ({"radius_m": -1.0}, ["radius_m: expected a number > 0, not -1.0"]),
+            ({}, ["radius_m: is missing"]),
+            ({"radius_m": float("nan")}, ["radius_m: is not a number (nan)"]),
+            ({"radius_m": 1.0, "name": "fifth"}, ["a cart has four wheels"]),
+            (
+                {"radius": 1.0, "spokes": ["a", 2], "name": 3},
+                [
+                    "radius: unknown key, did you mean 'radius_m'?",
+                    "spokes[1]: expected a string, got an integer",
+                    "name: expected a string, got an integer",
+                    "radius_m: is missing",
+                ],
+            ),
+        ],
+    )
+    def test_all_mistakes_come_at_once_each_with_its_path(self, settings, said):
+        found = [str(problem) for problem in check_settings(Wheel, settings)]
+        assert len(found) == len(said)
+        for problem, start in zip(found, said, strict=True):
+            assert problem.startswith(start)
+
+    def test_one_that_travels_as_a_list_cannot_be_settings(self):
+        class Row(Struct, array_like=True):
+            count: int = 0
+
+        (problem,) = check_settings(Row, {})
+        assert "no dataclass" in problem.text
+
+    def test_as_plain_values_each_field_is_there_down_to_the_innermost(self):
+        class Spoke(Struct, omit_defaults=True):
+            length_m: float = 0.3
+
+        @dataclass
+        class Tyre:
+            width_m: float = 0.1
+            spokes: list[Spoke] = field(default_factory=lambda: [Spoke()])
+
+        class Bicycle(Struct):
+            front: Tyre
+            others: dict[str, tuple[Tyre, ...]]
+
+        tyre = {"width_m": 0.1, "spokes": [{"length_m": 0.3}]}
+        bicycle = make_settings(Bicycle, {"front": {}, "others": {"spare": [{}]}})
+
+        assert plain_settings(bicycle) == {"front": tyre, "others": {"spare": (tyre,)}}
+        assert plain_settings(make_settings(Tyre, {})) == tyre

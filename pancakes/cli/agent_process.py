@@ -1,0 +1,204 @@
+"""An agent as a process: from its command line until it has ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+from pancakes.cli import interpreter
+from pancakes.cli.agent_options import Options
+from pancakes.cli.errors import OK, REFUSED, sentences
+
+if TYPE_CHECKING:
+    from pancakes.agent import Agent
+    from pancakes.config import Config
+    from pancakes.plugins import Plugins
+    from pancakes.runtime_dir import Registration
+
+STOP_S: Final = 1.9
+"""An agent that has not stopped in good order by then is ended all the same, in seconds."""
+
+
+@sentences
+def run(options: Options) -> None:
+    """Runs an agent until it is told to stop, or checks its configuration. Ends the process where it has run."""
+    orders = None if options.check else Orders()
+    if orders is not None:
+        interpreter.prepare()
+    if options.parent_pid is not None:
+        from pancakes.cli.parent import die_with_parent
+
+        die_with_parent(options.parent_pid)
+    from pancakes.config import load
+    from pancakes.plugins import Plugins
+
+    plugins = Plugins()
+    sets = options.sets
+    if options.record is not None:
+        from pancakes.config.toml_text import value_text
+
+        path = [f"record.path={value_text(options.record)}"] if options.record else []
+        sets = (*sets, "record.start=true", *path)
+    config = load(options.path, sets, plugins)
+    if orders is None:
+        _check(config, plugins)
+    else:
+        sys.exit(_run(config, plugins, orders, options.ready_fd))
+
+
+class Orders:
+    """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
+
+    From then on it has `STOP_S` to end: one that a stuck task or driver holds up is ended all the same.
+    """
+
+    def __init__(self) -> None:
+        self._reasons: deque[str] = deque()
+        self._seen: list[int] = []
+        # The kernel may hand a signal to any thread, and Python handles it in this one, which has to be woken for that.
+        self._wake_reader, self._wake_writer = os.pipe()
+        os.set_blocking(self._wake_writer, False)
+        signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
+        signal.signal(signal.SIGALRM, self._too_late)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
+                signal.signal(number, self._heard)
+
+    def give_up(self, reason: str) -> None:
+        """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
+        self._reasons.append(reason)
+        os.write(self._wake_writer, b"\0")
+
+    def wait(self) -> str:
+        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to."""
+        while not self._reasons:
+            os.read(self._wake_reader, 1)
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        return self._reasons[0]
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
+        if number in self._seen:
+            os._exit(REFUSED)
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        self._seen.append(number)
+        self._reasons.append("")
+
+    def _too_late(self, number: int, frame: FrameType | None) -> None:
+        os.write(2, f"the agent did not stop within {STOP_S:g} s and was ended\n".encode())
+        os._exit(REFUSED)
+
+
+def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
+    from pancakes.agent import Agent
+
+    running = Agent(config, plugins)
+    deafen = _listen_to_libraries(running)
+    running.on_fatal(orders.give_up)
+    running.on_shutdown(lambda: orders.give_up(""))
+    running.start()
+    registration = _register(running)
+    if ready_fd is not None:
+        _tell_when_ready(running, ready_fd)
+    reason = orders.wait()
+    # Whoever looks from now on shall not find what is about to go.
+    if registration is not None:
+        registration.remove()
+    running.stop()
+    deafen()
+    if reason:
+        _warn(f"{running.name} cannot run: {reason}")
+    return REFUSED if reason else OK
+
+
+def _check(config: Config, plugins: Plugins) -> None:
+    """Says that a configuration is sound, and which plug-ins of this environment are not."""
+    from pancakes.errors import PluginError
+    from pancakes.plugins import GROUPS
+
+    for group in GROUPS:
+        for name in plugins.names(group):
+            try:
+                if not name.endswith(".*"):
+                    plugins.get(group, name)
+            except PluginError:
+                continue  # `problems` has it
+    for problem in plugins.problems():
+        _warn(f"warning: {problem}")
+    print(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
+
+
+def _register(running: Agent) -> Registration | None:
+    """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
+    from pancakes.errors import PancakesError
+    from pancakes.net.peers import reachable
+    from pancakes.runtime_dir import Entry, register
+
+    agent = running.config.agent
+    listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
+    try:
+        return register(Entry(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+    except PancakesError as error:
+        _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
+        return None
+
+
+def _tell_when_ready(running: Agent, ready_fd: int) -> None:
+    """Lets whoever launched the agent know that it is ready; a launcher that has gone need not know."""
+    import contextlib
+    import threading
+
+    def tell() -> None:
+        running.ready.wait()
+        with contextlib.suppress(OSError):
+            os.write(ready_fd, b"ready\n")
+        with contextlib.suppress(OSError):
+            os.close(ready_fd)
+
+    threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
+
+
+def _listen_to_libraries(running: Agent) -> Callable[[], None]:
+    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, never as a traceback.
+
+    Returns:
+        What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,
+        and some things, like a space of pymunk's, cannot be freed that late: they end the process with a fault.
+    """
+    import logging
+    import threading
+
+    from pancakes.kernel.component import describe
+
+    levels = {"DEBUG": "debug", "INFO": "info", "WARNING": "warning"}
+
+    class ToLog(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            error = record.exc_info[1] if record.exc_info else None
+            text = f"{record.name}: {record.getMessage()}" + (f": {describe(error)}" if error is not None else "")
+            running.kernel.log(levels.get(record.levelname, "error"), text)
+
+    def died(args: Any) -> None:
+        if args.exc_value is not None:
+            name = args.thread.name if args.thread is not None else "a thread"
+            running.kernel.log("error", f"the thread {name} died: {describe(args.exc_value)}")
+
+    def deafen() -> None:
+        logging.getLogger().removeHandler(handler)
+        threading.excepthook = threading.__excepthook__
+
+    handler = ToLog(logging.WARNING)
+    logging.getLogger().addHandler(handler)
+    threading.excepthook = died
+    return deafen
+
+
+def _warn(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
