@@ -240,8 +240,9 @@ class Traces(msgspec.Struct, frozen=True):
     `result` has `now_ns` and `until_ns` (what to say as
     `since_ns` next), `left_out` (how many commands there was no room for), and `rows`: the packets, oldest first, that
     are commands or led to one, or to one of `packets`, as far as they were seen on this agent. A row is a list: when it
-    was seen, channel, type, source, number, stamp, cause, and in a few words what it said. Times are the time of day
-    in nanoseconds, as in a recording. Packets on `log` and `sysctrl` are left out.
+    was seen, channel, type, source, number, stamp, source and number of its cause (empty and 0 where it has
+    none), and in a few words what it said. Times are the time of day in nanoseconds, as in a recording. Packets on
+    `log` and `sysctrl` are left out.
 
     Attributes:
         since_ns: only commands that were given after this.

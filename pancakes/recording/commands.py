@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from operator import attrgetter
+from typing import Any, Final, get_type_hints
 
 import msgspec
 
@@ -89,9 +91,40 @@ class CommandChains:
 
 def body_text(body: Any, longest: int = BODY_CHARACTERS) -> str:
     """Returns what a packet says in one short line."""
-    items = _items(body)
-    text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
+    text = _numbers_text(body)
+    if text is None:
+        items = _items(body)
+        text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
     return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def _numbers_text(body: Any) -> str | None:
+    """Returns what a packet says that holds floating-point numbers and nothing else; None: it is not such a one.
+
+    Most readings and commands are, and while a page is open agents say thousands of them in a minute: this takes a
+    third of the time.
+    """
+    cls: type = type(body)
+    numbers = _numbers(cls)
+    if numbers is None:
+        return None
+    template, values = numbers
+    try:
+        return template % values(body)
+    except TypeError:  # whoever made it put something else into a field
+        return None
+
+
+@cache
+def _numbers(cls: type) -> tuple[str, Callable[[Any], Any]] | None:
+    names = field_names(cls)
+    try:
+        hints = get_type_hints(cls)
+    except Exception:  # a class may name a type that is imported for checks only
+        return None
+    if not names or any(hints.get(name) is not float for name in names):
+        return None
+    return ", ".join(f"{name} %.4g" for name in names), attrgetter(*names)
 
 
 def _items(value: Any) -> Iterable[tuple[Any, Any]] | None:

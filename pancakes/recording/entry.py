@@ -9,7 +9,7 @@ import msgpack
 import msgspec
 
 from pancakes.errors import LocalProtocolError, PancakesError, RemoteProtocolError
-from pancakes.packet import Fence, Packet, body_from_plain, has_fields
+from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 NANOSECONDS: Final = 1_000_000_000
@@ -45,6 +45,19 @@ class Entry(msgspec.Struct, frozen=True):
         return self.packet.fence.task_id if self.packet.fence is not None else ""
 
 
+class _Row(msgspec.Struct, omit_defaults=True):
+    """The data of a message. A structure takes half as long to make and to encode as a mapping."""
+
+    source: str
+    destination: str
+    stamp: float
+    seq: int
+    cause: Cause | None
+    fence: Fence | None
+    body: Any
+    exact: str = ""
+
+
 class EntryEncoder:
     """Makes the data of messages. Keeps buffers: one to a thread."""
 
@@ -62,22 +75,14 @@ class EntryEncoder:
         Raises:
             LocalProtocolError: its body holds what no packet may hold.
         """
-        row: dict[str, Any] = {
-            "source": packet.source,
-            "destination": packet.destination,
-            "stamp": packet.stamp,
-            "seq": packet.seq,
-            "cause": packet.cause,
-            "fence": packet.fence,
-            "body": packet.body,
-        }
+        row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
         self._inexact = False
         try:
             data = self._json.encode(row)
             # JSON says null for what is no number, but most nulls are a None.
             nulls = data.count(b"null") > (packet.cause is None) + (packet.fence is None)
             if self._inexact or (nulls and not _holds_body(data, packet)):
-                row["exact"] = base64.b64encode(self._wire.packet(packet)).decode("ascii")
+                row.exact = base64.b64encode(self._wire.packet(packet)).decode("ascii")
                 data = self._json.encode(row)
         except (TypeError, ValueError, OverflowError) as error:
             raise LocalProtocolError(

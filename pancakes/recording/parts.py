@@ -12,6 +12,8 @@ from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.writer import RecordingWriter
 
 MIB: Final = 1 << 20
+SYNC_BYTES: Final = 8 * MIB
+"""So much is given to the operating system at most before it is brought to the disk."""
 SUFFIX: Final = ".mcap"
 
 
@@ -52,6 +54,7 @@ class Parts:
         self._limit_bytes = limit_mib * MIB
         self._drop_oldest = drop_oldest
         self._free_bytes = free_mib * MIB
+        self._synced_bytes = 0
         self.messages = 0
         file = part_path(self.first, part_number(before[-1]) + 1 if before else 1)
         try:
@@ -75,7 +78,7 @@ class Parts:
         self._writer.add(topic, schema_name, schema, time_ns, data)
 
     def flush(self) -> str:
-        """Brings everything to the disk, and begins a new file where it is time to.
+        """Gives everything to the operating system, and begins a new file where it is time to.
 
         Returns:
             Why the recording must end; empty where it may go on.
@@ -84,17 +87,32 @@ class Parts:
             OSError: the disk is full, ...
         """
         self._writer.flush()
-        if self._writer.size_bytes() >= self._split_bytes:
+        is_large = self._writer.size_bytes() >= self._split_bytes
+        if is_large:
             self._split()
-        lacking = self._lacking()
-        if lacking:
-            return lacking
+        if is_large or self._writer.size_bytes() - self._synced_bytes >= SYNC_BYTES:
+            lacking = self.sync()
+            if lacking:
+                return lacking
         if self._limit_bytes and self._size_bytes() > self._limit_bytes:
             if not self._drop_oldest:
                 return f"it has reached its limit of {self._limit_bytes / MIB:g} MiB"
             while self._done and self._size_bytes() > self._limit_bytes:
                 self._done.pop(0)[0].unlink(missing_ok=True)
         return ""
+
+    def sync(self) -> str:
+        """Brings what was flushed to the disk, and looks how much room is left there. It may take long.
+
+        Returns:
+            Why the recording must end; empty where it may go on.
+
+        Raises:
+            OSError: the disk is full, ...
+        """
+        self._writer.sync()
+        self._synced_bytes = self._writer.size_bytes()
+        return self._lacking()
 
     def close(self) -> None:
         """Closes the last file.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -11,14 +11,19 @@ from pancakes.control import Describe, Reply
 from pancakes.events import Event
 from pancakes.kernel.handlers import on
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
-from pancakes.recording.recording import Recording, RecordingSettings, is_described
+from pancakes.recording.description import is_described
+from pancakes.recording.settings import RecordingSettings
 from pancakes.task import Task
 
-DRAIN_S: Final = 0.25
-"""How often, in host time, what waits is written: each time wakes a thread, which costs more than packets do, ..."""
+if TYPE_CHECKING:
+    from pancakes.recording.recording import Recording
+
+DRAIN_S: Final = 0.5
+"""How often, in host time, what waits is written: each time wakes a thread, which costs as much as many packets, ..."""
 DRAIN_SOON_S: Final = 0.02
-"""... and how often where much comes, so that no turn is long: a control task may want the interpreter, ..."""
-MANY: Final = 100
+"""... and how often where an answer is waited for, or much comes, so that no turn is long: a control task may want the
+interpreter, ..."""
+MANY: Final = 1000
 """... which is more packets than this."""
 PATIENCE_S: Final = 1.0
 """How long, in host time, the answer to what a task is may take."""
@@ -70,6 +75,8 @@ class Recorder(Task):
         self.first = Path()
 
     def on_start(self) -> None:
+        from pancakes.recording.recording import Recording  # only now: most agents record nothing
+
         take_seq = self.kernel.seq_of(self.address).take
         recording = Recording(self.kernel, self.settings, self.log, take_seq, self.address, self._goes_on)
         recording.asking = lambda: bool(self._asked)
@@ -82,12 +89,15 @@ class Recorder(Task):
     def _write(self) -> None:
         """Writes what has come since the last time."""
         assert self._recording is not None
-        now_s = self.kernel.host.now()
+        host = self.kernel.host
+        now_s = host.now()
         self._asked = {seq: asked for seq, asked in self._asked.items() if asked.asked_s > now_s - PATIENCE_S}
-        many = self._recording.waits() > MANY
+        soon = self._recording.waits() > MANY or bool(self._asked)
         reason = self._recording.write()
         if not reason:
-            self.after_host(DRAIN_SOON_S if many else DRAIN_S, self._write)
+            # A disk that took its time does not put off the next turn: what comes meanwhile is soon safe as well.
+            rest_s = DRAIN_S - (host.now() - now_s)
+            self.after_host(DRAIN_SOON_S if soon else max(rest_s, DRAIN_SOON_S), self._write)
         elif not self._ended:
             self._ended = True
             self.log("warning", f"the recording {self.first} ends: {reason}")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
-
-from msgspec import Meta
+from typing import Any, Final
 
 from pancakes.clock import wall_ns
 from pancakes.errors import PancakesError
@@ -21,51 +18,20 @@ from pancakes.recording.description import CHANNEL, TaskDescription
 from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.recording.figures import figures_of
 from pancakes.recording.latenesses import Latenesses
+from pancakes.recording.settings import RecordingSettings
 from pancakes.recording.viewing import SHOWN, Viewer
 
 WAITING: Final = 20_000
 """So many packets wait for the disk, of large ones fewer; then the oldest are left out and counted."""
-FLUSH_S: Final = 0.74
-"""How often, in host time, what was written is brought to the disk: with the time between two turns less than a second,
-which is what a crash may cost."""
+FLUSH_S: Final = 0.49
+"""How often, in host time, all that has come is given to the operating system: that is not lost where the agent is
+killed, and half of the second is left that this may cost."""
+LATEST_S: Final = 0.75
+"""So long after that, in host time, no answer is waited for any more."""
+SYNC_S: Final = 4.9
+"""How often, in host time, it is brought to the disk, which takes long: what a power cut may cost depends on it."""
 SAMPLE_S: Final = 0.99
 """How often, in host time, it is noted how tasks and links fare: once a second."""
-
-Size = Annotated[float, Meta(ge=0, le=1e9)]
-
-
-@dataclass
-class RecordingSettings:
-    """What is recorded, and where to.
-
-    Attributes:
-        path: the file; one that is there already is left alone, and a number added to the name. `{agent}` stands
-            for the agent's name.
-        channels: the channels to record; empty: all, those too that are added later.
-        types: the packet types to record; empty: all.
-        task: record only what this task (`birthplace/name`) reads and publishes, on whatever agent it is; empty:
-            everything.
-        split_mib: a new file begins where one has grown this large.
-        limit_mib: how large the recording may become; 0 for no limit.
-        at_limit: what happens then: it ends (`stop`), or its oldest file is removed (`drop_oldest`).
-        free_mib: the recording ends before less than this is free on the disk, and does not begin where less is.
-        viewer: whether poses are written in the schemas of Foxglove as well.
-    """
-
-    path: str = "recordings/{agent}.mcap"
-    channels: tuple[str, ...] = ()
-    types: tuple[str, ...] = ()
-    task: str = ""
-    split_mib: Annotated[float, Meta(gt=0, le=1e6)] = 256.0
-    limit_mib: Size = 0.0
-    at_limit: Literal["stop", "drop_oldest"] = "stop"
-    free_mib: Size = 64.0
-    viewer: bool = True
-
-
-def is_described(target: str) -> bool:
-    """Returns whether a recording holds what a task is, given as `service/task`: not of an agent's own ones."""
-    return not target.startswith(("log/", "network/", "device/"))
 
 
 class Recording:
@@ -137,7 +103,7 @@ class Recording:
         limits = (settings.split_mib, settings.limit_mib, drop_oldest, settings.free_mib)
         self._parts = Parts(path, about, *limits, goes_on=goes_on is not None)
         self.first = self._parts.first
-        self._flushed_s = self._sampled_s = kernel.host.now()
+        self._flushed_s = self._synced_s = self._sampled_s = kernel.host.now()
         self._tap_channels()
         kernel.stream.tap_outgoing(self._take)
         kernel.hear_lateness(self._latenesses.heard)
@@ -192,15 +158,18 @@ class Recording:
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
             self._note(figures_of(self._kernel, self._latenesses.take()))
+        since_s = now_s - self._flushed_s
+        if self._settings.task and since_s < LATEST_S and self.asking():
+            return ""  # what one task reads is known only once its service has said so
         try:
-            if not (self._settings.task and self.asking()):
-                # What one task reads is known only once its service has said so.
-                self._write_waiting()
-            if now_s - self._flushed_s < FLUSH_S:
+            self._write_waiting()
+            if since_s < FLUSH_S:
                 return ""
             self._flushed_s = now_s
-            self._write_waiting()
             reason = self._parts.flush()
+            if not reason and now_s - self._synced_s >= SYNC_S:
+                self._synced_s = now_s
+                reason = self._parts.sync()
         except OSError as error:
             reason = f"its disk failed: {error.strerror or error}"
         if not reason:

@@ -10,7 +10,9 @@ from pancakes.events import Event
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.kernel import Kernel
 from pancakes.packet import LOG, Packet, agent_of, join
-from pancakes.recording.recording import Recording, RecordingSettings, is_described
+from pancakes.recording.description import is_described
+from pancakes.recording.recording import Recording
+from pancakes.recording.settings import RecordingSettings
 from pancakes.service import Service, with_state
 from pancakes.slot import Slot, TaskState
 

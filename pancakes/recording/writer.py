@@ -1,4 +1,4 @@
-"""Writes one MCAP file of a recording, of which a crash costs no more than what came after the last flush."""
+"""Writes one MCAP file of a recording; a process that is killed costs it what came after the last flush, no more."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pancakes.recording.entry import Entry, EntryEncoder
 from pancakes.recording.schemas import SCHEMAS, schema_for
 
 CHUNK_BYTES: Final = 128 * 1024
-"""Ending a chunk costs as much as a hundred messages. `flush` ends one too: a crash costs what came after that."""
+"""Ending a chunk costs as much as ten messages. `flush` ends one too: whoever is killed costs what came after that."""
 LIBRARY: Final = f"pancakes {__version__}"
 METADATA: Final = "pancakes"
 
@@ -78,13 +78,20 @@ class RecordingWriter:
         return self._chunks.size_bytes()
 
     def flush(self) -> None:
-        """Brings all that was written to the disk; what comes before survives a crash.
+        """Gives all that was written to the operating system: that is not lost where this process is killed.
 
         Raises:
             OSError: the disk is full, ...
         """
         self._chunks.end_chunk()
         self._file.flush()
+
+    def sync(self) -> None:
+        """Brings what was flushed to the disk: that is not lost where the power goes. It may take long.
+
+        Raises:
+            OSError: the disk is full, ...
+        """
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
@@ -92,7 +99,7 @@ class RecordingWriter:
         try:
             self._chunks.finish()
             self._file.flush()
-            os.fsync(self._file.fileno())
+            self.sync()
         finally:
             self._file.close()
 

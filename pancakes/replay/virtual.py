@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from msgspec.structs import replace as changed
+from msgspec.structs import replace
 
 from pancakes.agent import Agent
 from pancakes.config import Config
@@ -104,7 +103,7 @@ class VirtualReplay:
             self._fleet.run_until(max(due_s, self._fleet.now()))
             kernel = self._fleet.agents[fed.topic.agent].kernel
             try:
-                kernel.stream.inject(changed(fed.packet, stamp=kernel.mission.now()))
+                kernel.stream.inject(replace(fed.packet, stamp=kernel.mission.now()))
             except MailboxFull as error:
                 self.refused.append(str(error))
                 continue

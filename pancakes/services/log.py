@@ -6,11 +6,11 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TextIO
 
 import msgspec
+from msgspec import Meta
 from msgspec.structs import replace
 
 from pancakes.control import History, Start, Traces
@@ -20,11 +20,14 @@ from pancakes.kernel.mailbox import queue
 from pancakes.packet import LOG, Packet, agent_of
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
-from pancakes.services.traces import Tracing
 from pancakes.services.wanted_recording import Wanted, WantedRecording
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
 from pancakes.task import Carried, Task, TaskSpec
+from pancakes.weight import weigher
+
+if TYPE_CHECKING:
+    from pancakes.services.traces import Tracing
 
 RECORDER = "Recorder"
 KEEP = queue(4096)
@@ -54,8 +57,7 @@ class Console(Task):
 
     blocking = True  # a terminal or a pipe may make it wait
 
-    @dataclass
-    class Settings:
+    class Settings(msgspec.Struct):
         """What is shown: lines of this level and above; events count as `info`."""
 
         level: Literal["debug", "info", "warning", "error"] = "info"
@@ -90,8 +92,7 @@ class LogFile(Task):
 
     blocking = True  # a disk may make it wait
 
-    @dataclass
-    class Settings:
+    class Settings(msgspec.Struct):
         """Where to."""
 
         path: str = "agent.jsonl"
@@ -113,7 +114,9 @@ class LogFile(Task):
 
 
 REMEMBERED = 2000
-"""So much of what was said on `log` is still known when somebody asks."""
+"""So much of what was said on `log` is still known when somebody asks, where nothing else is configured."""
+REMEMBERED_BYTES = 4 * 1024 * 1024
+"""All that is still known of what was said on `log` takes no more than this, about; the last is always known."""
 PAGE = 60_000
 """So many characters of it go into one answer; with four bytes for each, that still fits a frame."""
 LONGEST = 20_000
@@ -133,19 +136,21 @@ class LogService(Service):
 
     durable: ClassVar[bool] = False
 
-    @dataclass
-    class Settings:
+    class Settings(msgspec.Struct):
         """What becomes of what is said on `log`.
 
         Attributes:
             console: whether it is shown on standard error.
             level: the lowest level that is shown there.
             file: path of a JSON lines file that everything is appended to; empty: none.
+            remembered: so many of the newest lines and events are still known when somebody asks, at most 2000; fewer
+                where they are large.
         """
 
         console: bool = True
         level: Literal["debug", "info", "warning", "error"] = "info"
         file: str = ""
+        remembered: Annotated[int, Meta(ge=1, le=REMEMBERED)] = REMEMBERED
 
     def __init__(
         self,
@@ -160,29 +165,46 @@ class LogService(Service):
         self._record = {key: value for key, value in (record or {}).items() if key != "start"}
         # What is to be recorded from the start begins anew with each start.
         self._goes_on = wanted.now if wanted is not None and not self._records else None
-        self._newest: deque[tuple[int, Packet]] = deque(maxlen=REMEMBERED)
+        self._newest: deque[tuple[int, int, Packet]] = deque()  # number, bytes, and what was said
+        self._newest_bytes = 0
         self._entries = 0
-        self._tracing = Tracing(self)
+        self._tracing: Tracing | None = None
 
     def close(self, then: Callable[[], None]) -> None:
-        self._tracing.end()
+        self._end_tracing()
         super().close(then)
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
-        self._tracing.end()
+        self._end_tracing()
         super().on_failure(exception_type, exception_value, traceback)
+
+    def _begin_tracing(self) -> Tracing:
+        from pancakes.services.traces import Tracing  # only now: most agents are never asked
+
+        self._tracing = self._tracing or Tracing(self)
+        return self._tracing
+
+    def _end_tracing(self) -> None:
+        if self._tracing is not None:
+            self._tracing.end()
 
     @on(LOG, None, keep=KEEP)
     def remember(self, packet: Packet) -> None:
         """Keeps one line for who asks later."""
         self._entries += 1
-        self._newest.append((self._entries, packet))
+        weigh = weigher(type(packet.body))
+        size_bytes = weigh(packet.body) if weigh is not None else 0
+        self._newest.append((self._entries, size_bytes, packet))
+        self._newest_bytes += size_bytes
+        most = self.settings.remembered
+        while len(self._newest) > (most if self._newest_bytes <= REMEMBERED_BYTES else 1):
+            self._newest_bytes -= self._newest.popleft()[1]
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, History):
             self.reply(request, result=self._page(body))
         elif isinstance(body, Traces):
-            self.reply(request, result=self._tracing.answer(body, request.by))
+            self.reply(request, result=self._begin_tracing().answer(body, request.by))
         else:
             super().carry_out_command(body, slot, request)
 
@@ -197,7 +219,7 @@ class LogService(Service):
         since_s = -math.inf if body.since_s is None else self.now() - body.since_s
         page: list[dict[str, Any]] = []
         size = 0
-        for entry, packet in self._newest:
+        for entry, _, packet in self._newest:
             if entry <= body.after or packet.stamp < since_s:
                 continue
             line = line_of(record_of(packet))

@@ -198,8 +198,9 @@ class Tracing:
 
 def _row(time_ns: int, packet: Packet) -> list[Any]:
     said = "" if packet.body is None else body_text(packet.body)
-    cause = list(packet.cause) if packet.cause is not None else None
-    return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp, cause, said]
+    # A flat row of plain values: what is nested is looked through value by value before it travels.
+    cause, number = packet.cause or ("", 0)
+    return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp, cause, number, said]
 
 
 def _size(body: Any) -> int:

@@ -100,8 +100,8 @@ class FleetTraces:
         for key in asked:
             told.wanted.pop(key, None)
             self._missing.discard(key)
-        for time_ns, channel, type_, source, seq, stamp, cause, said in result["rows"]:
-            packet = Packet(channel, type_, source, "", stamp, seq, said, (cause[0], cause[1]) if cause else None)
+        for time_ns, channel, type_, source, seq, stamp, cause, number, said in result["rows"]:
+            packet = Packet(channel, type_, source, "", stamp, seq, said, (cause, number) if cause else None)
             self._causes.add(Entry(time_ns, agent, packet))
             key = (source, seq)
             other = agent_of(source)

@@ -262,12 +262,31 @@ def test_a_recording_ends_before_the_disk_is_full_and_does_not_begin_after_that(
     monkeypatch.setattr(
         os, "statvfs", lambda path: SimpleNamespace(f_frsize=full.f_frsize, f_bavail=63 * 2**20 // full.f_frsize)
     )
-    reason = filled(parts, 100)
+    parts.write(pose(0))
+    assert parts.flush() == ""
+    reason = parts.sync()
     assert reason.startswith(f"less than 64 MiB are free on the disk of {tmp_path} (63 MiB; free_mib")
-    assert len(read(tmp_path / "r.mcap")[0]) == 50
+    parts.close()
+    assert len(read(tmp_path / "r.mcap")[0]) == 1
+    assert filled(make_parts(tmp_path / "much.mcap", free_mib=0.0), 100) == ""
     with pytest.raises(RecordingError, match=r"s\.mcap does not begin: less than 64 MiB are free"):
         make_parts(tmp_path / "s.mcap", free_mib=64.0)
     assert not (tmp_path / "s.mcap").exists()
+
+
+@pytest.mark.parametrize(("much", "split_mib"), [("SYNC_BYTES", 256.0), ("a new file", 0.02)])
+def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp_path, monkeypatch, much, split_mib):
+    if much == "SYNC_BYTES":
+        monkeypatch.setattr("pancakes.recording.parts.SYNC_BYTES", 20_000)
+    parts = make_parts(tmp_path / "r.mcap", split_mib)
+    synced = []
+    monkeypatch.setattr(Parts, "sync", lambda parts: synced.append(parts._writer.path) or "")
+    monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
+    for number in range(200):  # of 300 bytes each
+        parts.write(pose(number))
+        assert parts.flush() == ""
+    parts.close()
+    assert synced
 
 
 def test_nothing_is_overwritten_and_what_cannot_be_written_is_named(tmp_path):

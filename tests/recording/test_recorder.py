@@ -12,6 +12,7 @@ from pancakes.packet import packet_type
 from pancakes.recording.description import TaskDescription
 from pancakes.recording.parts import Parts, parts_of
 from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recorder import _Question
 from pancakes.recording.summary import Summary, Topic
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
@@ -176,6 +177,36 @@ def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):
     assert inputs == [("a", 0.0), ("b", 1.0)]
     stays = Summary.of(entries).stays
     assert [(stay.task_id, stay.agent, stay.epoch) for stay in stays] == [("a/Count", "a", 0), ("a/Count", "b", 1)]
+
+
+def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_then(fleet, tmp_path, monkeypatch):
+    synced_s = []
+    monkeypatch.setattr(Parts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
+    agent = fleet.start("a", tasks={"Count": Count})
+    begun_s = agent.kernel.mission.now()
+    record(agent, tmp_path / "r.mcap")
+    missing_s = []
+    for _ in range(60):
+        fleet.run_for(0.187)
+        entries = [it for it in RecordingReader(tmp_path / "r.mcap").entries() if it.packet.type == "load"]
+        newest_s = entries[-1].packet.stamp if entries else begun_s
+        missing_s.append(agent.kernel.mission.now() - newest_s)
+    assert max(missing_s) < 0.75
+    # To bring it to the disk costs more, and is only for a power cut.
+    assert [later - earlier for earlier, later in pairwise(synced_s)] == [pytest.approx(5.0)]
+
+
+def test_what_one_task_reads_waits_until_the_agent_has_said_what_it_is(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Count": Count})
+    record(agent, tmp_path / "r.mcap", task="a/Count")
+    recorder = agent.task("Recorder", "log")
+    recorder._asked = {0: _Question("client/Count", asked_s=agent.kernel.host.now())}
+    fleet.run_for(0.7)
+    assert list(RecordingReader(tmp_path / "r.mcap").entries()) == []
+    fleet.run_for(0.1)
+    in_time = list(RecordingReader(tmp_path / "r.mcap").entries())
+    assert len(in_time) >= 7, "a question that nobody answers must not keep it from the file"
+    finish(agent, tmp_path / "r.mcap")
 
 
 def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet, tmp_path, monkeypatch):

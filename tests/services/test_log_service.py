@@ -3,11 +3,11 @@
 import json
 from dataclasses import dataclass
 
-from pancakes.control import Stop
+from pancakes.control import History, Stop
 from pancakes.devices.types import Pose
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, packet_type
-from pancakes.services.log import line_of, record_of
+from pancakes.services.log import REMEMBERED_BYTES, line_of, record_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 
@@ -66,7 +66,7 @@ def test_the_file_has_everything_one_object_a_line_to_the_last(tmp_path):
     assert all({"t_s", "agent", "source"} <= set(record) for record in records)
     talked = [record for record in records if record["kind"] == "talked"]
     assert {(record["agent"], record["source"]) for record in talked} == {("a", "a/client/Talkative")}
-    assert talked[0]["times"] == round(talked[0]["t_s"])
+    assert talked[0]["times"] >= 1 and talked[0]["t_s"] >= talked[0]["times"]  # of its tick, and of its event
     # It is appended to at the next start.
     with threaded_agent("a", services=services):
         pass
@@ -88,3 +88,26 @@ def test_the_log_may_be_turned_off_and_the_rest_goes_on():
         assert agent.ask(Stop("log")).ok
         fleet.run_for(3.0)
         assert len(agent.events("talked")) == 3
+
+
+def remembered(agent):
+    return [record for record in agent.ask(History()).result if record["kind"] == "said"]
+
+
+def test_so_many_lines_are_remembered_as_its_settings_say():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 3}}})
+        for number in range(5):
+            agent.publish("log", Event("said", {"number": number}))
+        assert [record["number"] for record in remembered(agent)] == [2, 3, 4]
+
+
+def test_of_what_is_large_less_is_remembered_but_always_the_last():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a")
+        for _ in range(5):
+            agent.publish("log", Event("seen", {"image": bytes(REMEMBERED_BYTES // 3 + 1)}))
+        last = agent.ask(History()).result[-1]["entry"]
+        assert [record["entry"] for record in agent.ask(History()).result] == [last - 1, last]
+        agent.publish("log", Event("seen", {"image": bytes(2 * REMEMBERED_BYTES)}))
+        assert [record["entry"] for record in agent.ask(History()).result] == [last + 1]
