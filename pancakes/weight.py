@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 import types
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
 from functools import cache
 from itertools import islice
@@ -19,8 +19,10 @@ import msgspec
 
 from pancakes.packet import field_names
 
-LIGHT_BYTES: Final = 1024
+LIGHT_BYTES: Final = 2048
 """A lighter body is not counted: the number of packets that may wait bounds them well enough."""
+BRIEF_BYTES: Final = 16 * 1024
+"""What is told of a value larger than this is how large it is."""
 SAMPLE: Final = 32
 """So many items of a longer list or map are weighed, spread over it, and stand for the rest; a quarter in each list
 within that, and so on.
@@ -69,9 +71,38 @@ def _weigher(cls: type) -> Weigher | None:
     return _sum_of_lengths(lengths, tuple((name, weigh_row) for name, weigh_row in rows.items() if weigh_row))
 
 
+def light_on_the_wire(cls: type) -> int:
+    """Returns how many bytes a packed body of a class may take and be sure to be light; 0 where it must be weighed.
+
+    That can be said where nothing but text and bytes makes it heavy: those weigh what they take on the wire, or less.
+    Numbers do not, since small ones are packed into a byte each.
+    """
+    return _light_on_the_wire(cls)
+
+
+@cache
+def _light_on_the_wire(cls: type) -> int:
+    try:
+        hints = get_type_hints(cls)
+    except Exception:  # as in `weigher`
+        return 0
+    names = field_names(cls)
+    text_only = all(_is_fixed(hints.get(name, Any), MOST_DEPTH) or hints.get(name) in _PLAIN for name in names)
+    return LIGHT_BYTES if names and text_only else 0
+
+
 def weigh(value: Any) -> int:
     """Returns how many bytes a body, or a part of one, takes, roughly. It never raises."""
     return _Scales().weigh(value, 0)
+
+
+def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns values for people to read: of each that is larger than `BRIEF_BYTES`, only how many bytes it takes."""
+    weights = {name: weigh(value) for name, value in values.items()}
+    return {
+        name: value if weights[name] <= BRIEF_BYTES else f"about {weights[name]} bytes"
+        for name, value in values.items()
+    }
 
 
 def _sum_of_lengths(units: tuple[tuple[str, int], ...], rows: tuple[tuple[str, Weigher], ...] = ()) -> Weigher:

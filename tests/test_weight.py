@@ -12,7 +12,7 @@ import pytest
 
 from pancakes import control, events
 from pancakes.devices import types as devices
-from pancakes.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, weigh, weigher
+from pancakes.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, light_on_the_wire, weigh, weigher
 
 if TYPE_CHECKING:
     from somewhere import Unknown
@@ -140,3 +140,15 @@ def test_the_work_is_bounded_however_a_body_is_built():
         body = [Watched(body)] * 100
     assert weigh(body) > 1_000_000
     assert looks <= MOST_VALUES
+
+
+@dataclass(frozen=True)
+class Row:
+    numbers: list[int]
+
+
+@pytest.mark.parametrize(
+    ("cls", "light"), [(Fixed, LIGHT_BYTES), (Frame, LIGHT_BYTES), (events.LogLine, LIGHT_BYTES), (Row, 0), (dict, 0)]
+)
+def test_text_and_bytes_weigh_no_more_than_on_the_wire(cls: type, light: int) -> None:
+    assert light_on_the_wire(cls) == light

@@ -147,7 +147,7 @@ class Door:
         if self._asked.pop(number, None) is not None:
             self._answers[number] = answer
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
+    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         for packet in packets:
             if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
                 self._settle(packet.cause[1], packet.body)

@@ -10,6 +10,8 @@ from pancakes.packet import Packet
 
 ATTEMPTS = 3
 """How often a reliable packet is handled before it is given up as a dead letter."""
+MOST_KNOWN = 1024
+"""So many packets that failed are remembered. One whose task is given up never comes again, and nobody says so."""
 
 
 class DeadLetters:
@@ -36,6 +38,8 @@ class DeadLetters:
             again = queue.reliable_for(packet) and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
+                if len(self._failures) > MOST_KNOWN:
+                    del self._failures[next(iter(self._failures))]  # the one that has not failed for longest
         if again:
             queue.push_back(packet)
         else:

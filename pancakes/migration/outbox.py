@@ -17,7 +17,8 @@ class Outbox:
     """The streams of one agent.
 
     A stream to which nobody adds any more, because its task has gone on in another one, is kept until all of it is
-    acknowledged.
+    acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
+    streams of its own, one for each move, there would be ever more where nobody acknowledges them.
 
     Args:
         name: begins the names of all streams that are begun here; no other start of any agent ever had it.
@@ -31,7 +32,8 @@ class Outbox:
         self._common = Outgoing(name, agent)
         self._streams: dict[str, Outgoing] = {name: self._common}
         self._of: dict[str, Outgoing] = {}  # the streams that tasks add to, by the sender's id
-        self._left: dict[str, Outgoing] = {}  # those of tasks that stand still for a hand-off
+        self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a hand-off
+        self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
     def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[Dispatch]:
         """Takes a packet, and returns what is to be sent now.
@@ -88,24 +90,28 @@ class Outbox:
 
         What is in it is sent all the same: its new host will send it again under the same numbers.
         """
-        stream = self._of.pop(sender, None)
-        if stream is None:
-            return None
-        self._left[sender] = stream
-        return stream.posted()
+        if sender not in self._left:
+            self._left[sender] = self._of.pop(sender, None)
+        stream = self._left[sender]
+        return stream.posted() if stream is not None else None
 
     def stay(self, sender: str) -> None:
         """It does not leave after all, and goes on with its stream."""
         stream = self._left.pop(sender, None)
         if stream is not None:
-            self._of.setdefault(sender, stream)
-            self._drop_done(stream)
+            self._of[sender] = stream
 
-    def gone(self, sender: str) -> None:
-        """It has left for good, with its stream."""
+    def gone(self, sender: str, ends: bool = False) -> None:
+        """It has left for good, with its stream; `ends`: its actor is still to end here, and `ended` is to follow."""
         stream = self._left.pop(sender, None)
         if stream is not None:
             self._streams.pop(stream.stream, None)
+        if ends:
+            self._ending.add(sender)
+
+    def ended(self, sender: str) -> None:
+        """Nothing of a sender that has left runs here any more."""
+        self._ending.discard(sender)
 
     def arrive(self, sender: str, posted: Posted | None, fresh: bool) -> None:
         """A sender begins from a snapshot.
@@ -116,22 +122,23 @@ class Outbox:
             fresh: whether nothing of it has run since; else numbers may have been given out that the snapshot does not
                 know of, so that only what is in it may be sent again, and the task begins a new stream.
         """
+        self._ending.discard(sender)
         if not fresh and sender in self._of:
             return  # it failed and begins anew: its stream has never left
-        if fresh:
-            self._of.pop(sender, None)
-        if posted is None:
-            return
-        if fresh or posted.stream not in self._streams:
-            self._streams[posted.stream] = Outgoing.of(posted, self._agent)
-        stream = self._streams[posted.stream]
-        if fresh:
-            self._of[sender] = stream
-        else:
-            self._drop_done(stream)
+        former = [self._left.pop(sender, None), self._of.pop(sender, None)]
+        if posted is not None:
+            if fresh or posted.stream not in self._streams:
+                self._streams[posted.stream] = Outgoing.of(posted, self._agent)
+            stream = self._streams[posted.stream]
+            if fresh:
+                self._of[sender] = stream
+            former.append(stream)
+        for done in former:
+            if done is not None:
+                self._drop_done(done)
 
     def _stream_of(self, sender: str) -> Outgoing:
-        if not sender:
+        if not sender or sender in self._left or sender in self._ending:
             return self._common
         stream = self._of.get(sender)
         if stream is None:
@@ -141,9 +148,10 @@ class Outbox:
         return stream
 
     def _drop_done(self, stream: Outgoing) -> None:
-        if stream is not self._common and not stream.waiting() and stream not in self._open():
-            self._streams.pop(stream.stream, None)
+        is_kept = self._streams.get(stream.stream) is stream  # and not another one, that has come under its name
+        if is_kept and stream is not self._common and not stream.waiting() and stream not in self._open():
+            del self._streams[stream.stream]
 
-    def _open(self) -> Iterator[Outgoing]:
+    def _open(self) -> Iterator[Outgoing | None]:
         yield from self._of.values()
         yield from self._left.values()

@@ -82,6 +82,12 @@ class Assembly:
         """Forgets what has come in so far from a peer whose link broke."""
         self._parts = {task_id: parts for task_id, parts in self._parts.items() if parts.peer != peer}
 
+    def end(self, peer: str, task_id: TaskId) -> None:
+        """Forgets what has come in so far of a task whose hand-over from a peer is decided."""
+        parts = self._parts.get(task_id)
+        if parts is not None and parts.peer == peer:
+            del self._parts[task_id]
+
 
 class _Parts:
     """What has come in of one offer."""

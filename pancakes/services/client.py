@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import msgspec
 
 from pancakes.services.durable import DurableService
 
@@ -10,15 +10,14 @@ from pancakes.services.durable import DurableService
 class ClientService(DurableService):
     """Loads the user's tasks and spawns channels for what they say among each other."""
 
-    @dataclass
-    class Settings:
+    class Settings(msgspec.Struct):
         """What it brings besides the tasks of the configuration.
 
         Attributes:
             channels: channels that are opened with the service.
         """
 
-        channels: list[str] = field(default_factory=list)
+        channels: list[str] = []
 
     def on_start(self) -> None:
         for channel in self.settings.channels:

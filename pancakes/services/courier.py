@@ -96,10 +96,15 @@ class Courier(Component):
         with self._lock:
             self._outbox.stay(str(sender))
 
-    def gone(self, sender: TaskId) -> None:
-        """It has left for good."""
+    def gone(self, sender: TaskId, ends: bool) -> None:
+        """It has left for good; `ends`: its actor is still to end here, and `ended` is to follow."""
         with self._lock:
-            self._outbox.gone(str(sender))
+            self._outbox.gone(str(sender), ends)
+
+    def ended(self, sender: str) -> None:
+        """The actor of a task (`birthplace/name`) that has left for good has ended."""
+        with self._lock:
+            self._outbox.ended(sender)
 
     def arrive(self, sender: TaskId, posted: Posted | None, fresh: bool) -> None:
         """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken."""

@@ -140,6 +140,8 @@ class DeviceTask(Task):
         self._put_up: Fence | None = None  # what is being written
         self._waiting: tuple[Packet, float] | None = None  # for that, and since when
         self.driver: Driver | None = None
+        self._sensor: Sensor | None = None
+        self._actuator: Actuator | None = None
         self._command_s = 0.0
         self._guarded = False
         self._holding = True
@@ -165,11 +167,14 @@ class DeviceTask(Task):
         self._close_driver()
 
     def _open_driver(self) -> None:
-        self.driver = self.device.cls(self._context, self.settings)
-        self.driver.open()
+        self.driver = driver = self.device.cls(self._context, self.settings)
+        # Which of the two it is, is asked for each reading and each command.
+        self._sensor = driver if isinstance(driver, Sensor) else None
+        self._actuator = driver if isinstance(driver, Actuator) else None
+        driver.open()
 
     def _close_driver(self) -> None:
-        driver, self.driver = self.driver, None
+        driver, self.driver, self._sensor, self._actuator = self.driver, None, None, None
         if driver is None:
             return
         try:
@@ -184,12 +189,12 @@ class DeviceTask(Task):
     @every(hz=0)
     def sample(self, tick: Tick) -> None:
         """Takes a reading and publishes it."""
-        if isinstance(self.driver, Sensor):
-            reading = self.driver.sample()
+        if self._sensor is not None:
+            reading = self._sensor.sample()
             if reading is not None:
                 self.deliver(reading)
-        elif isinstance(self.driver, Actuator):
-            self.driver.tick()
+        elif self._actuator is not None:
+            self._actuator.tick()
 
     def deliver(self, reading: Any) -> None:
         """Publishes a reading on `system`. Any thread."""
@@ -229,8 +234,8 @@ class DeviceTask(Task):
                     lambda reason: self.call(lambda: self._fence_failed(fence, reason)),
                 )
             return
-        driver = self.driver
-        assert isinstance(driver, Actuator)
+        driver = self._actuator
+        assert driver is not None
         self._refused.pop(packet.source, None)
         self._command_s = self.now()
         self._holding = False

@@ -213,9 +213,13 @@ class DurableService(RecordedService):
         self._arriving.pop(task_id, None)
         self.kernel.registry.unreserve(self._place_of(task_id))
         self._postbox.forget(task_id)
+        # What it was, down to the last byte of its state, is elsewhere now.
+        self._saved.pop(task_id, None)
+        self._ask_again_s.pop(task_id, None)
+        ends = slot is not None and slot.task is not None and self.id_of(slot) == task_id
         courier = self._postbox.courier()
         if courier is not None:
-            courier.gone(task_id)
+            courier.gone(task_id, ends)
         if slot is None:
             return
         if slot.task is None and slot.state is not TaskState.STARTING:

@@ -210,6 +210,10 @@ class TaskMigrator(Task):
         else:
             self._say(peer, message)
 
+    def peer_down(self, name: str) -> None:
+        """A peer has gone: a snapshot that was on its way would come anew. In this actor."""
+        self._assembly.drop(name)
+
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now. Any thread."""
         return any(hello.name == peer for hello in self._mesh.connected())
@@ -383,6 +387,8 @@ class TaskMigrator(Task):
             if not refusal:
                 until_s = self.kernel.host.now() + self._times.slot_s
                 self._slots.keep(message.task_id, Slot(peer, message.offer, until_s))
+        elif isinstance(message, (Commit, Abort)):
+            self._assembly.end(peer, message.task_id)
         self._hand_over(peer, message, refusal, "")
 
     @on(NETWORK, Piece, keep=KEEP)

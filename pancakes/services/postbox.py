@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from pancakes.kernel.letters import ATTEMPTS
+from pancakes.kernel.letters import ATTEMPTS, MOST_KNOWN
 from pancakes.migration.core import handle
 from pancakes.migration.effect import Deliver, Forward, Send
 from pancakes.migration.event import Arrived, PacketId
@@ -108,7 +108,7 @@ class Postbox:
         task = slot.task
         key = (task_id, letter.stream, letter.seq)
         if packet is None and key not in self._failures:
-            self._failures[key] = ATTEMPTS
+            self._note_failures(key, ATTEMPTS)
             reason = f"{slot.address} cannot read packet #{letter.seq} of {letter.stream}"
             self._service.kernel.letters.bury(reason)
         addressed = None
@@ -129,11 +129,18 @@ class Postbox:
 
     def _failed(self, key: _Key, address: str, packet: Packet | None) -> None:
         """A handler raised: the letter is not acknowledged, so it comes again when the task has been restarted."""
-        self._failures[key] = failures = self._failures.get(key, 0) + 1
+        failures = self._failures.get(key, 0) + 1
+        self._note_failures(key, failures)
         if failures == ATTEMPTS and packet is not None:
             self._service.kernel.letters.bury(
                 f"{address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
             )
+
+    def _note_failures(self, key: _Key, failures: int) -> None:
+        self._failures.pop(key, None)
+        self._failures[key] = failures
+        if len(self._failures) > MOST_KNOWN:  # a letter whose sender has gone never comes again, and nobody says so
+            del self._failures[next(iter(self._failures))]
 
     def _took(self, slot: Slot, task: Task, letter: Letter, packet: Packet | None) -> None:
         task_id = TaskId.parse(letter.task_id)
@@ -165,6 +172,8 @@ class Postbox:
         """The task was given away, with all that it has handled."""
         self._owed.pop(task_id, None)
         self._kept.pop(task_id, None)
+        for key in [key for key in self._failures if key[0] == task_id]:
+            del self._failures[key]
 
     def owes(self, task_id: TaskId) -> bool:
         """Returns whether something that the task has handled waits for the disk."""

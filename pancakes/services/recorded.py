@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from functools import cache, partial
 from typing import Any, ClassVar
 
 import msgspec
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from pancakes.control import Stop
 from pancakes.errors import ControlRefused, PancakesError
@@ -35,12 +34,25 @@ from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.task import Carried, Nothing, Task, TaskSpec
+from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
+
+
+class _Saved(msgspec.Struct):
+    """What was written down of a task at last.
+
+    Attributes:
+        plain: what it carried, encoded.
+        made_of: of a task without state its settings and its periods, the very objects; None: it has state.
+    """
+
+    plain: bytes
+    made_of: tuple[Mapping[str, Any], Mapping[str, float]] | None
 
 
 class RecordedService(Service):
@@ -62,7 +74,7 @@ class RecordedService(Service):
         self.hand_offs: dict[TaskId, HandOff] = {}
         self._ids: dict[str, list[TaskId]] = {}  # of all hand-offs, by the task's name
         self._starting: dict[TaskId, list[Callable[[str], None]]] = {}
-        self._saved: dict[TaskId, bytes] = {}
+        self._saved: dict[TaskId, _Saved] = {}
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
         self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
@@ -299,6 +311,9 @@ class RecordedService(Service):
         slot.state = TaskState.STOPPED
         slot.carried = None
         slot.mailbox.clear_data()
+        courier = self._postbox.courier()
+        if courier is not None and slot.fence is not None:
+            courier.ended(slot.fence.task_id)
         if slot.name not in self._residents:
             del self.slots[slot.name]
 
@@ -390,8 +405,22 @@ class RecordedService(Service):
     def _checkpoint_some(self, names: Sequence[str]) -> None:
         for name in names:
             slot = self.slots.get(name)
-            if slot is not None and slot.task is not None and slot.state is TaskState.RUNNING:
+            if slot is None or slot.task is None or slot.state is not TaskState.RUNNING:
+                continue
+            if not self._is_written_down(slot, slot.task):
                 self.checkpoint(slot, slot.task)
+
+    def _is_written_down(self, slot: Slot, task: Task) -> bool:
+        """Returns whether a task has surely not changed since its last checkpoint: most have no state at all."""
+        task_id = self.id_of(slot)
+        saved = self._saved.get(task_id)
+        # Its duplicate filter cannot have changed either: whoever gives it a letter owes the sender an answer then.
+        return (
+            saved is not None
+            and saved.made_of is not None
+            and task.still_carries(*saved.made_of)
+            and not self._postbox.owes(task_id)
+        )
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         arguments = super().arguments_of(slot)
@@ -448,13 +477,15 @@ class RecordedService(Service):
             return
         try:
             plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s, carried.heard])
-            if self._saved.get(task_id) == plain and not self._postbox.owes(task_id):
+            saved = self._saved.get(task_id)
+            if saved is not None and saved.plain == plain and not self._postbox.owes(task_id):
                 return
             snapshot = self._snapshot(slot, carried)
         except (PancakesError, TypeError, OverflowError) as error:
             self.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
-        self._saved[task_id] = plain
+        stateless = slot.spec.cls.State is Nothing
+        self._saved[task_id] = _Saved(plain, (carried.settings, carried.periods_s) if stateless else None)
         consumed = self._postbox.consumed(task_id, carried.heard)
         hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot, consumed))
 
@@ -534,9 +565,8 @@ class RecordedService(Service):
         if arrived:
             peer = self._arriving.pop(task_id)
             self.task_arrived(task_id)
-            self.event(
-                "task_arrived", task=slot.name, source_agent=peer, epoch=effect.epoch.n, state=dict(snapshot.state)
-            )
+            state = in_brief(snapshot.state)
+            self.event("task_arrived", task=slot.name, source_agent=peer, epoch=effect.epoch.n, state=state)
 
         def launched(reason: str) -> None:
             waiting = self._starting.pop(task_id, [])

@@ -1,9 +1,11 @@
 """The streams of one agent: one for each task that sends, which takes it along when it moves."""
 
+import gc
+
 import pytest
 
 from pancakes.migration.outbox import Outbox
-from pancakes.migration.post import ForwardTo, Receipt
+from pancakes.migration.post import ForwardTo, Outgoing, Receipt
 from pancakes.migration.record import TaskId
 
 SINK = TaskId("a", "Sink")
@@ -62,12 +64,55 @@ def test_numbers_go_on_where_all_was_acknowledged(box):
 
 
 def test_while_it_stands_still_nobody_adds_to_its_stream(box):
-    """A thread of the task's own, or its `on_stop`: what they send has a stream of its own."""
+    """What a thread of the task's own sends goes with what is sent by those who do not move."""
     post(box, b"1")
     box.leave(ME)
-    assert numbered(post(box, b"2")) == [("s/uuid.1/2", 1, "s")]
+    assert numbered(post(box, b"2")) == [("s/uuid.1", 1, "s")]
     box.gone(ME)
     assert box.waiting() == {"a/Sink": 1}
+
+
+def test_what_it_sends_in_its_end_has_no_stream_of_its_own_until_it_comes_back(box):
+    posted = box.leave(ME)
+    box.gone(ME, ends=True)
+    assert numbered(post(box, b"1")) == [("s/uuid.1", 1, "s")]
+    box.ended(ME)
+    box.arrive(ME, posted, fresh=True)
+    assert numbered(post(box, b"2")) == [("s/uuid.1/1", 1, "s")]
+
+
+def test_one_that_comes_back_before_its_end_was_told_has_its_stream_at_once(box):
+    box.leave(ME)
+    box.gone(ME, ends=True)
+    box.arrive(ME, None, fresh=True)
+    assert numbered(post(box, b"1")) == [("s/uuid.1/1", 1, "s")]
+
+
+def test_one_that_begins_anew_while_it_is_thought_to_leave_has_a_stream_of_its_own(box):
+    """It was adopted: whoever was to have it is gone for good."""
+    post(box, b"1")
+    posted = box.leave(ME)
+    box.arrive(ME, posted, fresh=False)
+    assert numbered(post(box, b"2")) == [("s/uuid.1/2", 1, "s")]
+    assert numbered(sent.letter for sent in box.due(100.0))[0] == ("s/uuid.1/1", 1, "s")
+
+
+def test_a_thousand_moves_to_and_fro_leave_no_stream_behind():
+    """Also where nobody acknowledges what the task sends in its end."""
+    here, there = Outbox("s/uuid.1", "s"), Outbox("t/uuid.1", "t")
+    gc.collect()
+    before = sum(isinstance(it, Outgoing) for it in gc.get_objects())
+    posted = None
+    for _ in range(500):
+        for box in (here, there):
+            box.arrive(ME, posted, fresh=True)
+            posted = box.leave(ME)
+            box.gone(ME, ends=True)
+            post(box, b"goodbye")
+            box.ended(ME)
+    gc.collect()
+    assert sum(isinstance(it, Outgoing) for it in gc.get_objects()) == before
+    assert here.waiting() == there.waiting() == {"a/Sink": 500}
 
 
 def test_a_task_that_stays_goes_on_with_its_stream(box):

@@ -159,6 +159,17 @@ def test_pieces_of_a_peer_that_is_gone_are_dropped() -> None:
     assert assembly.add("agent1", second) is None
 
 
+def test_pieces_of_what_was_decided_are_dropped() -> None:
+    first, second = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))
+    assembly = Assembly()
+    assembly.add("agent1", first)
+    assembly.end("agent2", SCAN)  # which had offered it before
+    assert assembly.add("agent1", second) is not None
+    assembly.add("agent1", first)
+    assembly.end("agent1", SCAN)
+    assert assembly.add("agent1", second) is None
+
+
 def test_a_piece_of_another_whole_does_not_fit() -> None:
     first: Piece = cut(Transfer(SCAN, OFFER, bytes(2 * PIECE_BYTES)))[0]
     other = cut(Transfer(SCAN, OFFER, b"\x01" * 2 * PIECE_BYTES))[1]

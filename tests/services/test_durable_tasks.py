@@ -35,6 +35,24 @@ class Count(Task):
         raise RuntimeError("lost")
 
 
+class Still(Task):
+    """Has no state; a pose makes it slower."""
+
+    times_written = 0
+
+    def carry(self):
+        self.times_written += 1
+        return super().carry()
+
+    @every(hz=10)
+    def tick(self, tick):
+        pass
+
+    @on("system", Pose)
+    def slow_down(self, packet):
+        self.reschedule(2.0)
+
+
 @pytest.fixture
 def fleet():
     with FleetInTest(seed=4) as made:
@@ -95,6 +113,21 @@ def test_a_crash_costs_no_more_than_the_last_second(fleet):
     fleet.run_for(1.0)
     agent = fleet.restart("a")
     assert n - 12 <= agent.task("Count").state.n < n
+
+
+def test_a_task_without_state_is_not_looked_at_again_and_again(fleet):
+    task = fleet.start("a", tasks={"Still": Still}).task("Still")
+    fleet.run_for(20.5)
+    assert task.times_written == 1
+
+
+def test_what_such_a_task_changes_by_itself_outlives_a_crash_all_the_same(fleet):
+    agent = fleet.start("a", tasks={"Still": Still})
+    fleet.run_for(20.5)
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.run_for(1.1)
+    fleet.crash("a")
+    assert fleet.restart("a").task("Still").timers["tick"].rate_hz == 2.0
 
 
 def test_packets_of_a_source_are_not_numbered_from_one_again(fleet):

@@ -18,7 +18,7 @@ from soak import steady, virtual
 from soak.agents import names_of
 from soak.churn import Churn
 from soak.churn import Outcome as ChurnOutcome
-from soak.judgement import GROWTH_MIB, LONG_S, SLOPE_MIB_PER_H
+from soak.judgement import GROWTH_MIB, LONG_S, MORE_PIECES, SLOPE_MIB_PER_H, shown
 
 LONGEST_WARM_UP_S: Final = 600.0
 
@@ -31,13 +31,18 @@ LONGEST_WARM_UP_S: Final = 600.0
 @click.option("--seed", default=1, show_default=True, help="Draws what is done; the machine draws the rest.")
 @click.option("--steady", "way", flag_value="steady", help="Nothing is done to the agents: does any link end?")
 @click.option("--virtual", "way", flag_value="virtual", help="In virtual time, where each task moves once.")
+@click.option(
+    "--leak", "leak_bytes", type=click.IntRange(0), default=0, help="Each agent loses so many bytes every two seconds."
+)
 @click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write all figures to it.")
-def soak(minutes: float | None, agents: int | None, seed: int, way: str | None, json_file: Path | None) -> None:
+def soak(
+    minutes: float | None, agents: int | None, seed: int, way: str | None, leak_bytes: int, json_file: Path | None
+) -> None:
     """Let a fleet run for long while tasks are started, stopped and moved, and agents are killed and come back.
 
     All agents are processes of this machine. The first half of them is never killed: their memory must not grow, and
     in the end no agent may have more threads, sockets or files than after the warm-up, and each task must run once.
-    Exit code 0 only where all of that is so.
+    Exit code 0 only where all of that is so. With --leak it has to fail: that shows what it would find.
     """
     # Asked to end, it ends what it has started as well.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
@@ -49,7 +54,7 @@ def soak(minutes: float | None, agents: int | None, seed: int, way: str | None, 
         elif way == "virtual":
             found, faults = _virtual(agents or 200, duration_s, seed)
         else:
-            found, faults = _churn(Path(name), agents or 4, duration_s, seed)
+            found, faults = _churn(Path(name), agents or 4, duration_s, seed, leak_bytes)
     for fault in faults:
         print(f"FAULT: {fault}")
     print(f"in {time.monotonic() - began_s:.0f} s: {'FAIL' if faults else 'PASS'}")
@@ -78,9 +83,11 @@ def _virtual(agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any],
     return vars(outcome), outcome.faults
 
 
-def _churn(directory: Path, agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
+def _churn(
+    directory: Path, agents: int, duration_s: float, seed: int, leak_bytes: int
+) -> tuple[dict[str, Any], list[str]]:
     warm_up_s = min(LONGEST_WARM_UP_S, duration_s / 4)
-    outcome = Churn(directory, seed, names_of(agents), _say).run(duration_s, warm_up_s)
+    outcome = Churn(directory, seed, names_of(agents), _say, leak_bytes).run(duration_s, warm_up_s)
     for what, count in sorted(outcome.counts.items()):
         print(f"{count:>6} {what}")
     for name, found in outcome.trends.items():
@@ -91,10 +98,15 @@ def _churn(directory: Path, agents: int, duration_s: float, seed: int) -> tuple[
         )
     for name, (before, *_, after) in ((name, calm) for name, calm in outcome.calm.items() if len(calm) > 1):
         was, now = before.vitals, after.vitals
+        if name in outcome.trends:
+            more = after.pieces - before.pieces
+            print(f"{name}: at rest {before.pieces} pieces of memory, and then {more:+d} ({MORE_PIECES:+d} may be)")
         print(
             f"{name}: threads {was.threads} and then {now.threads}, sockets {was.sockets} and {now.sockets}, other open"
             f" files {was.files - before.workers} and {now.files - after.workers}"
         )
+    if outcome.trends and not outcome.faults:
+        print(shown(min(found.span_s for found in outcome.trends.values())))
     return _plain(outcome), outcome.faults
 
 

@@ -16,6 +16,7 @@ from typing import Final
 from pancakes.client import Client
 
 CONNECTED: Final = " is connected"
+SWEPT: Final = "/client/Sweeper: soak_swept pieces="
 ENDED: Final = "the link to "
 LOOK_S: Final = 0.02
 """How often their logs are read, where something is waited for."""
@@ -45,6 +46,7 @@ class AgentProcess:
         is_ready: whether it has said so.
         links: the agents that it is connected to.
         ended: the reasons of links that have ended in all of its lives, with the peer's name.
+        pieces: how many pieces of memory were in use when its rubbish was collected last; 0: never in this life.
         log: the file that its lives write to.
     """
 
@@ -56,6 +58,7 @@ class AgentProcess:
         self.is_ready = False
         self.links: set[str] = set()
         self.ended: list[tuple[str, str]] = []
+        self.pieces = 0
         self._config = config
         self._file: int | None = None
         self._rest = b""
@@ -64,7 +67,7 @@ class AgentProcess:
         """Starts it, or starts it again with the state that it left. It ends with this process."""
         command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(self._config)]
         command.append(f"--die-with-parent={os.getpid()}")
-        self.is_ready, self.links = False, set()
+        self.is_ready, self.links, self.pieces = False, set(), 0
         with self.log.open("ab") as out:
             if self._file is None:
                 self._file = os.open(self.log, os.O_RDONLY)
@@ -105,6 +108,10 @@ class AgentProcess:
                 self._take(line.decode(errors="replace"))
 
     def _take(self, line: str) -> None:
+        _, _, pieces = line.partition(f"{self.name}{SWEPT}")
+        if pieces:
+            self.pieces = int(pieces)
+            return
         _, _, text = line.partition(f"{self.name}/kernel: ")
         if not text:
             return

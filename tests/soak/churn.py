@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from soak.agents import Fleet, NotInTime
-from soak.judgement import Sample, Trend, leaks, memory_fault
+from soak.judgement import Sample, Trend, leaks, lost_pieces, memory_fault
+from soak.tasks import SWEPT_S
 from soak.vitals import vitals_of
 
 from pancakes.client import Client
@@ -25,6 +26,8 @@ SETTLES_WITHIN_S: Final = 60.0
 """The longest pauses are those between two dials (10 s) and between two repetitions of a hand-over in doubt."""
 KILLS_EVERY_S: Final = 6.0
 """An agent is killed that often, on the average."""
+LOOKS: Final = 6
+"""How often each agent is looked at when it is at rest, each time after its rubbish was collected."""
 PAUSE_S: Final = 0.25
 """Between two things that are asked for, on the average."""
 PASSING: Final = ("PassingA", "PassingB")
@@ -59,9 +62,13 @@ class Churn:
         seed: draws what is done; the machine draws the rest.
         names: the agents; the first half of them are never killed, so that their memory can be followed.
         told: takes a line for people.
+        leak_bytes: so much each agent loses on purpose, every two seconds.
     """
 
-    def __init__(self, directory: Path, seed: int, names: Sequence[str], told: Callable[[str], None]) -> None:
+    def __init__(
+        self, directory: Path, seed: int, names: Sequence[str], told: Callable[[str], None], leak_bytes: int = 0
+    ) -> None:
+        self._leak_bytes = leak_bytes
         self.random = random.Random(f"soak/{seed}")
         self.names = tuple(names)
         self.steady = self.names[: (len(names) + 1) // 2]
@@ -90,7 +97,9 @@ class Churn:
             durability = "each" if number % 2 else "lazy"
             lines.append(f'[task.{worker}]\ntype = "soak.Worker"\ndurability = "{durability}"')
             lines.append(f"settings = {{{settings}}}")
-        lines.append('[task.Sweeper]\ntype = "soak.Sweeper"')
+        lines.append(f'[task.Sweeper]\ntype = "soak.Sweeper"\nsettings = {{leak_bytes = {self._leak_bytes}}}')
+        # What it remembers of its log is soon full, and of the same kind from then on.
+        lines.append("[service.log]\nsettings = {remembered = 100}")
         for passing in PASSING:
             lines.append(f'[task.{passing}]\ntype = "soak.Passing"\nstart = false')
         return "\n".join(lines)
@@ -116,7 +125,8 @@ class Churn:
             fault, found = memory_fault(name, self.outcome.samples[name][before:])
             if found is not None:
                 self.outcome.trends[name] = found
-            self.outcome.faults += [fault] if fault else []
+            lost = lost_pieces(name, *self.outcome.calm[name])
+            self.outcome.faults += [it for it in (fault, lost) if it]
         for name in self.names:
             first, last = self.outcome.calm[name]
             records = len(self.born) + len(PASSING) + OTHER_RECORDS
@@ -242,11 +252,11 @@ class Churn:
                 continue
             kept = [path for path in self.fleet.state_of(agent.name).iterdir() if not path.name.startswith("ledger.")]
             workers = sum(task in self.born for task in self._seen.get(agent.name, ()))
-            sample = Sample(time_s, vitals, workers, len(kept))
+            sample = Sample(time_s, vitals, workers, len(kept), agent.pieces)
             self.outcome.samples.setdefault(agent.name, []).append(sample)
 
     def _rest_a_while(self) -> None:
-        """Ends all trouble, waits until each worker runs once and nothing else does, and looks at each agent."""
+        """Ends all trouble, waits until each worker runs once, at home, and nothing else does; looks at each agent."""
         for name in self._back:
             self.fleet.start(name)
         self._back = {}
@@ -259,31 +269,30 @@ class Churn:
                     for passing in PASSING:
                         if passing in self._seen.get(name, ()):
                             self._ask("stop", name, Stop(f"client/{passing}"))
+                for worker, home in self.born.items():
+                    # Each where it was born, so that the agents can be compared with themselves.
+                    if (away := self._home(worker)) != home:
+                        self._ask("move", away, Migrate(f"client/{worker}", to=home))
                 seen = self._survey(self._client)
                 copies = Counter(task for tasks in seen.values() for task in tasks)
                 if len(seen) == len(self.names) and all(
                     copies[task] == (task in self.born) for task in (*self.born, *PASSING)
                 ):
-                    break
+                    if all(home in seen and worker in seen[home] for worker, home in self.born.items()):
+                        break
                 if time.monotonic() - began_s > SETTLES_WITHIN_S:
                     wrong = {task: copies[task] for task in self.born if copies[task] != 1}
-                    raise NotInTime(f"not one copy of each task within {SETTLES_WITHIN_S:g} s at rest: {wrong or seen}")
+                    raise NotInTime(f"not each task once and at home within {SETTLES_WITHIN_S:g} s: {wrong or seen}")
                 time.sleep(0.2)
         # What an agent needs only for a while (threads that were lent, links of a terminal that has left) it gives
         # back within seconds; the fewest of several looks are what it keeps.
         lowest: dict[str, Sample] = {}
-        for _ in range(5):
-            time.sleep(1.0)
+        for _ in range(LOOKS):
+            time.sleep(SWEPT_S)
             self._sample(now=True)
             for name in self.names:
                 sample = self.outcome.samples[name][-1]
-                least = lowest.setdefault(name, sample)
-                if _held(sample) < _held(least):
-                    lowest[name] = sample
+                lowest[name] = lowest[name].least(sample) if name in lowest else sample
         for name, sample in lowest.items():
             self.outcome.calm.setdefault(name, []).append(sample)
         self._told(f"{time.monotonic() - self._began_s:.0f} s: all at rest, each task runs once")
-
-
-def _held(sample: Sample) -> int:
-    return sample.vitals.threads + sample.vitals.sockets + sample.vitals.files

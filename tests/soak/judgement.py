@@ -10,10 +10,14 @@ from soak.vitals import Vitals
 
 SLOPE_MIB_PER_H = 1.0
 """Memory may grow that fast, after the warm-up."""
-GROWTH_MIB = 1.0
-"""In a shorter span than `LONG_S` memory may grow by so much in all, since no slope can be told from noise."""
+GROWTH_MIB = 2.0
+"""In a shorter span than `LONG_S` memory may grow by so much in all: the system gives and takes it by pages, and what
+is bounded (accounts of moves, the senders that a task has heard) is still being filled.
+"""
 LONG_S = 3000.0
 """A span that is long enough for a slope: an hour without its first ten minutes."""
+MORE_PIECES = 6000
+"""So many more pieces of memory may be in use at rest: half of it for what is bounded and still being filled."""
 FEWEST_SAMPLES = 10
 SPARE_THREADS = 1
 """The second worker of an agent's pool is made when it is needed for the first time, and stays."""
@@ -27,12 +31,22 @@ class Sample(msgspec.Struct, frozen=True):
         vitals: what it used.
         workers: how many workers ran there; each holds a file open.
         state_files: how many files its state directory holds, without the ledgers of moves: of these it keeps 100.
+        pieces: how many pieces of memory were in use when its rubbish was collected last; 0: it never was.
     """
 
     time_s: float
     vitals: Vitals
     workers: int = 0
     state_files: int = 0
+    pieces: int = 0
+
+    def least(self, other: Sample) -> Sample:
+        """Returns the least of each figure of two samples."""
+        mine, others = (msgspec.structs.asdict(it.vitals) for it in (self, other))
+        vitals = Vitals(**{name: min(figure, others[name]) for name, figure in mine.items()})
+        pieces = min(self.pieces or other.pieces, other.pieces or self.pieces)
+        workers, files = min(self.workers, other.workers), min(self.state_files, other.state_files)
+        return Sample(other.time_s, vitals, workers, files, pieces)
 
 
 class Trend(msgspec.Struct, frozen=True):
@@ -83,6 +97,34 @@ def memory_fault(name: str, samples: Sequence[Sample]) -> tuple[str, Trend | Non
     elif found.growth > GROWTH_MIB:
         return f"{name}: its memory grew by {found.growth:.2f} MiB in {found.span_s:.0f} s", found
     return "", found
+
+
+def shown(span_s: float) -> str:
+    """Returns a sentence that says what a run whose memory was followed for so long can show, and what it cannot."""
+    if span_s >= LONG_S:
+        return f"no agent's memory grows by more than {SLOPE_MIB_PER_H:g} MiB/h"
+    least = GROWTH_MIB * 3600 / max(span_s, 1.0)
+    return (
+        f"{span_s / 60:.0f} min show a leak of {least:.0f} MiB/h or more, and one of small objects where it comes to"
+        f" {MORE_PIECES} of them; that memory grows by less than {SLOPE_MIB_PER_H:g} MiB/h takes an hour to see"
+    )
+
+
+def lost_pieces(name: str, before: Sample, after: Sample) -> str:
+    """Compares the memory that an agent has in use at rest, before and after much has happened.
+
+    It is counted in pieces, of which there is one for most objects. Whatever the system does with its pages, and
+    however short the time, these are the same for the same work.
+
+    Returns:
+        A sentence about what is wrong, or an empty one.
+    """
+    more = after.pieces - before.pieces
+    if not before.pieces or not after.pieces:
+        return f"{name}: its rubbish was never collected, so nothing is known of its memory at rest"
+    if more > MORE_PIECES:
+        return f"{name}: {more} more pieces of memory are in use at rest, and {MORE_PIECES} would do"
+    return ""
 
 
 def leaks(name: str, before: Sample, after: Sample, records: int) -> list[str]:

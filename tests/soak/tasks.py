@@ -5,13 +5,18 @@ from __future__ import annotations
 import fcntl
 import gc
 import os
+import sys
 from dataclasses import dataclass
 from typing import Any
 
 from pancakes.errors import MailboxFull
 from pancakes.packet import NEIGHBOURS, SYSTEM, Packet, packet_type
-from pancakes.services.log import REMEMBERED
 from pancakes.task import Task, Tick, every, on, reliable
+
+SWEPT_S = 2.0
+"""How often rubbish is collected."""
+PIECE_BYTES = 256
+"""Size of a piece of memory that is lost on purpose."""
 
 
 @packet_type("soak.beat")
@@ -134,28 +139,28 @@ class Worker(Passing):
 
 
 class Sweeper(Task):
-    """Sees to it that what grows is a leak: it has rubbish collected, and fills what is kept up to a bound.
+    """Sees to it that what grows is a leak: it has rubbish collected, and says how many pieces of memory are in use.
 
     By itself Python looks for it only once 10,000 objects more are alive (`pancakes.cli.interpreter`): memory goes up
-    and down by some 2 MiB in a quarter of an hour, and a leak would not be seen in a short run. An agent's log
-    remembers its newest lines, which take as much.
+    and down by some 2 MiB in a quarter of an hour, and a leak would not be seen in a short run.
     """
 
-    def on_start(self) -> None:
-        self._said = 0
+    @dataclass
+    class Settings:
+        leak_bytes: int = 0
+        """So much is lost on purpose with each sweep, to see that the soak finds it."""
 
-    @every(period_s=5.0)
+    settings: Settings
+
+    def on_start(self) -> None:
+        self._lost: list[list[bytes]] = []
+
+    @every(period_s=SWEPT_S)
     def sweep(self, tick: Tick) -> None:
         """Collects it."""
         gc.collect()
-
-    @every(hz=100)
-    def fill(self, tick: Tick) -> None:
-        """Says something until the log is full."""
-        self._said += 1
-        self.event("soak_line", count=self._said)
-        if self._said == REMEMBERED:
-            self.reschedule(0, timer="fill")
+        self._lost.append([bytes(PIECE_BYTES - 33) for _ in range(self.settings.leak_bytes // PIECE_BYTES)])
+        self.event("soak_swept", pieces=sys.getallocatedblocks())
 
 
 class Roamer(Task):

@@ -68,15 +68,20 @@ def test_what_a_process_holds_open_is_counted():
         os.close(writer)
 
 
-def test_a_short_soak_passes_and_writes_what_it_saw(tmp_path):
+def test_a_short_soak_finds_what_leaks_and_nothing_else_and_writes_what_it_saw(tmp_path):
     figures = tmp_path / "figures.json"
-    command = [sys.executable, "-m", "soak", "--minutes", "0.4", "--agents", "3", "--json", str(figures)]
+    command = [sys.executable, "-m", "soak", "--minutes", "0.4", "--agents", "3", "--leak", "2000000"]
     found = subprocess.run(
-        command, env={**os.environ, "PYTHONPATH": str(TESTS)}, capture_output=True, text=True, timeout=100
+        [*command, "--json", str(figures)],
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     written = json.loads(figures.read_text())
-    # In half a minute memory still grows, and samples are few: everything else must be well.
+    assert sum("more pieces of memory are in use at rest" in fault for fault in written["faults"]) == 2, found.stdout
+    # In half a minute resident memory still grows, and samples are few: everything else must be well.
     assert [fault for fault in written["faults"] if "memory" not in fault] == [], found.stdout
-    assert found.returncode == bool(written["faults"])
+    assert found.returncode == 1
     assert written["counts"]["move"] > 0 and written["counts"]["killed"] > 0
     assert set(written["calm"]) == set(names_of(3)) and all(len(it) == 2 for it in written["calm"].values())

@@ -10,7 +10,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from soak.judgement import Sample, leaks, memory_fault, trend
+from soak.judgement import MORE_PIECES, Sample, leaks, lost_pieces, memory_fault, shown, trend
 from soak.vitals import Vitals
 
 HOUR_S = 3600.0
@@ -50,7 +50,7 @@ def test_in_an_hour_the_slope_is_judged(mib_per_h, is_well):
     assert found is not None and found.per_hour == pytest.approx(mib_per_h, abs=0.1)
 
 
-@pytest.mark.parametrize(("mib_per_h", "is_well"), [(6.0, True), (30.0, False)])
+@pytest.mark.parametrize(("mib_per_h", "is_well"), [(6.0, True), (15.0, True), (30.0, False)])
 def test_in_five_minutes_the_growth_is_judged_since_no_slope_can_be_told_from_noise(mib_per_h, is_well):
     fault, found = memory_fault("a", series(300, mib_per_h))
     assert (fault == "") is is_well
@@ -60,6 +60,28 @@ def test_in_five_minutes_the_growth_is_judged_since_no_slope_can_be_told_from_no
 def test_a_process_that_was_hardly_looked_at_has_not_passed():
     fault, found = memory_fault("a", series(10))
     assert "only 3 samples" in fault and found is None
+
+
+def test_a_run_says_what_it_has_shown_and_what_takes_longer():
+    assert shown(HOUR_S - 600) == "no agent's memory grows by more than 1 MiB/h"
+    assert "4 min show a leak of 30 MiB/h or more" in shown(240) and "takes an hour" in shown(240)
+
+
+def test_pieces_of_memory_that_are_not_given_back_are_counted_at_rest():
+    before = Sample(0.0, vitals(), pieces=150_000)
+    assert lost_pieces("a", before, Sample(9.0, vitals(), pieces=150_000 + MORE_PIECES)) == ""
+    assert "7000 more pieces" in lost_pieces("a", before, Sample(9.0, vitals(), pieces=157_000))
+    assert "never collected" in lost_pieces("a", before, Sample(9.0, vitals()))
+
+
+def test_of_several_looks_the_least_of_each_figure_counts():
+    looks = [
+        Sample(0.0, vitals(threads=7, sockets=9), workers=1, pieces=0),
+        Sample(2.0, vitals(threads=9, sockets=6), workers=1, pieces=150_400),
+        Sample(4.0, vitals(threads=8, sockets=7), workers=1, pieces=150_900),
+    ]
+    least = looks[0].least(looks[1]).least(looks[2])
+    assert (least.vitals.threads, least.vitals.sockets, least.pieces, least.time_s) == (7, 6, 150_400, 4.0)
 
 
 def test_what_is_there_more_of_is_named():

@@ -1,0 +1,50 @@
+"""The Network Client takes what leaves: also where its way was known, and agents have gone and come since."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.control import Start, Stop
+from pancakes.devices.types import Pose
+from pancakes.packet import SYSTEM
+from pancakes.testing import FleetInTest
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(5) as made:
+        made.start("a")
+        made.start("b")
+        made.connect()
+        yield made
+
+
+def say(fleet, number):
+    """Publishes on `a`, for `b`; returns what has come there so far."""
+    fleet.agents["a"].publish(SYSTEM, Pose(float(number), 0.0, 0.0), to="b")
+    fleet.run_for(0.1)
+    return [packet.body.x_m for packet in fleet.agents["b"].probe.packets(Pose)]
+
+
+def test_what_is_for_an_agent_that_has_gone_is_counted_and_the_next_life_gets_what_follows(fleet):
+    stream = fleet.agents["a"].kernel.stream
+    assert say(fleet, 1) == [1.0] and say(fleet, 2) == [1.0, 2.0]
+    fleet.stop("b")
+    assert fleet.run_until(lambda: not fleet.agents["a"].agent.mesh.connected())
+    before = stream.undelivered
+    fleet.agents["a"].publish(SYSTEM, Pose(3.0, 0.0, 0.0), to="b")
+    fleet.agents["a"].publish(SYSTEM, Pose(4.0, 0.0, 0.0), to="b")
+    assert stream.undelivered == before + 2
+    fleet.restart("b")
+    fleet.connect()
+    assert say(fleet, 5) == [5.0] and say(fleet, 6) == [5.0, 6.0]
+
+
+def test_while_it_is_stopped_nothing_leaves(fleet):
+    a = fleet.agents["a"]
+    assert say(fleet, 1) == [1.0] and say(fleet, 2) == [1.0, 2.0]
+    assert a.ask(Stop("network/NetworkClient")).ok
+    before = a.kernel.stream.undelivered
+    assert say(fleet, 3) == [1.0, 2.0] and a.kernel.stream.undelivered == before + 1
+    assert a.ask(Start("network/NetworkClient")).ok
+    assert say(fleet, 4) == [1.0, 2.0, 4.0]

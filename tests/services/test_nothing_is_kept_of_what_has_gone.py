@@ -1,0 +1,121 @@
+"""An agent keeps the fact that a task was here, and nothing of what it was."""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(TESTS))
+
+from soak.held import held_by  # noqa: E402
+
+from pancakes.control import Migrate  # noqa: E402
+from pancakes.migration.pieces import PIECE_BYTES  # noqa: E402
+from pancakes.packet import SYSTEM, packet_type, task_address  # noqa: E402
+from pancakes.task import Task, Tick, every, on  # noqa: E402
+
+STATE_BYTES = 20 * PIECE_BYTES
+SINK = task_address("a/Sink")
+
+
+class Heavy(Task):
+    @dataclass
+    class State:
+        count: int = 0
+        load: bytes = bytes(STATE_BYTES)
+
+    state: State
+
+    @every(hz=5)
+    def tick(self, tick: Tick) -> None:
+        self.state.count += 1
+
+
+@packet_type("kept.word")
+@dataclass(frozen=True, slots=True)
+class Word:
+    count: int
+
+
+class Sink(Task):
+    @dataclass
+    class State:
+        counts: list[int] | None = None
+
+    state: State
+
+    @on(SYSTEM, Word)
+    def take(self, packet) -> None:
+        self.state.counts = [*(self.state.counts or []), packet.body.count]
+
+
+class Leaving(Task):
+    """Says something in its end, as it leaves."""
+
+    @dataclass
+    class State:
+        moves: int = 0
+
+    state: State
+
+    def on_stop(self) -> None:
+        self.state.moves += 1
+        self.publish(SYSTEM, Word(1), to=SINK)
+
+
+def kept_by(agent):
+    """What the service of the tasks keeps of them, besides their actors."""
+    service = agent.component("client")
+    records = [hand_off.record for hand_off in service.hand_offs.values()]
+    carried = [slot.carried for slot in service.slots.values()]
+    return held_by([records, carried, service._saved]).size_bytes
+
+
+def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
+    a = fleet.start("a", tasks={"Heavy": Heavy})
+    fleet.start("b")
+    fleet.connect()
+    fleet.run_for(5.0)
+    assert kept_by(a) > STATE_BYTES
+    assert a.ask(Migrate("Heavy")).ok
+    fleet.run_for(5.0)
+    assert a.running() == [] and kept_by(a) < STATE_BYTES // 2
+
+
+def test_of_a_large_state_a_packet_that_tells_of_its_coming_says_only_how_large_it_is(fleet):
+    a = fleet.start("a", tasks={"Heavy": Heavy})
+    b = fleet.start("b")
+    fleet.connect()
+    assert a.ask(Migrate("Heavy")).ok
+    told = b.wait_for_event("task_arrived")["state"]
+    assert re.fullmatch(r"about \d{7} bytes", told["load"]) and isinstance(told["count"], int)
+
+
+def test_half_a_snapshot_of_an_agent_that_has_gone_is_not_kept(fleet):
+    a = fleet.start("a", tasks={"Heavy": Heavy})
+    b = fleet.start("b")
+    fleet.connect()
+    fleet.faults.slow("a", "b", STATE_BYTES / 10)
+    a.publish("sysctrl", Migrate("Heavy"))
+    assembly = b.task("TaskMigrator", "network")._assembly
+    b.wait_until(lambda: held_by(assembly).size_bytes > STATE_BYTES // 3)
+    fleet.crash("a")
+    b.wait_for_event("peer_down", at_most_s=30.0, peer="a")
+    fleet.run_for(1.0)
+    assert held_by(assembly).size_bytes < PIECE_BYTES
+
+
+def test_what_tasks_say_in_their_end_makes_no_new_stream_for_each_move(fleet):
+    a = fleet.start("a", tasks={"Sink": Sink, "Leaving": Leaving})
+    b = fleet.start("b")
+    fleet.connect()
+    for _ in range(5):
+        for agent in (a, b):
+            assert agent.ask(Migrate("Leaving")).ok
+            fleet.run_for(1.0)
+    assert a.task("Sink").state.counts == [1] * 10
+    # Of each life of each agent there is one stream, not one for each move.
+    assert len(a.task("Sink").carry().heard) == 2
