@@ -27,6 +27,8 @@ _ROOM_M: Final = 0.01
 """Discs that have less room than this do not coast."""
 _LOOK_AGAIN_S: Final = 0.1
 """So long discs do not coast once they could not: to look whether they can takes longer than a step."""
+_FEW: Final = 8
+"""Among so few discs those that are near need not be looked up."""
 _BY_X = attrgetter("x_m")
 
 
@@ -102,7 +104,11 @@ class Arena:
         """Returns whether nothing can touch anything in the next `for_s`; makes ready for that, or for the other."""
         if time_s < self._look_again_s:
             return False
-        way_m = for_s * max((disc.top_mps for disc in self._moving), default=0.0)
+        top_mps = 0.0
+        for disc in self._moving:
+            if disc.top_mps > top_mps:
+                top_mps = disc.top_mps
+        way_m = for_s * top_mps
         if way_m > self._room_m:
             self._room_m = self._measure_room_m()
         self._room_m -= way_m
@@ -156,6 +162,8 @@ class Arena:
         Returns:
             For each sensor the distance to the nearest thing in its cone, infinity where there is none.
         """
+        if len(self._discs) <= _FEW:
+            return fan.ranges(disc, self._discs, self.half_width_m, self.half_height_m)
         by_x = self._discs_by_x()
         reach_m = fan.reach_m + self._widest_m
         first = bisect_left(by_x, disc.x_m - reach_m, key=_BY_X)

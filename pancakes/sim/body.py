@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import random
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
 from pancakes.sim.battery import BatteryModel
 from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
-from pancakes.sim.mover import Mover, MoverSettings
+from pancakes.sim.mover import Mover, MoverSettings, Obstacle
 from pancakes.sim.robot import IrRing, RobotModel, SonarRing
 from pancakes.sim.settings import MotionSettings
 
@@ -21,6 +21,13 @@ class Robot:
     The wheels follow the newest command for as long as it is good, then they stand: the safe hold that still
     works where the robot's agent is dead.
 
+    Args:
+        model: see below.
+        disc: likewise.
+        battery: likewise.
+        wheel_noise: by which share of its speed a wheel is off, as a standard deviation.
+        normal: draws the noise, of mean 0 and deviation 1.
+
     Attributes:
         model: what kind of robot it is.
         disc: its body.
@@ -29,13 +36,13 @@ class Robot:
     """
 
     def __init__(
-        self, model: RobotModel, disc: Disc, battery: BatteryModel, wheel_noise: float, random: random.Random
+        self, model: RobotModel, disc: Disc, battery: BatteryModel, wheel_noise: float, normal: Callable[[], float]
     ) -> None:
         self.model = model
         self.disc = disc
         self.battery = battery
         self._wheel_noise = wheel_noise
-        self._random = random
+        self._normal = normal
         self._good_until_s = math.inf
         self._rolling_mps = 0.0
         self.driven_by = ""
@@ -72,8 +79,8 @@ class Robot:
         if self.battery.empty:
             return
         asked = self.model.drive.carried_out(wheels)
-        left_mps = asked.left_mps * (1.0 + self._wheel_noise * self._random.gauss(0.0, 1.0))
-        right_mps = asked.right_mps * (1.0 + self._wheel_noise * self._random.gauss(0.0, 1.0))
+        left_mps = asked.left_mps * (1.0 + self._wheel_noise * self._normal())
+        right_mps = asked.right_mps * (1.0 + self._wheel_noise * self._normal())
         done = self.model.drive.carried_out(Wheels(left_mps, right_mps))
         twist = self.model.drive.twist(done)
         self.disc.roll(twist.v_mps, twist.omega_radps)
@@ -118,8 +125,16 @@ class Sensor:
 
 @dataclass
 class Walker:
-    """Somebody who walks: a body, and what decides where it goes."""
+    """Somebody who walks.
+
+    Attributes:
+        disc: the body.
+        mover: what decides where it goes.
+        settings: how it walks.
+        standing: what it must keep off that stands there for good.
+    """
 
     disc: Disc
     mover: Mover
     settings: MoverSettings
+    standing: Sequence[Obstacle]

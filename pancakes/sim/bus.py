@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.wire.framing import FrameReader, frame
+from pancakes.wire.framing import FrameReader, frame_of
 
 
 class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
@@ -107,7 +107,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 
 def encode(message: Request | Reply) -> bytes:
     """Returns a message as a frame."""
-    return frame([_ENCODER.encode(message)])
+    return frame_of(_ENCODER.encode((message,)))
 
 
 class RequestReader:
@@ -123,7 +123,10 @@ class RequestReader:
             RemoteProtocolError: the bytes are no requests.
         """
         try:
-            return [request for payload in self._frames.feed(data) for request in _REQUESTS.decode(payload)]
+            payloads = self._frames.feed(data)
+            if len(payloads) == 1:
+                return _REQUESTS.decode(payloads[0])
+            return [request for payload in payloads for request in _REQUESTS.decode(payload)]
         except msgspec.MsgspecError as error:
             raise RemoteProtocolError(f"that is no request to a simulated world: {error}") from None
 
@@ -141,6 +144,9 @@ class ReplyReader:
             RemoteProtocolError: the bytes are no replies.
         """
         try:
-            return [reply for payload in self._frames.feed(data) for reply in _REPLIES.decode(payload)]
+            payloads = self._frames.feed(data)
+            if len(payloads) == 1:
+                return _REPLIES.decode(payloads[0])
+            return [reply for payload in payloads for reply in _REPLIES.decode(payload)]
         except msgspec.MsgspecError as error:
             raise RemoteProtocolError(f"that is no reply of a simulated world: {error}") from None

@@ -86,9 +86,10 @@ class _Client:
         """Runs in the world's actor."""
         replies = []
         for request in requests:
-            if self._server.serve is None:
+            serve = self._server.serve
+            if serve is None:
                 return
-            reply = self._server.serve(request)
+            reply = serve(request)
             if reply is not None:
                 replies.append(encode(reply))
         if replies:

@@ -6,23 +6,24 @@ For the robot that is a virtual local sensor: its device `pose` has the driver `
 from __future__ import annotations
 
 import math
-import random
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pancakes.devices.pace import Pace
 from pancakes.devices.types import Pose
 from pancakes.packet import SYSTEM, Packet
+from pancakes.sim.normal import normals
 from pancakes.sim.quantities import NotNegative, Positive
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.task import Task, on
 
 
-def measured(body: BodyState, noise_m: float, noise_rad: float, random: random.Random) -> Pose:
-    """Returns where cameras see a body, which is a little off."""
-    theta_rad = body.theta_rad + random.gauss(0.0, noise_rad)
+def measured(body: BodyState, noise_m: float, noise_rad: float, normal: Callable[[], float]) -> Pose:
+    """Returns where cameras see a body, which is a little off; `normal` draws, with mean 0 and deviation 1."""
+    theta_rad = body.theta_rad + noise_rad * normal()
     return Pose(
-        body.x_m + random.gauss(0.0, noise_m),
-        body.y_m + random.gauss(0.0, noise_m),
+        body.x_m + noise_m * normal(),
+        body.y_m + noise_m * normal(),
         math.pi - (math.pi - theta_rad) % math.tau,
     )
 
@@ -54,6 +55,7 @@ class MotionCapture(Task):
     def on_start(self) -> None:
         self._pace = Pace(self.settings.send_hz)
         self._missing_told = False
+        self._normal = normals(self.random).__next__
 
     def on_settings(self) -> None:
         self._pace = Pace(self.settings.send_hz)
@@ -66,11 +68,13 @@ class MotionCapture(Task):
         if not self._pace.due(state.time_s):
             return
         bodies = {body.name: body for body in state.bodies}
-        missing = [name for name in self.settings.targets if name not in bodies]
+        settings, missing = self.settings, []
+        for name, target in settings.targets.items():
+            body = bodies.get(name)
+            if body is None:
+                missing.append(name)
+                continue
+            self.publish(SYSTEM, measured(body, settings.noise_m, settings.noise_rad, self._normal), to=target)
         if missing and not self._missing_told:
             self._missing_told = True
             self.log("error", f"the motion capture has a target for {', '.join(missing)}, which the world has not")
-        for name, target in self.settings.targets.items():
-            if name in bodies:
-                pose = measured(bodies[name], self.settings.noise_m, self.settings.noise_rad, self.random)
-                self.publish(SYSTEM, pose, to=target)

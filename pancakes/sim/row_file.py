@@ -54,7 +54,7 @@ class RowFile(Task):
     def write(self, time_s: float, rows: Callable[[], Iterable[str]]) -> None:
         """Writes the rows of one moment, when it is time; `rows` is asked only then."""
         if self._file is not None and self._pace.due(time_s):
-            self._file.write("".join(f"{row}\n" for row in rows()))
+            self._file.write("\n".join((*rows(), "")))
 
     @every(hz=1)
     def flush(self, tick: Tick) -> None:

@@ -11,6 +11,7 @@ from pancakes.devices.types import Battery, Infrared, Motion, Sonar
 from pancakes.sim.arena import Arena
 from pancakes.sim.body import Robot, Sensor
 from pancakes.sim.disc import Disc
+from pancakes.sim.normal import normals
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot import IrRing, SonarRing
 from pancakes.sim.settings import NoiseSettings
@@ -56,18 +57,18 @@ class Senses:
     Args:
         arena: where the bodies are.
         noise: how far the sensors are off.
-        random: draws the noise.
+        random: draws the noise, and nothing else.
     """
 
     def __init__(self, arena: Arena, noise: NoiseSettings, random: random.Random) -> None:
         self._arena = arena
         self._noise = noise
-        self._random = random
+        self._normal = normals(random).__next__
         self._rings: dict[tuple[str, str], _Ring] = {}  # by the kind of robot and the kind of ring
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
         """Measures a robot's battery."""
-        voltage_v = robot.battery.voltage_v + noise_v * self._random.gauss(0.0, 1.0)
+        voltage_v = robot.battery.voltage_v + noise_v * self._normal()
         return Battery(voltage_v, robot.battery.level_at(voltage_v))
 
     def infrared(self, robot: Robot) -> Infrared:
@@ -77,13 +78,13 @@ class Senses:
             PancakesError: robots of this kind have none.
         """
         ring = self._rings.get((robot.model.name, "ir")) or self._infrared_ring(robot)
-        gauss, curve_raw, metres = self._random.gauss, ring.curve_raw, ring.metres
+        normal, curve_raw, metres = self._normal, ring.curve_raw, ring.metres
         ir_share, ir_raw = self._noise.ir_share, self._noise.ir_raw
         raw = []
         for distance_m in self._arena.ranges(robot.disc, ring.fan):
-            noisy = ir_raw * gauss(0.0, 1.0)
+            noisy = ir_raw * normal()
             if distance_m < math.inf:
-                noisy += curve_raw(distance_m) * (1.0 + ir_share * gauss(0.0, 1.0))
+                noisy += curve_raw(distance_m) * (1.0 + ir_share * normal())
             raw.append(round(noisy) if 0.0 < noisy < _IR_MAX_RAW else 0 if noisy < 1.0 else _IR_MAX_RAW)
         return Infrared(ring.bearings_rad, tuple([metres[value] for value in raw]), ring.limit_m, tuple(raw))
 
@@ -98,7 +99,7 @@ class Senses:
         ranges_m = []
         for distance_m in self._arena.ranges(robot.disc, ring.fan):
             if math.isfinite(distance_m):
-                distance_m += self._noise.sonar_m * self._random.gauss(0.0, 1.0)
+                distance_m += self._noise.sonar_m * self._normal()
             ranges_m.append(min(max(distance_m, 0.0), limit_m))
         return Sonar(ring.bearings_rad, tuple(ranges_m), limit_m)
 
@@ -133,6 +134,6 @@ class Senses:
                 nearest = (range_m, bearing_rad)
         if nearest is None or not settings.locates:
             return Motion(nearest is not None)
-        range_m = nearest[0] + settings.range_noise_m * self._random.gauss(0.0, 1.0)
-        bearing_rad = nearest[1] + settings.bearing_noise_rad * self._random.gauss(0.0, 1.0)
+        range_m = nearest[0] + settings.range_noise_m * self._normal()
+        bearing_rad = nearest[1] + settings.bearing_noise_rad * self._normal()
         return Motion(True, math.remainder(bearing_rad, math.tau), max(range_m, 0.0))

@@ -20,6 +20,7 @@ from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
+from pancakes.sim.normal import normals
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
 from pancakes.sim.state import BodyState, Spent, WorldState
@@ -65,7 +66,7 @@ class Simulation:
         self._settings = settings
         # One source for each purpose: the mover's way must not depend on how often a sensor was asked.
         self._start_random = _branch(random)
-        self._wheel_random = _branch(random)
+        self._wheel_normal = normals(_branch(random)).__next__
         self._walk_random = _branch(random)
         self._arena = Arena(settings.arena.width_m, settings.arena.height_m)
         self._senses = Senses(self._arena, settings.noise, _branch(random))
@@ -90,7 +91,7 @@ class Simulation:
                 model.mass_kg,
             )
             battery = BatteryModel(robot.battery, model.full_v, model.empty_v)
-            self._robots[name] = Robot(model, disc, battery, self._settings.noise.wheel, self._wheel_random)
+            self._robots[name] = Robot(model, disc, battery, self._settings.noise.wheel, self._wheel_normal)
         for name, sensor in self._settings.sensors.items():
             disc = self._arena.add(name, sensor.x_m, sensor.y_m, sensor.theta_rad, sensor.radius_m)
             self._sensors[name] = Sensor(disc, sensor.motion)
@@ -98,7 +99,11 @@ class Simulation:
             disc = self._arena.add(name, walker.x_m, walker.y_m, 0.0, walker.radius_m, _WALKER_KG)
             disc.walk(0.0, 0.0)
             mover = Mover(walker, self._arena.half_width_m, self._arena.half_height_m, _branch(self._walk_random))
-            self._walkers[name] = Walker(disc, mover, walker)
+            standing = [
+                _obstacle(sensor.disc, max(walker.keep_out_m, walker.radius_m + sensor.disc.radius_m))
+                for sensor in self._sensors.values()
+            ]
+            self._walkers[name] = Walker(disc, mover, walker, standing)
 
     @property
     def time_s(self) -> float:
@@ -118,7 +123,11 @@ class Simulation:
         if steps % _LOOK_STEPS == 0:
             for walker in self._walkers.values():
                 self._look(walker, time_s)
-        changes_s = min((robot.before_step(time_s) for robot in self._robots.values()), default=math.inf)
+        changes_s = math.inf
+        for robot in self._robots.values():
+            good_until_s = robot.before_step(time_s)
+            if good_until_s < changes_s:
+                changes_s = good_until_s
         until = min(last_step, steps - steps % _LOOK_STEPS + _LOOK_STEPS)
         while until - 1 > steps and (until - 1) * STEP_S >= changes_s:
             until -= 1
@@ -134,25 +143,16 @@ class Simulation:
     def _look(self, walker: Walker, time_s: float) -> None:
         settings = walker.settings
         robots = [
-            Obstacle(
-                *robot.disc.position,
-                *robot.disc.velocity,
-                settings.radius_m + robot.model.radius_m + settings.clearance_m,
-            )
+            _obstacle(robot.disc, settings.radius_m + robot.model.radius_m + settings.clearance_m)
             for robot in self._robots.values()
         ]
-        fixed = [
-            Obstacle(
-                *sensor.disc.position, 0.0, 0.0, max(settings.keep_out_m, settings.radius_m + sensor.disc.radius_m)
-            )
-            for sensor in self._sensors.values()
-        ]
+        fixed = list(walker.standing)
         fixed += [
-            Obstacle(*other.disc.position, *other.disc.velocity, settings.radius_m + 2 * other.disc.radius_m)
+            _obstacle(other.disc, settings.radius_m + 2 * other.disc.radius_m)
             for other in self._walkers.values()
             if other is not walker
         ]
-        walker.disc.walk(*walker.mover.decide(time_s, *walker.disc.position, robots, fixed))
+        walker.disc.walk(*walker.mover.decide(time_s, walker.disc.x_m, walker.disc.y_m, robots, fixed))
 
     def _watch_bounds(self) -> None:
         for name, robot in self._robots.items():
@@ -306,6 +306,10 @@ class Simulation:
 
 def _branch(source: random.Random) -> random.Random:
     return random.Random(source.getrandbits(64))
+
+
+def _obstacle(disc: Disc, distance_m: float) -> Obstacle:
+    return Obstacle(disc.x_m, disc.y_m, disc.vx_mps, disc.vy_mps, distance_m)
 
 
 def _body_state(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 from pancakes.sim.quantities import Positive
@@ -17,10 +18,15 @@ HEADER: Final = "t_s,name,x_m,y_m,theta_rad,v_mps,omega_radps,battery_v,driven_b
 def row(time_s: float, body: BodyState) -> str:
     """Returns the row of a body, with fixed decimals, so that equal runs give equal files."""
     battery = "" if body.battery_v is None else f"{body.battery_v:.4f}"
-    numbers = f"{body.x_m:.6f},{body.y_m:.6f},{body.theta_rad:.6f},{body.v_mps:.6f},{body.omega_radps:.6f}"
-    # No minus before a zero; with all six decimals, these can only be a whole cell.
-    numbers = numbers.replace("-0.000000", "0.000000")
+    numbers = _numbers(body.x_m, body.y_m, body.theta_rad, body.v_mps, body.omega_radps)
     return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
+
+
+@lru_cache(maxsize=64)  # of many bodies at one moment, most stand where they stood
+def _numbers(x_m: float, y_m: float, theta_rad: float, v_mps: float, omega_radps: float) -> str:
+    numbers = f"{x_m:.6f},{y_m:.6f},{theta_rad:.6f},{v_mps:.6f},{omega_radps:.6f}"
+    # No minus before a zero; with all six decimals, these can only be a whole cell.
+    return numbers.replace("-0.000000", "0.000000")
 
 
 class Trajectory(StateFile):

@@ -51,6 +51,7 @@ class World(Task):
         self._simulation = Simulation(self.settings, self.random)
         self._state_steps = round(1.0 / (self.settings.state_hz * STEP_S))
         self._next_state_step = 0
+        self._advanced_s = -1.0
         self._server = BusServer(self.kernel.transport, self.call, self._serve, self.log)
         address = self._server.listen(self.settings.bus)
         self.log("info", f"the hardware bus listens at {address}")
@@ -76,6 +77,9 @@ class World(Task):
 
     def _advance(self) -> None:
         now_s = self.now()
+        if now_s == self._advanced_s:
+            return  # several ask at one moment, in virtual time nearly always
+        self._advanced_s = now_s
         while self._next_state_step * STEP_S <= now_s + EARLY_S:
             self._simulation.advance(self._next_state_step * STEP_S)
             self.publish(SYSTEM, self._simulation.state())

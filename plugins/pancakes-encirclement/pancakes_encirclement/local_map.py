@@ -51,8 +51,11 @@ class LocalMap:
         self, pose: Pose, bearings_rad: Sequence[float], ranges_m: Sequence[float], max_range_m: float, now_s: float
     ) -> None:
         """Takes one sweep of a ring of sensors, seen from `pose`."""
+        seen_m = SEEN_SHARE * max_range_m
+        if not self._echoes and min(ranges_m, default=seen_m) >= seen_m:
+            return  # nothing there, and nothing remembered, as most of the time
         for bearing, range_m in zip(bearings_rad, ranges_m, strict=True):
-            hit = range_m < SEEN_SHARE * max_range_m
+            hit = range_m < seen_m
             distance = self._body_radius_m + (range_m if hit else max_range_m)
             if self._echoes:
                 self._clear(pose, bearing, distance - THROUGH_M)

@@ -18,7 +18,7 @@ FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 5.0
 """How long, in host time, a line that is not there is left alone before it is tried again."""
 
-Reply = Callable[[bytes], None]
+Reply = Callable[[bytes], object]
 """Sends bytes back to whoever has just spoken. They are lost where the line is gone."""
 
 
