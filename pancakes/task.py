@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -31,8 +31,8 @@ from pancakes.kernel.mailbox import Mailbox, queue, reliable
 from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
-from pancakes.packet import SYSCTRL, Fence, Packet
-from pancakes.settings import change_settings, make_settings
+from pancakes.packet import SYSCTRL, Fence, Packet, field_names
+from pancakes.settings import change_settings, make_settings, plain_settings
 from pancakes.supervision import RestartSpec
 
 if TYPE_CHECKING:
@@ -49,9 +49,7 @@ class Nothing:
 _LEAVES = frozenset((str, int, float, bool, type(None)))
 
 
-@cache
-def _field_names(cls: type) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(cls))
+_field_names = cache(field_names)
 
 
 def _plain(record: Any) -> dict[str, Any]:
@@ -59,9 +57,7 @@ def _plain(record: Any) -> dict[str, Any]:
     values = {name: getattr(record, name) for name in _field_names(record.__class__)}
     if _LEAVES.issuperset(map(type, values.values())):
         return values  # as nearly all are; every task's is looked at once in a second
-    # By way of `asdict`: msgspec leaves out what was never assigned, and another version may have other defaults.
-    plain: dict[str, Any] = msgspec.to_builtins(asdict(record))
-    return plain
+    return plain_settings(record)
 
 
 _NONE: Final[Mapping[str, Any]] = MappingProxyType({})
@@ -227,6 +223,23 @@ class Task(Component):
             _plain(self.state),
             {name: timer.period_s for name, timer in self.timers.items()},
             self.__heard.heard(),
+        )
+
+    def still_carries(self, settings: Mapping[str, Any], periods_s: Mapping[str, float]) -> bool:
+        """Returns whether, of what it carries, surely nothing but its duplicate filter has changed.
+
+        Any thread, once it runs: of a task without state this is to be seen without a turn of its own.
+
+        Args:
+            settings: the settings that an earlier `carry` returned, the very object.
+            periods_s: the periods that it returned.
+        """
+        written = self.__settings_written
+        return (
+            self.State is Nothing
+            and written[0] is self.settings
+            and written[1] is settings
+            and all(timer.period_s == periods_s.get(name) for name, timer in self.timers.items())
         )
 
     def __plain_settings(self) -> Mapping[str, Any]:

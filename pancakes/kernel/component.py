@@ -81,6 +81,30 @@ class Component(pykka.Actor):
     blocking: bool = False
     """Whether it may wait, and therefore needs a thread of its own."""
 
+    # Beside each other in the object itself: a turn after a rest has fewer places of the memory to fetch. What
+    # subclasses add lies in the usual table. Measured together with ticks that go past the mailbox (`Guest.tick`).
+    __slots__ = (
+        "__exits",
+        "__handlers",
+        "__in_hand",
+        "__local",
+        "__now",
+        "__shares_handlers",
+        "__started",
+        "__stream",
+        "__take_seq",
+        "actor_inbox",
+        "actor_stopped",
+        "address",
+        "after_turn",
+        "agent",
+        "exited",
+        "fence",
+        "kernel",
+        "name",
+        "timers",
+    )
+
     actor_inbox: Mailbox
     actor_stopped: Flag  # type: ignore[assignment]
 
@@ -98,10 +122,11 @@ class Component(pykka.Actor):
         self.__shares_handlers = True
         self.__started = False
         # Looked up once, because every packet needs them.
-        self.__now = kernel.mission.now
+        self.__now = kernel.now
         self.__take_seq = kernel.seq_of(address).take
         self.__stream = kernel.stream
         self.__local = kernel.stream.local
+        self.__exits = kernel.stream.exits
         self.__in_hand: Packet | None = None
         self.fence: Fence | None = None
         self.exited: Callable[[Component, BaseException | None], None] = _nobody_asks
@@ -139,8 +164,19 @@ class Component(pykka.Actor):
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        route = None if to else self.__local.get((channel, body.__class__))
-        if route is not None:
+        if to:
+            leaves = self.__exits.get((self.address, channel, body.__class__, to))
+            if leaves is not None:
+                packet = Packet(
+                    channel, leaves.type, self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
+                )
+                if leaves.send(packet) is None:  # that way has ended: there may be another
+                    self.__stream.publish(packet)
+                    return packet
+                for tap in leaves.taps:
+                    tap(packet)
+                return packet
+        elif (route := self.__local.get((channel, body.__class__))) is not None:
             packet = Packet(
                 channel, route.type, self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
             )
@@ -290,19 +326,23 @@ class Component(pykka.Actor):
     def _start_actor_loop(self) -> None:
         self.kernel.attach(self)
 
-    def take_turn(self, slice_s: float | None) -> None:
+    def take_turn(self, slice_s: float | None, timer: TaskTimer | None = None) -> None:
         """Handles what waits, control first; the dispatcher calls it, one thread at a time.
 
         Args:
             slice_s: after this time the turn ends even if more waits; None: no limit.
+            timer: one that is armed: its tick comes before all that waits; None: there is none.
         """
         try:
             if not self.__started:
                 self.__begin()
+            if timer is not None and timer.component is self:
+                timer.run()
             mailbox = self.actor_inbox
             if mailbox.control:
                 self.__handle_control()
-            if mailbox.waiting and not mailbox.paused and not self.actor_stopped.on:
+            # Whoever has ended has no mailbox any more.
+            if mailbox.waiting and not mailbox.paused and mailbox.component is self:
                 self.__handle_data(slice_s)
         except BaseException as error:  # SystemExit in one actor must not end the others.
             self.__fail(error)

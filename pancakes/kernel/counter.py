@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import count, islice
+from itertools import count
 
 
 class Counter:
@@ -12,21 +12,18 @@ class Counter:
         start: the first number handed out.
 
     Attributes:
+        numbers: the numbers to come; `next` takes one. Any thread.
         take: returns the next number. Any thread.
     """
 
-    __slots__ = ("_count", "take")
+    __slots__ = ("numbers", "take")
 
     def __init__(self, start: int = 0) -> None:
-        self._count = count(start)
-        self.take = self._count.__next__
-
-    def take_many(self, number: int) -> list[int]:
-        """Returns the next so many numbers; those of two threads do not mix. Any thread."""
-        return list(islice(self._count, number))
+        self.numbers = count(start)
+        self.take = self.numbers.__next__
 
     @property
     def value(self) -> int:
         """The number that will be handed out next."""
         # A count cannot be read without moving it, but it says where it stands: "count(7)".
-        return int(repr(self._count)[6:-1])
+        return int(repr(self.numbers)[6:-1])

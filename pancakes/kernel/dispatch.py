@@ -16,6 +16,7 @@ from pancakes.kernel.mailbox import Mailbox
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
+    from pancakes.kernel.task_timer import TaskTimer
 
 _LOG: Final = logging.getLogger("pancakes.kernel")
 
@@ -68,19 +69,22 @@ class Dispatcher(ABC):
     def stop(self) -> None:
         """Ends the dispatcher's threads. Not to be called from one of them."""
 
-    def give_turn(self, mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None) -> None:
+    def give_turn(
+        self, mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None, timer: TaskTimer | None = None
+    ) -> None:
         """Gives the component of `mailbox` one turn in this thread, then hands its token back.
 
         Args:
             mailbox: its mailbox, whose token is held.
             deferred: what this thread's turns put off (`begin_turns`).
             slice_s: after this time the turn ends even if more waits; None: no limit.
+            timer: one of the component's, armed: its tick comes first.
         """
         component = mailbox.component
         if component is None:
             return
         try:
-            component.take_turn(slice_s)
+            component.take_turn(slice_s, timer)
         except BaseException as error:  # whoever was told of its end failed; the thread may be the timer's
             component.kernel.log(
                 "error", f"the end of {component.address}'s turn failed: {type(error).__name__}: {error}"

@@ -40,6 +40,7 @@ class Kernel:
     Attributes:
         host: the host clock.
         mission: the mission clock.
+        now: returns the mission time in seconds; one object for all who ask for it with each tick and packet.
         stream: the information stream.
         registry: who runs here.
         letters: packets whose handlers failed.
@@ -64,6 +65,7 @@ class Kernel:
         self.virtual = virtual
         self.host: Clock = virtual.clock if virtual is not None else MonotonicClock()
         self.mission = MissionClock(self.host, speed, hold)
+        self.now = self.mission.now
         self.stream = InformationStream(agent)
         self.registry = Registry()
         self.letters = DeadLetters(self.log)

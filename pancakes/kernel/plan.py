@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pancakes.kernel.handlers import Period, Subscription, periods_of, subscriptions_of
 from pancakes.packet import Packet, covers
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
+
+MOST_PLANS: Final = 1024
+"""So many classes are remembered; a program that makes one class after the other must not keep them all."""
 
 Handler = Callable[[Any, Packet], None]
 """What a component does with a packet; called with the component and the packet."""
@@ -58,7 +61,7 @@ class Plan(NamedTuple):
     periods: dict[str, Period]
 
 
-@cache
+@lru_cache(maxsize=MOST_PLANS)
 def plan_of(cls: type) -> Plan:
     """Returns what the methods of a class react to; each class is read once."""
     handlers: dict[str, Handlers] = {}

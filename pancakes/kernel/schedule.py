@@ -85,17 +85,24 @@ class Schedule:
     def due(self, now_s: float) -> list[Due | Callable[[], None]]:
         """Takes out what is due at `now_s`, oldest first."""
         out: list[Due | Callable[[], None]] = []
-        while self._heap and self._heap[0][0] <= now_s:
-            _, _, entry = heapq.heappop(self._heap)
+        heap = self._heap
+        while heap and heap[0][0] <= now_s:
+            deadline_s, _, entry = heap[0]
             if not isinstance(entry, _Group):
+                heapq.heappop(heap)
                 out.append(entry)
                 continue
+            period_s, number = entry.period_s, entry.number
             if not entry.targets:
-                del self._groups[entry.period_s]
+                heapq.heappop(heap)
+                del self._groups[period_s]
                 continue
-            missed = max(0, math.floor(now_s / entry.period_s + 1e-9) - entry.number)
-            entry.number += missed
-            out.append(Due(iter(tuple(entry.targets.values())), entry.deadline_s, missed))
-            entry.number += 1
-            heapq.heappush(self._heap, (entry.deadline_s, next(self._order), entry))
+            missed = 0
+            if (number + 1 - 1e-9) * period_s <= now_s:  # late by a period at least
+                missed = max(0, math.floor(now_s / period_s + 1e-9) - number)
+                number += missed
+                deadline_s = number * period_s
+            out.append(Due(iter(tuple(entry.targets.values())), deadline_s, missed))
+            entry.number = number + 1
+            heapq.heapreplace(heap, (entry.deadline_s, next(self._order), entry))
         return out

@@ -13,9 +13,15 @@ from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
 from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox, SharedQueue
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
-from pancakes.weight import LIGHT_BYTES, Weigher, weigher
+from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 
 Tap = Callable[[Packet], None]
+Way = Callable[[Packet], int | None]
+"""Takes packets of one channel, type, source and destination out of the agent; once it has ended it does nothing, and
+returns None.
+"""
+Gateway = Callable[[Packet], Way | None]
+"""Takes any packet out of the agent; returns what takes others like it, if there is a shorter way for these."""
 
 MOST_ROUTES = 4096
 """So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
@@ -68,6 +74,7 @@ class Route(msgspec.Struct, frozen=True):
         reliable: those of all of them that may refuse a packet.
         taps: who sees the packets besides.
         weigh: returns how heavy a packet's body is, where that is not the same, and little, for all of this type.
+        light_bytes: a body that takes no more on the wire is light.
     """
 
     type: str
@@ -76,6 +83,7 @@ class Route(msgspec.Struct, frozen=True):
     reliable: tuple[ChannelQueue, ...]
     taps: tuple[Tap, ...]
     weigh: Weigher | None = None
+    light_bytes: int = 0
 
     def give(self, packet: Packet) -> None:
         """Gives a packet to all of them, or to none.
@@ -89,23 +97,33 @@ class Route(msgspec.Struct, frozen=True):
         # All reliable readers are asked before anybody is given the packet: a retry must not double it.
         if self.reliable:
             self._ask(packet)
-        # As `ChannelQueue.put`, but without a call: half of what a delivery costs the publisher.
+        # As `ChannelQueue.put` and `enlist`, but without calls: half of what a delivery costs the publisher.
         for queue in self.queues:
-            queue.count()
-            queue.append(packet)
+            next(queue.numbers)
+            queue.items.append(packet)
             if not queue.listed:
-                queue.enlist()
+                queue.listed = True
+                mailbox = queue.mailbox
+                mailbox.waiting.append(queue)
+                if mailbox.token.acquire(False):
+                    mailbox.dispatch.ready(mailbox)
         for queue in self.shared:
             queue.put(packet)
         for tap in self.taps:
             tap(packet)
 
-    def takes_many(self, packets: Sequence[Packet]) -> bool:
-        """Returns whether these packets may be put one after the other: nobody can refuse one, and none is heavy."""
+    def takes_many(self, packets: Sequence[Packet], size: int | None) -> bool:
+        """Returns whether these packets may be put all at once: nobody can refuse one, and they are light.
+
+        Light in the mean will do, which their bytes on the wire may say without a look at any of them: the number of
+        packets that may wait then bounds them as well, but for the part of one frame.
+        """
         if self.reliable or self.taps or not (self.queues or self.shared):
             return False
         weigh = self.weigh
-        return weigh is None or all(weigh(packet.body) <= LIGHT_BYTES for packet in packets)
+        if weigh is None or (size is not None and size <= self.light_bytes * len(packets)):
+            return True
+        return all(weigh(packet.body) <= LIGHT_BYTES for packet in packets)
 
     def _give_heavy(self, packet: Packet, weight: int) -> None:
         if self.reliable:
@@ -140,6 +158,20 @@ class Route(msgspec.Struct, frozen=True):
                 )
 
 
+class Exit(msgspec.Struct, frozen=True):
+    """How packets of one channel, type, source and destination leave this agent: a snapshot, as `Route`.
+
+    Attributes:
+        type: the name of the packets' type.
+        send: the way that they go.
+        taps: who sees the packets besides.
+    """
+
+    type: str
+    send: Way
+    taps: tuple[Tap, ...]
+
+
 NOBODY: Final = Route("", (), (), (), ())
 """The route of what is for nobody."""
 
@@ -154,24 +186,40 @@ class InformationStream:
         agent: the agent's name.
 
     Attributes:
-        gateway: takes packets whose destination is another agent; the Network Service sets it. Called in
-            the publisher's thread, must not block.
-        courier: takes packets whose destination is a task, wherever it is; likewise.
+        courier: takes packets whose destination is a task, wherever it is. Called in the publisher's thread, must not
+            block.
         local: where packets without a destination go, by their channel and the class of their body: for publishers,
             as far as `remember` was told of them.
+        exits: where packets to other agents go, by their source, channel, the class of their body, and destination:
+            for publishers, as far as such have gone before.
     """
 
     def __init__(self, agent: str) -> None:
         self.agent = agent
-        self.gateway: Tap | None = None
-        self.courier: Tap | None = None
+        self.courier: Gateway | None = None
+        self._gateway: Gateway | None = None
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
-        self._taps: dict[str, tuple[Tap, ...]] = {}
+        self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...]], ...]] = {}  # and the types that each wants to see
         self._outgoing: tuple[Tap, ...] = ()
         self.local: dict[tuple[str, type], Route] = {}
+        self.exits: dict[tuple[str, str, type, str], Exit] = {}
         self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
         self.undelivered = 0
+
+    @property
+    def gateway(self) -> Gateway | None:
+        """Takes packets whose destination is another agent; the Network Service sets it.
+
+        Called in the publisher's thread, must not block.
+        """
+        return self._gateway
+
+    @gateway.setter
+    def gateway(self, gateway: Gateway | None) -> None:
+        with self._lock:
+            self._gateway = gateway
+            self.exits.clear()
 
     def channels(self) -> list[str]:
         """Returns the names of all channels, core channels first."""
@@ -216,14 +264,28 @@ class InformationStream:
             return self._give(packet, destination)
         if packet.channel not in self._readers:
             raise self._unknown(packet)
-        gateway = self.courier if destination.startswith(TO_TASK) else self.gateway
+        gateway, taps = self.courier if destination.startswith(TO_TASK) else self._gateway, self._outgoing
         if gateway is None:
             self.undelivered += 1
         else:
-            gateway(packet)
-        for tap in self._outgoing:
+            way = gateway(packet)
+            if way is not None:
+                self._remember_exit(packet, gateway, Exit(packet.type, way, taps))
+        for tap in taps:
             tap(packet)
         return 0
+
+    def _remember_exit(self, packet: Packet, gateway: Gateway, found: Exit) -> None:
+        body_type = type(packet.body)
+        with self._lock:
+            if gateway is not self._gateway or found.taps is not self._outgoing:
+                return  # it was found while something changed
+            # As in `remember`: only publishers of registered bodies look here.
+            if packet.channel not in self._readers or body_class(packet.type) is not body_type:
+                return
+            if len(self.exits) >= MOST_ROUTES:
+                self.exits.clear()
+            self.exits[packet.source, packet.channel, body_type, packet.destination] = found
 
     def remember(self, packet: Packet) -> None:
         """Notes in `local` where a packet without a destination went that was just published."""
@@ -252,7 +314,9 @@ class InformationStream:
             self._routes.get((packet.channel, packet.type, destination), NOBODY).give_where_room(packet)
             raise
 
-    def inject_all(self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None]) -> None:
+    def inject_all(
+        self, packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None], size: int | None = None
+    ) -> None:
         """Publishes packets that came from another agent: on one channel, of one type and with one destination.
 
         Who gets them is looked up once, and each reader is told once that something waits.
@@ -260,12 +324,15 @@ class InformationStream:
         Args:
             packets: the packets, in their order.
             refused: called with each packet that found no room, or no channel, and why; see `inject`.
+            size: how many bytes they took on the wire, where that is known.
         """
         first = packets[0]
         destination = "" if first.destination == NEIGHBOURS else first.destination
         route = self._routes.get((first.channel, first.type, destination), NOBODY)
-        if route.takes_many(packets):
-            for queue in (*route.queues, *route.shared):
+        if route.takes_many(packets, size):
+            for queue in route.queues:
+                queue.put_all(packets)
+            for queue in route.shared:
                 queue.put_all(packets)
             return
         for packet in packets:
@@ -274,8 +341,13 @@ class InformationStream:
             except PancakesError as error:
                 refused(packet, error)
 
-    def tap(self, channel: str, tap: Tap) -> None:
+    def tap(self, channel: str, tap: Tap, types: tuple[str, ...] = ()) -> None:
         """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
+
+        Args:
+            channel: the channel.
+            tap: what is called.
+            types: the types of the packets that it sees; empty: all.
 
         Raises:
             UnknownChannel: there is no such channel.
@@ -283,24 +355,26 @@ class InformationStream:
         with self._lock:
             if channel not in self._readers:
                 raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
-            self._taps[channel] = (*self._taps.get(channel, ()), tap)
+            self._taps[channel] = (*self._taps.get(channel, ()), (tap, types))
             self._forget(channel)
 
     def untap(self, channel: str, tap: Tap) -> None:
         """Ends what `tap` began."""
         with self._lock:
-            self._taps[channel] = tuple(other for other in self._taps.get(channel, ()) if other != tap)
+            self._taps[channel] = tuple(other for other in self._taps.get(channel, ()) if other[0] != tap)
             self._forget(channel)
 
     def tap_outgoing(self, tap: Tap) -> None:
         """Calls `tap` with every packet published here for somebody elsewhere, as `tap` does."""
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
+            self.exits.clear()
 
     def untap_outgoing(self, tap: Tap) -> None:
         """Ends what `tap_outgoing` began."""
         with self._lock:
             self._outgoing = tuple(other for other in self._outgoing if other != tap)
+            self.exits.clear()
 
     def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
         """Puts packets into a component's mailbox from now on.
@@ -343,7 +417,8 @@ class InformationStream:
             self._outgoing = ()
             self._routes.clear()
             self.local.clear()
-            self.gateway = None
+            self.exits.clear()
+            self._gateway = None
             self.courier = None
 
     def subscribers(self, channel: str) -> list[str]:
@@ -375,6 +450,8 @@ class InformationStream:
             del self._routes[key]
         for known in [known for known in self.local if known[0] == channel]:
             del self.local[known]
+        if channel not in self._readers:
+            self.exits.clear()
 
     def _route(self, packet: Packet, destination: str) -> Route:
         """Makes the snapshot for packets like this one; an empty destination means whoever subscribes here."""
@@ -395,8 +472,9 @@ class InformationStream:
                 tuple(queue for queue in queues if not isinstance(queue, SharedQueue)),
                 tuple(queue for queue in queues if isinstance(queue, SharedQueue)),
                 tuple(queue for queue in queues if queue.has_reliable),
-                self._taps.get(packet.channel, ()),
+                tuple(tap for tap, types in self._taps.get(packet.channel, ()) if not types or packet.type in types),
                 weigher(type(packet.body)),
+                light_on_the_wire(type(packet.body)),
             )
             if len(self._routes) >= MOST_ROUTES:
                 self._routes.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from pancakes.kernel.handlers import Period, Tick
@@ -17,11 +18,10 @@ class TaskTimer:
         "_deadline_s",
         "_handler",
         "_kernel",
-        "_mailbox",
-        "_now",
         "component",
         "lateness_max_s",
         "lateness_sum_s",
+        "mailbox",
         "method",
         "missed",
         "missed_total",
@@ -34,10 +34,10 @@ class TaskTimer:
         self.component = component
         self.method = method
         self.period_s = period.period_s
-        self._handler = getattr(component, method)
+        # Of the class, and called with the component: one object for all tasks of it, and none for each.
+        self._handler: Callable[[Component, Tick], None] = getattr(type(component), method)
         self._kernel = component.kernel
-        self._mailbox = component.actor_inbox
-        self._now = component.kernel.mission.now
+        self.mailbox = component.actor_inbox
         self._deadline_s = 0.0
         self.pending = False
         self.missed = 0
@@ -69,26 +69,31 @@ class TaskTimer:
             self.missed += 1 + missed
             self._deadline_s = deadline_s
             return
+        self.arm(deadline_s, missed)
+        self.pending = True
+        self.mailbox.put(self)
+
+    def arm(self, deadline_s: float, missed: int) -> None:
+        """Gives it the deadline that `run` is for; where no tick is pending."""
         self.missed += missed
         self._deadline_s = deadline_s
-        self.pending = True
-        self._mailbox.put(self)
 
     def run(self) -> None:
         """Calls the method (the component's turn)."""
         deadline_s = self._deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
-        if self._mailbox.paused:
+        if self.mailbox.paused:
             return
-        lateness_s = self._now() - deadline_s
+        lateness_s = self._kernel.now() - deadline_s
         if lateness_s < 0.0:
             lateness_s = 0.0
         self.ticks += 1
-        self.missed_total += missed
+        if missed:
+            self.missed_total += missed
         self.lateness_sum_s += lateness_s
         if lateness_s > self.lateness_max_s:
             self.lateness_max_s = lateness_s
         for heard in self._kernel.lateness_heard:
             heard(self, lateness_s)
-        self._handler(Tick(deadline_s, missed, lateness_s))
+        self._handler(self.component, Tick(deadline_s, missed, lateness_s))

@@ -8,19 +8,16 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Protocol
 
 import pykka
 
 from pancakes.clock import Clock, MissionClock
+from pancakes.kernel.inbox import Inbox
 from pancakes.kernel.pool import GUEST_S, Guest, PoolDispatcher
 from pancakes.kernel.schedule import Due, Schedule
 from pancakes.kernel.slack import wake_on_time
 from pancakes.kernel.virtual import VirtualCall, VirtualDispatcher
-
-if TYPE_CHECKING:
-    from pykka._actor import ActorInbox
 
 ONE_BY_ONE_S: Final = 0.005
 """So long each tick of many gets its turn before the next is given; a thousand quick ones take about that."""
@@ -63,9 +60,11 @@ class Timer(pykka.Actor):
         name: for the name of its thread.
         mission: the mission clock.
         host: the host clock.
-        pool: what gives the turns of most of those whom it ticks: its thread does that itself while nobody else does,
-            which saves a tick the way to another thread. None: it never does.
+        pool: what gives the turns of most of those whom it ticks, which are task timers then: its thread does that
+            itself while nobody else does, which saves a tick the way to another thread. None: it never does.
     """
+
+    actor_inbox: Inbox
 
     def __init__(self, name: str, mission: MissionClock, host: Clock, pool: PoolDispatcher | None = None) -> None:
         super().__init__()
@@ -81,8 +80,8 @@ class Timer(pykka.Actor):
         self._ended = threading.Event()
 
     @staticmethod
-    def _create_actor_inbox() -> ActorInbox:
-        return SimpleQueue()
+    def _create_actor_inbox() -> Inbox:
+        return Inbox()
 
     @staticmethod
     def _create_future() -> pykka.Future[Any]:
@@ -119,7 +118,7 @@ class Timer(pykka.Actor):
         self._tell(lambda: None)
 
     def _tell(self, change: Callable[[], None]) -> None:
-        self.actor_inbox.put(change)  # type: ignore[arg-type]
+        self.actor_inbox.put(change)
 
     def launch(self) -> None:
         """Starts the timer's thread."""
@@ -132,17 +131,12 @@ class Timer(pykka.Actor):
     def _actor_loop_running(self) -> None:
         wake_on_time()
         guest = Guest(self._pool, self._start_actor_loop) if self._pool is not None else None
-        inbox: SimpleQueue[Callable[[], None] | None] = self.actor_inbox  # type: ignore[assignment]
-        serve = partial(self._serve, guest, inbox)
+        inbox = self.actor_inbox
+        serve = partial(self._serve, guest)
         while guest is None or guest.stays:
-            wait_s = 0.0 if self._due else self._next_host_s() - self._host.now()
-            try:
-                if wait_s <= 0:
-                    change = inbox.get_nowait()
-                else:
-                    change = inbox.get(timeout=None if wait_s == math.inf else min(wait_s, 3600.0))
-            except Empty:
-                change = serve
+            if not self._due:
+                inbox.wait(self._next_host_s() - self._host.now())
+            change = serve if inbox.empty() else inbox.get()
             if change is None:
                 self._ended.set()
                 return
@@ -151,7 +145,7 @@ class Timer(pykka.Actor):
             except Exception:  # a fault in one call must not end the ticks of all
                 _LOG.exception("a call of the timer failed")
 
-    def _serve(self, guest: Guest | None, inbox: SimpleQueue[Callable[[], None] | None]) -> None:
+    def _serve(self, guest: Guest | None) -> None:
         """Fires what is due, and gives the turns that come of it where nobody else does."""
         if guest is None or not guest.arrive():
             self._fire_due(None)
@@ -165,14 +159,14 @@ class Timer(pykka.Actor):
                 next_s = self._next_host_s()
                 guest.work(min(until_s, next_s))
                 # What is due again comes before the rest of the work; to call a worker for that would only disturb.
-                if not guest.stays or next_s > self._host.now() or until_s < next_s or not inbox.empty():
+                if not guest.stays or next_s > self._host.now() or until_s < next_s:
                     return
         finally:
             guest.leave()
 
     def halt(self) -> None:
         """Ends the timer and waits for its thread."""
-        self.actor_inbox.put(None)  # type: ignore[arg-type]
+        self.actor_inbox.put(None)
         self.actor_stopped.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.
@@ -183,14 +177,17 @@ class Timer(pykka.Actor):
         """Returns the host time at which something is due next."""
         mission_s = self._mission_schedule.next()
         mission_host_s = math.inf if mission_s == math.inf else self._mission.host_time(mission_s)
-        return min(self._host_schedule.next(), mission_host_s)
+        host_s = self._host_schedule.next()
+        return host_s if host_s < mission_host_s else mission_host_s
 
     def _fire_due(self, guest: Guest | None) -> None:
         mission_s = self._mission.now()
         due = self._due
         # A tick whose host time has come is due, even where rounding puts the mission's clock a hair before it.
         due.extend(self._mission_schedule.due(mission_s + 1e-9))
-        due.extend(self._host_schedule.due(self._host.now()))
+        host_s = self._host.now()
+        if self._host_schedule.next() <= host_s:  # seldom
+            due.extend(self._host_schedule.due(host_s))
         until_s = -math.inf if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
         while due:
             item = due[0]
@@ -198,13 +195,13 @@ class Timer(pykka.Actor):
                 due.popleft()
                 item()
                 continue
+            # A turn right after its tick: of a thousand tasks the first does not wait for the last to be ticked, and
+            # what both touch is in the processor's cache. Where turns take long, though, they wait: those who do not
+            # run in the pool, and calls that were put off, shall be on time all the same.
+            if guest is not None and not guest.tick(item.targets, item.deadline_s, item.missed, until_s):
+                return  # whoever has taken over goes on with what is left
             for target in item.targets:
                 target.fire(item.deadline_s, item.missed)
-                # A turn right after its tick: of a thousand tasks the first does not wait for the last to be ticked,
-                # and what both touch is in the processor's cache. Where turns take long, though, they wait: those who
-                # do not run in the pool, and calls that were put off, shall be on time all the same.
-                if guest is not None and self._host.now() < until_s and not guest.turn():
-                    return  # whoever has taken over goes on with what is left
             due.popleft()
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import heapq
 import logging
-import selectors
 import socket
 import threading
 from collections.abc import Callable
@@ -17,9 +16,15 @@ from typing import Final
 
 from pancakes.clock import Clock
 from pancakes.kernel.pool import GUEST_S, Guest
+from pancakes.net.readiness import READ, readiness
 
-READ: Final = selectors.EVENT_READ
-WRITE: Final = selectors.EVENT_WRITE
+READING_S: Final = 0.0002
+"""After so much reading those to whom it has brought something get their turns before more is read: what was just
+decoded is then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send as
+fast as they can to one: 2.1 µs of its processor time a packet, where reading them all first took 2.9.
+"""
+VISIT_S: Final = 2 * GUEST_S
+"""After this time the thread sees to its other duties before it reads from more sockets."""
 
 _LOG = logging.getLogger("pancakes.net")
 
@@ -46,8 +51,10 @@ class Loop:
     """
 
     def __init__(self, clock: Clock, name: str) -> None:
-        self._clock = clock
-        self._selector = selectors.DefaultSelector()
+        self._now = clock.now
+        self._readiness = readiness()
+        self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files
+        self._forgotten: dict[int, None] = {}  # since the sockets were asked for that are served now
         self._lock = threading.Lock()
         self._timers: list[tuple[float, int, Timer]] = []
         self._count = 0
@@ -58,7 +65,7 @@ class Loop:
         self._wake_reader, self._wake_writer = socket.socketpair()
         self._wake_reader.setblocking(False)
         self._wake_writer.setblocking(False)
-        self._selector.register(self._wake_reader, READ, self._take_wake)
+        self.watch(self._wake_reader, READ, self._take_wake)
         self._name = name
         self._make_guest: Callable[[Callable[[], None]], Guest] | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -77,7 +84,7 @@ class Loop:
             if self._stopping:
                 return Timer(None)
             timer = Timer(function)
-            due_s = self._clock.now() + delay_s
+            due_s = self._now() + delay_s
             self._count += 1
             heapq.heappush(self._timers, (due_s, self._count, timer))
             if self._timers[0][2] is timer:
@@ -85,16 +92,23 @@ class Loop:
         return timer
 
     def watch(self, sock: socket.socket, events: int, function: Callable[[int], None]) -> None:
-        """Calls `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread."""
-        if sock.fileno() in self._selector.get_map():
-            self._selector.modify(sock, events, function)
+        """Calls `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread.
+
+        Other bits are set besides, or instead, where the connection has failed or ended.
+        """
+        number = sock.fileno()
+        if number in self._watched:
+            self._readiness.modify(number, events)
         else:
-            self._selector.register(sock, events, function)
+            self._readiness.register(number, events)
+        self._watched[number] = function
 
     def forget(self, sock: socket.socket) -> None:
         """Watches `sock` no longer. To be called before it is closed, in the loop's thread."""
-        if sock.fileno() in self._selector.get_map():
-            self._selector.unregister(sock)
+        number = sock.fileno()
+        if self._watched.pop(number, None) is not None:
+            self._readiness.unregister(number)
+            self._forgotten[number] = None
 
     def is_here(self) -> bool:
         """Returns whether the caller runs in the loop's thread."""
@@ -106,7 +120,7 @@ class Loop:
             if not self._stopping:
                 self._stopping = True
                 self._count += 1
-                heapq.heappush(self._timers, (self._clock.now(), self._count, Timer(lambda: self._end(last))))
+                heapq.heappush(self._timers, (self._now(), self._count, Timer(lambda: self._end(last))))
                 self._wake()
         if not self.is_here():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.
@@ -128,37 +142,67 @@ class Loop:
             self._wake_reader.recv(64)
 
     def _run(self) -> None:
+        goes_on = False
         try:
-            self._serve()
+            goes_on = self._serve()
         finally:
-            if self.is_here():  # nobody has taken over
-                self._selector.close()
+            if not goes_on and self.is_here():
+                self._readiness.close()
                 self._wake_reader.close()
                 self._wake_writer.close()
                 self._over.set()
 
-    def _serve(self) -> None:
-        """Does all that is to be done, until the end or until another thread has taken over."""
+    def _serve(self) -> bool:
+        """Does all that is to be done, until the end or until another thread takes over; returns whether one does."""
         guest: Guest | None = None
+        timers, now, poll = self._timers, self._now, self._readiness.poll
+        ready: list[tuple[int, int]] = []
         while not self._ended:
             # Sockets come before timers, so that after a pause of this process (a debugger, SIGSTOP) what
             # peers sent in the meantime is read before their silence is judged.
-            ready = self._selector.select(self._wait_s())
+            if not ready:
+                self._forgotten.clear()
+                # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
+                ready = poll(max(0.0, timers[0][0] - now()) if timers else None)
             if guest is None and self._make_guest is not None:
                 guest = self._make_guest(self._take_over)
-            if ready and guest is not None and guest.arrive():
-                try:
-                    for key, events in ready:
-                        self._guard(key.data, events)
-                    guest.work(self._clock.now() + GUEST_S)
-                finally:
-                    self._guard(guest.leave)
-                if not guest.stays:
-                    return
-            else:
-                for key, events in ready:
-                    self._guard(key.data, events)
-            self._run_timers()
+            ready = self._serve_sockets(ready, guest if ready and guest is not None and guest.arrive() else None)
+            if guest is not None and not guest.stays:
+                return True
+            if timers and timers[0][0] <= now():
+                self._run_timers()
+        return False
+
+    def _serve_sockets(self, ready: list[tuple[int, int]], guest: Guest | None) -> list[tuple[int, int]]:
+        """Serves sockets that are ready; as a guest, gives the turns of those to whom that has brought something.
+
+        Returns:
+            The sockets that it had no time for.
+        """
+        now, watched, forgotten = self._now, self._watched, self._forgotten
+        began_s = last_s = now()
+        served = 0
+        try:
+            for number, events in ready:
+                served += 1
+                if number not in forgotten:  # by one before it; another socket may have its number by now
+                    try:
+                        watched[number](events)
+                    except Exception:  # as in `_guard`
+                        _LOG.exception("a handler of the network failed")
+                if guest is None:
+                    continue
+                now_s = now()
+                if now_s - last_s < READING_S and served < len(ready):
+                    continue
+                guest.work(now_s + GUEST_S)
+                last_s = now()
+                if not guest.stays or last_s - began_s >= VISIT_S:
+                    break
+        finally:
+            if guest is not None:
+                self._guard(guest.leave)
+        return ready[served:]
 
     def _take_over(self) -> None:
         """A turn holds the loop's thread: lets another one be the loop's. From any thread."""
@@ -166,20 +210,16 @@ class Loop:
             self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
         self._thread.start()
 
-    def _wait_s(self) -> float | None:
-        # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
-        return max(0.0, self._timers[0][0] - self._clock.now()) if self._timers else None
-
     def _run_timers(self) -> None:
-        now_s = self._clock.now()
+        now_s = self._now()
         while self._timers and self._timers[0][0] <= now_s and not self._ended:
             with self._lock:
                 timer = heapq.heappop(self._timers)[2]
             if timer.function is not None:
                 self._guard(timer.function)
 
-    def _guard(self, function: Callable[..., None], *arguments: int) -> None:
+    def _guard(self, function: Callable[[], None]) -> None:
         try:
-            function(*arguments)
+            function()
         except Exception:  # a fault in one handler must not silence all the others
             _LOG.exception("a handler of the network failed")

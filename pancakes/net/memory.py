@@ -74,8 +74,8 @@ class MemoryNetwork:
         self.call_at = call_at
         self.now = now
         self._random = source
-        self._default = quality or Quality()
-        self._qualities: dict[tuple[str, str], Quality] = {}
+        self.default = quality or Quality()
+        self.qualities: dict[tuple[str, str], Quality] = {}
         self.partitions: list[_Partition] = []
         self._listeners: dict[str, tuple[MemoryTransport, Callable[[], Handler]]] = {}
         self._exempt: dict[str, None] = {}
@@ -88,7 +88,7 @@ class MemoryNetwork:
 
     def set_quality(self, a: str, b: str, quality: Quality) -> None:
         """Sets how well two agents hear each other, both ways, for all that is sent from now on."""
-        self._qualities[(a, b)] = self._qualities[(b, a)] = quality
+        self.qualities[(a, b)] = self.qualities[(b, a)] = quality
 
     def exempt(self, address: str) -> None:
         """Connections to `address` take part in no fault and no delay but the default (a hardware bus)."""
@@ -153,7 +153,7 @@ class MemoryNetwork:
 
     def quality(self, a: str, b: str) -> Quality:
         """Returns how well two agents hear each other."""
-        return self._qualities.get((a, b), self._default) if self._qualities else self._default
+        return self.qualities.get((a, b), self.default)
 
     def travel_s(self, quality: Quality) -> float:
         """Draws how long something travels."""
@@ -179,9 +179,7 @@ class MemoryNetwork:
         """See `Transport.dial`."""
         found = self._listeners.get(address)
         exempt = address in self._exempt
-        travel_s = self.travel_s(
-            self._default if exempt or found is None else self.quality(owner.agent, found[0].agent)
-        )
+        travel_s = self.travel_s(self.default if exempt or found is None else self.quality(owner.agent, found[0].agent))
 
         def fail(reason: str) -> None:
             owner.dials.pop(handler, None)
@@ -269,11 +267,12 @@ class _Pipe:
         self.ends[0].other, self.ends[1].other = self.ends[1], self.ends[0]
 
     def quality(self) -> Quality:
-        return self.network.quality("", "") if self.exempt else self.network.quality(*self.agents)
+        network = self.network
+        return network.default if self.exempt or not network.qualities else network.quality(*self.agents)
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""
-        if self.network.partitions and not self.cut and not self.exempt:
+        if not self.cut and not self.exempt:
             self.cut = self.network.parted(*self.agents)
         return self.cut
 
@@ -307,13 +306,13 @@ class _End(Connection):
         self._handler = handler
         handler.opened(self)
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes) -> int:
         if self._closing or not data:
-            return
+            return self._unsent
         quality = self._pipe.quality()
         if quality.bytes_per_s == math.inf:
             self._send_part(data, self._network.now(), quality)
-            return
+            return self._unsent
         # A slow stream trickles: the other side hears something all the time, not everything at the end.
         part_bytes = max(1, int(quality.bytes_per_s * _TRICKLE_S))
         self._unsent += len(data)
@@ -322,13 +321,14 @@ class _End(Connection):
             self._free_s = max(self._free_s, self._network.now()) + len(part) / quality.bytes_per_s
             self._network.call_at(self._free_s, partial(self._left, len(part)))
             self._send_part(part, self._free_s, quality)
+        return self._unsent
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
         arrival_s = left_s + (self._network.travel_s(quality) if quality.jitter_s else quality.latency_s)
         if arrival_s < self._arrival_s:
             arrival_s = self._arrival_s
         self._arrival_s = arrival_s
-        if self._pipe.is_cut():
+        if (self._network.partitions or self._pipe.cut) and self._pipe.is_cut():
             return
         other = self.other
         if arrival_s == other.coming_s:
@@ -357,7 +357,9 @@ class _End(Connection):
     def arrived(self, parts: list[bytes]) -> None:
         if parts is self.coming:
             self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
-        if not self._closing and not self._pipe.is_cut() and self._handler is not None:
+        if self._closing or ((self._network.partitions or self._pipe.cut) and self._pipe.is_cut()):
+            return
+        if self._handler is not None:
             self._handler.received(parts[0] if len(parts) == 1 else b"".join(parts))
 
     def hang_up(self) -> None:

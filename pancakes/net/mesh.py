@@ -14,11 +14,11 @@ from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
-from pancakes.net.outbox import Counters
+from pancakes.net.outbox import CountersOfAll
 from pancakes.net.peers import Admit, Decision, Dial, Peers, reachable
 from pancakes.net.sending import Sending
-from pancakes.net.session import Session
-from pancakes.net.transport import Connection, Handler, Scheduled, Transport
+from pancakes.net.session import Session, Unwanted
+from pancakes.net.transport import Handler, Scheduled, Transport
 from pancakes.packet import Packet, agent_of
 from pancakes.wire.link import (
     Action,
@@ -48,19 +48,6 @@ DROPS_REPORTED_EVERY_S: Final = 5.0
 """A slow peer is named in the log at most that often, in seconds of host time."""
 
 
-class _Unwanted:
-    """The handler of a connection for which there is no room."""
-
-    def opened(self, connection: Connection) -> None:
-        connection.close("there is no room for another connection")
-
-    def received(self, data: bytes) -> None:
-        pass
-
-    def closed(self, reason: str) -> None:
-        pass
-
-
 class Mesh:
     """The links of one agent.
 
@@ -74,7 +61,8 @@ class Mesh:
         peers: addresses that are always dialled.
         source: random numbers, for the spread of retries.
         host_clock: the clock of hand-shakes and heartbeats.
-        on_packets: takes (peer's name, packets): all of one channel, type, source and destination, in their order.
+        on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
+            destination, in their order.
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
@@ -94,7 +82,7 @@ class Mesh:
         peers: Sequence[str],
         source: random.Random,
         host_clock: Clock,
-        on_packets: Callable[[str, list[Packet]], None],
+        on_packets: Callable[[str, list[Packet], int], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
         on_blob: Callable[[str, str, bytes], None] = lambda peer, kind, data: None,
@@ -121,13 +109,13 @@ class Mesh:
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
         self._up: dict[str, Session] = {}  # replaced, never changed: read by all threads
-        self._counters: dict[str, Counters] = {}
+        self._counters = CountersOfAll()
         self._state = "new"
         self._asleep_until_s = 0.0
         self._established = False
         self._timer: Scheduled | None = None
         self._timer_s = math.inf
-        self._sending = Sending(self._session_for, defer)
+        self._sending = Sending(self._packet_lost, defer)
         self._links_timer: Scheduled | None = None
         self._links_timer_s = math.inf
         self._beacons = 0
@@ -167,6 +155,14 @@ class Mesh:
             PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
         """
         return self._sending.send(packet, retry)
+
+    def way_of(self, packet: Packet) -> Callable[[Packet], int | None] | None:
+        """Returns what sends further packets of the channel, type, source and destination of one that was just sent.
+
+        It does as `send`, in less time. Once other links are up it returns None and has done nothing: then `send` knows
+        more. Any thread.
+        """
+        return self._sending.way_of(packet)
 
     def send_blob(self, peer: str, kind: str, data: bytes, retry: bool = False) -> None:
         """Sends a snapshot of a task: up to 16 MiB, in pieces that let other packets pass.
@@ -227,7 +223,8 @@ class Mesh:
 
         Heartbeats, the mesh's own messages and retries do not count.
         """
-        return self._mission_packets
+        with self._tally_lock:
+            return self._mission_packets + sum(session.counted for session in self._up.values())
 
     def describe(self) -> dict[str, Any]:
         """Returns the state of the mesh as plain values, for the command line."""
@@ -243,7 +240,7 @@ class Mesh:
             "peers": [self._describe_peer(up[name]) for name in sorted(up)],
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
             "addresses": self._peers.describe() if self._peers is not None else [],
-            "mission_packets_sent": self._mission_packets,
+            "mission_packets_sent": self.mission_packets_sent(),
         }
 
     def _describe_peer(self, session: Session) -> dict[str, Any]:
@@ -266,25 +263,25 @@ class Mesh:
 
     def _session(self, name: str, what: str) -> Session:
         session = self._up.get(name)
-        if session is not None:
-            return session
+        if session is None:
+            raise self._lost(name, what)
+        return session
+
+    def _lost(self, name: str, what: str) -> PancakesError:
+        """Returns why nothing goes to an agent."""
         own = self.identity.name
         if name == own or not name:
-            raise LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
+            return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
         if self._state == "asleep":
-            raise PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
+            return PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
         if name in asleep:
-            raise PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
+            return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
         there = ", ".join(sorted(self._up)) or "nobody"
-        raise PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
+        return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
 
-    def _session_for(self, packet: Packet) -> Session:
-        return self._session(agent_of(packet.destination), f"the packet {packet.type!r} of {packet.source}")
-
-    def _tally(self, packets: int) -> None:
-        with self._tally_lock:
-            self._mission_packets += packets
+    def _packet_lost(self, packet: Packet) -> PancakesError:
+        return self._lost(agent_of(packet.destination), f"the packet {packet.type!r} of {packet.source}")
 
     # In the transport's thread from here on
 
@@ -346,13 +343,14 @@ class Mesh:
         addresses = ((own,) if own else ()) + others
         for _, session in sorted(self._up.items()):
             if self._gossip(session, addresses):
-                self._tally(1)
+                with self._tally_lock:
+                    self._mission_packets += 1
 
     def _accept(self) -> Handler:
         waiting = sum(not session.is_up and not session.address for session in self._sessions.values())
         if self._peers is None or self._state == "stopped" or waiting >= MAX_HANDSHAKES:
-            return _Unwanted()
-        session = Session(self, self._peers.new_link(), "", self._now, self._tally)
+            return Unwanted()
+        session = Session(self, self._peers.new_link(), "", self._now)
         self._sessions[session.number] = session
         return session
 
@@ -377,8 +375,16 @@ class Mesh:
             rivals = self._peers.heard(session.number, now_s)
             if rivals:
                 self._carry_out(rivals)
-        if actions:
-            self._act(session, actions)
+        for action in actions:
+            if action.__class__ is Received and session.number in self._sessions:
+                # As `_act` does it, but past what is made for all actions: this is the way of every packet.
+                session.counters.packets_in += len(action.packets)
+                try:
+                    self._on_packets(session.peer, action.packets, action.size)
+                except Exception as error:  # as in `_call`
+                    self._failed(self._on_packets, error)
+            else:
+                self._act(session, (action,))
         if was_up and session.is_up:
             # Of two agents the one with the lower name takes a link to stand before the other has had its say.
             self._established = True
@@ -422,21 +428,21 @@ class Mesh:
                 reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
                 self._over(session, Over(reason))
                 return
-            self._report_drops(session, now_s)
-        self._act(session, link.tick(now_s))
+            if session.counters.dropped:
+                self._report_drops(session, now_s)
+        # Mostly something has been sent meanwhile, and nothing is to be done yet.
+        if link.due_s() <= now_s:
+            self._act(session, link.tick(now_s))
         self._watch(session)
 
-    def _act(self, session: Session, actions: list[Action]) -> None:
-        """Carries out what a link asks for."""
+    def _act(self, session: Session, actions: Sequence[Action]) -> None:
+        """Carries out what a link asks for, except that it hands on packets: see `session_received`."""
         for action in actions:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             match action:
                 case Send(message):
                     session.send_link(message)
-                case Received(packets):
-                    session.counters.packets_in += len(packets)
-                    self._call(self._on_packets, session.peer, packets)
                 case ReceivedBlob(kind, data):
                     self._call(self._on_blob, session.peer, kind, data)
                 case Met(hello):
@@ -466,7 +472,7 @@ class Mesh:
             return
         name = session.link.peer.name
         hello = next(peer for peer in self._peers.connected() if peer.name == name)
-        session.stood_up(hello, self._counters.setdefault(name, Counters()))
+        session.stood_up(hello, self._counters.of(name, self._up))
         self._set_up({**self._up, name: session})
         # Whoever looks from a terminal comes and goes all the time, which is no news of the fleet.
         level = "debug" if hello.role == "client" else "info"
@@ -488,13 +494,15 @@ class Mesh:
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken)
         if session.is_up:
             session.is_up = False
-            self._set_up({name: other for name, other in self._up.items() if other is not session})
+            with self._tally_lock:
+                self._mission_packets += session.counted
+                self._set_up({name: other for name, other in self._up.items() if other is not session})
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
             client = session.hello is not None and session.hello.role == "client"
             if client:
-                self._counters.pop(session.peer, None)  # clients come under ever new names
+                self._counters.forget(session.peer)  # clients come under ever new names
             level = "warning" if over.broken or why is not None else "debug" if client else "info"
             self._on_log(level, f"the link to {session.peer} has ended: {over.reason}")
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
@@ -525,7 +533,7 @@ class Mesh:
         """Carries out what membership asks for."""
         for decision in decisions:
             if isinstance(decision, Dial):
-                session = Session(self, decision.link, decision.address, self._now, self._tally)
+                session = Session(self, decision.link, decision.address, self._now)
                 self._sessions[session.number] = session
                 self._transport.dial(decision.address, session)
                 continue
@@ -582,6 +590,9 @@ class Mesh:
         try:
             function(*arguments)
         except Exception as error:  # whatever it is, it belongs in the log
-            text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
-            name = getattr(function, "__qualname__", repr(function))
-            self._on_log("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+            self._failed(function, error)
+
+    def _failed(self, function: Callable[..., None], error: Exception) -> None:
+        text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
+        name = getattr(function, "__qualname__", repr(function))
+        self._on_log("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")

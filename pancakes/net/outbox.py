@@ -14,7 +14,7 @@ were sent. When the peer, or the network, does not keep up:
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Final
 
 import msgspec
@@ -29,6 +29,8 @@ MAX_BYTES: Final = 4 * 1024 * 1024
 """Most bytes of a channel that wait for a peer. One packet may always wait."""
 MIGRATION_BYTES: Final = 40 * 1024 * 1024
 """The same of `network`: the pieces of two of the largest snapshots, or of one that is sent again, and some more."""
+MOST_GONE: Final = 1024
+"""So many peers that have gone are still known by what went over the links with them."""
 FIRST: Final = (SYSCTRL, NETWORK)
 """Channels that are served before all others."""
 
@@ -52,6 +54,32 @@ class Counters(msgspec.Struct):
     def drop(self, channel: str, packets: int = 1) -> None:
         """Counts packets that were given up."""
         self.dropped[channel] = self.dropped.get(channel, 0) + packets
+
+
+class CountersOfAll:
+    """The counters of all peers. One that comes back goes on with its own, unless too many have come and gone since."""
+
+    def __init__(self) -> None:
+        self._of: dict[str, Counters] = {}  # in the order in which they came, the last at the end
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._of
+
+    def of(self, name: str, up: Collection[str]) -> Counters:
+        """Returns the counters of a peer.
+
+        Args:
+            name: the peer, which comes now.
+            up: those that are connected; they are not forgotten.
+        """
+        counters = self._of[name] = self._of.pop(name) if name in self._of else Counters()
+        if len(self._of) > MOST_GONE + len(up) + 1:
+            del self._of[next(other for other in self._of if other not in up)]
+        return counters
+
+    def forget(self, name: str) -> None:
+        """A peer has gone for good."""
+        self._of.pop(name, None)
 
 
 class Message(msgspec.Struct):

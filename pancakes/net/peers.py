@@ -259,7 +259,10 @@ class Peers:
         if was_up:
             del self._up[name]
         if goodbye is not None and goodbye.why == "sleep":
+            self._asleep.pop(name, None)
             self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
+            if len(self._asleep) > MAX_LEARNT:  # some of them never wake
+                del self._asleep[next(iter(self._asleep))]
         for address, it in list(self._book.items()):
             if it.name != name or it.link is not None or (candidate.address != address and not was_up):
                 continue

@@ -18,7 +18,7 @@ from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame, split
 from pancakes.wire.link import Link
 from pancakes.wire.messages import Hello
-from pancakes.wire.runs import run_of
+from pancakes.wire.runs import framed_run, run_of
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
@@ -26,21 +26,23 @@ one packet, where that is larger); much smaller, and the system calls would cost
 """
 
 
-class Train(msgspec.Struct):
+class Train(msgspec.Struct, gc=False):
     """Packets that one turn of a task has for a peer, or for several: of one type, channel, source and destination.
 
     Attributes:
         channel: their channel.
         head: what their run begins with.
+        sessions: the peers.
         rows: the encoded packets.
-        counted: how many of them are mission packets.
+        retries: how many of them are no mission packets, because they were sent before.
         run: all of them as one message, made when it is first sent.
     """
 
     channel: str
     head: bytes
+    sessions: tuple[Session, ...]
     rows: list[bytes]
-    counted: int
+    retries: int
     run: bytes = b""
 
     def message(self) -> bytes:
@@ -48,6 +50,20 @@ class Train(msgspec.Struct):
         if not self.run:
             self.run = run_of(self.head, self.rows)
         return self.run
+
+
+class Unwanted:
+    """The handler of a connection for which there is no room."""
+
+    def opened(self, connection: Connection) -> None:
+        """See `Handler`."""
+        connection.close("there is no room for another connection")
+
+    def received(self, data: bytes) -> None:
+        """See `Handler`."""
+
+    def closed(self, reason: str) -> None:
+        """See `Handler`."""
 
 
 class Owner(Protocol):
@@ -71,12 +87,12 @@ class Session:
         number: the link's number in `Peers`.
         address: what was dialled; empty where the connection came in.
         now: the host clock.
-        tally: called with the number of mission packets that were just sent.
+
+    Attributes:
+        counted: how many mission packets were sent.
     """
 
-    def __init__(
-        self, owner: Owner, number: int, address: str, now: Callable[[], float], tally: Callable[[int], None]
-    ) -> None:
+    def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float]) -> None:
         self.number = number
         self.address = address
         self.link: Link | None = None
@@ -86,11 +102,11 @@ class Session:
         self.due_s = float("inf")  # when the link has something to do, or before that
         self.counters = Counters()
         self.congested = False
+        self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
         self._owner = owner
         self._now = now
-        self._tally = tally
         self._connection: Connection | None = None
         self._remote = address
         self._lock = threading.Lock()
@@ -145,22 +161,29 @@ class Session:
     def send_link(self, message: bytes) -> None:
         """Sends a message of the link itself, before all that waits in the outbox."""
         with self._lock:
-            self._write([message])
+            self._write(frame([message]))
 
-    def send(self, trains: Sequence[Train]) -> None:
+    def send(self, trains: Sequence[Train], data: bytes = b"") -> None:
         """Sends what one turn has for this peer, at once. From any thread.
 
         Who finds `congested` set must `offer` instead; what was published before that goes before what waits.
+
+        Args:
+            trains: the packets.
+            data: all of them as a frame, if it is there already.
         """
         with self._lock:
             if self._closed:
                 for train in trains:
                     self.counters.drop(train.channel, len(train.rows))
                 return
-            if len(trains) > 1:
-                trains = sorted(trains, key=_comes_first)
-            messages = [train.message() for train in trains]
-            self._write(messages, sum(len(train.rows) for train in trains), sum(train.counted for train in trains))
+            packets = retries = 0
+            for train in trains:
+                packets += len(train.rows)
+                retries += train.retries
+            if not data:
+                data = frame([train.message() for train in sorted(trains, key=_comes_first)])
+            self._write(data, packets, packets - retries)
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
         """Takes a packet, to be sent when there is room. From any thread.
@@ -178,7 +201,7 @@ class Session:
                     self.counters.drop(channel)
                     raise
             else:
-                self._write([run_of(message.head, [message.data])], 1, message.counts)
+                self._write(framed_run(message.head, [message.data], len(message.data)), 1, message.counts)
 
     def offer_blob(self, kind: str, data: bytes, counts: bool) -> None:
         """Takes a blob and begins to send it. From any thread.
@@ -208,6 +231,9 @@ class Session:
 
     def stuck_s(self, now_s: float) -> float:
         """Returns for how long the peer has taken none of the bytes that wait for it."""
+        if not self._unsent():  # nearly always, and then it needs no lock
+            self._taken = (self._written, now_s)
+            return 0.0
         with self._lock:
             unsent = self._unsent()
             taken = self._written - unsent
@@ -227,23 +253,24 @@ class Session:
             if not messages:
                 self.congested = False
                 return
-            self._write(_in_runs(messages), len(messages), sum(message.counts for message in messages))
+            self._write(frame(_in_runs(messages)), len(messages), sum(message.counts for message in messages))
             if self._unsent():
                 return
 
-    def _write(self, messages: list[bytes], packets: int = 0, counted: int = 0) -> None:
-        if self._connection is None:
+    def _write(self, data: bytes, packets: int = 0, counted: int = 0) -> None:
+        """Writes frames. Under the lock."""
+        connection, link, counters = self._connection, self.link, self.counters
+        if connection is None:
             return
-        data = frame(messages)
-        self._connection.send(data)
-        self._written += len(data)
-        self.counters.packets_out += packets
-        self.counters.bytes_out += len(data)
-        if counted:
-            self._tally(counted)
-        if self.link is not None:
-            self.link.sent(self._now())
-        if self._unsent():
+        unsent = connection.send(data)
+        length = len(data)
+        self._written += length
+        counters.packets_out += packets
+        counters.bytes_out += length
+        self.counted += counted
+        if link is not None:
+            link.sent_s = self._now()
+        if unsent:
             self.congested = True
 
     def _unsent(self) -> int:

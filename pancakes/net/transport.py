@@ -21,8 +21,12 @@ class Connection(ABC):
     """Address of the other end, for messages to people."""
 
     @abstractmethod
-    def send(self, data: bytes) -> None:
-        """Sends `data`, at once where that needs no waiting, else as soon as there is room. Never blocks."""
+    def send(self, data: bytes) -> int:
+        """Sends `data`, at once where that needs no waiting, else as soon as there is room. Never blocks.
+
+        Returns:
+            As `unsent`.
+        """
 
     @abstractmethod
     def unsent(self) -> int:

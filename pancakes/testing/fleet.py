@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 from typing import Any
+
+from msgspec.structs import replace
 
 from pancakes.agent import Agent, Virtual
 from pancakes.config import Config, load
@@ -25,10 +26,10 @@ class _Faulty(Agent):
         self._faults = faults
         super().__init__(config, plugins, virtual)
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet]) -> None:
+    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         came = [packet for packet in packets for _ in range(self._faults.copies(self.name, packet))]
         if came:
-            super()._on_packets(peer, came)
+            super()._on_packets(peer, came, size * len(came))
 
 
 class FleetInTest:

@@ -48,6 +48,17 @@ def frame(messages: Sequence[bytes]) -> bytes:
     return b"".join(parts)
 
 
+def frame_of(payload: bytes) -> bytes:
+    """Returns the frame of a payload, an encoded array of messages.
+
+    Raises:
+        LocalProtocolError: it is too long.
+    """
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise LocalProtocolError(f"a payload of {len(payload)} bytes does not fit a frame ({MAX_PAYLOAD_BYTES})")
+    return _LENGTH.pack(len(payload)) + payload
+
+
 def _one_frame(messages: Sequence[bytes], length: int, parts: list[bytes]) -> None:
     count = len(messages)
     header = bytes((0x90 | count,)) if count < 16 else b"\xdc" + count.to_bytes(2, "big")
@@ -74,6 +85,8 @@ class FrameReader:
             RemoteProtocolError: a length of 0 or above the limit was announced. Nothing was kept for it; the
                 reader is of no more use.
         """
+        if not self._rest and len(data) > 4 and _LENGTH.unpack_from(data)[0] == len(data) - 4 <= MAX_PAYLOAD_BYTES:
+            return [memoryview(data)[4:]]  # one whole frame, as most of an idle link
         if self._missing > len(data):  # a long frame arrives in many pieces: join them once, not each time
             self._chunks.append(data)
             self._missing -= len(data)

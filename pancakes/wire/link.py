@@ -33,7 +33,7 @@ from pancakes.wire.messages import (
     Refuse,
     Welcome,
 )
-from pancakes.wire.runs import Run, foreign_version, messages_from_payload, packets_of
+from pancakes.wire.runs import Run, RunReader, foreign_version, messages_from_payload, packets_of
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
@@ -78,6 +78,10 @@ class State(Enum):
     OVER = "over"
 
 
+_UP: Final = State.UP  # for what is asked of every frame: to look a member up takes Python longer than to compare it
+_OVER: Final = State.OVER
+
+
 class Send(msgspec.Struct, frozen=True):
     """Send this message, before any packet that waits."""
 
@@ -95,9 +99,15 @@ class Up(msgspec.Struct, frozen=True):
 
 
 class Received(msgspec.Struct, frozen=True):
-    """Packets came in, in this order: of one channel, type, source and destination."""
+    """Packets came in, in this order: of one channel, type, source and destination.
+
+    Attributes:
+        packets: the packets.
+        size: how many bytes they took, the head of their run not counted.
+    """
 
     packets: list[Packet]
+    size: int
 
 
 class ReceivedBlob(msgspec.Struct, frozen=True):
@@ -146,6 +156,7 @@ class Link:
         state: where it is.
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
+        sent_s: when something was last sent, which makes a heartbeat needless; set by who sends packets, in any thread.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float) -> None:
@@ -154,14 +165,17 @@ class Link:
         self.rtt_s: float | None = None
         self._own = own
         self._times = times
+        self._gone_s = times.gone_s
+        self._quiet_s = times.heartbeat_s  # so long this side is silent before it sends a ping
         self._opened_s = now_s
         self._heard_s = now_s
-        self._sent_s = now_s
+        self.sent_s = now_s
         self._pinged_s = now_s
         self._pings = 0
         self._excused_s = float("-inf")
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
+        self._runs = RunReader()
         self._assembler = Assembler()
         self._encoder = Encoder()
 
@@ -169,26 +183,21 @@ class Link:
         """Begins: to be called once, when the connection stands."""
         return [self._send(self._own, now_s)]
 
-    def sent(self, now_s: float) -> None:
-        """Notes that packets were sent, which makes a heartbeat needless. May be called from any thread."""
-        self._sent_s = now_s
-
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do, if nothing comes in before."""
         if self.state is State.OVER:
             return float("inf")
-        beat_s = min(self._sent_s + self._quiet_s(), self._pinged_s + self._times.measure_s)
-        return min(self._end_s(), beat_s)
+        return min(self.sent_s + self._quiet_s, self._pinged_s + self._times.measure_s, self._end_s())
 
-    def _quiet_s(self) -> float:
-        """Returns how long this side is silent before it sends a ping.
+    def _set_quiet(self) -> None:
+        """Decides how long this side is silent before it sends a ping.
 
         Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
         as many heartbeats.
         """
         # Who waits for the other's pings measures nothing: first the round trip is to be known.
         patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
-        return self._times.heartbeat_s * (PATIENCE if patient else 1.0)
+        self._quiet_s = self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 
     def tick(self, now_s: float) -> list[Action]:
         """Does what the time asks for: a heartbeat, or the end of a silent link."""
@@ -200,7 +209,7 @@ class Link:
                 return self._over(self._silence())
             # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
             self._excused_s = now_s
-        quiet = now_s >= self._sent_s + self._quiet_s()
+        quiet = now_s >= self.sent_s + self._quiet_s
         if quiet or now_s >= self._pinged_s + self._times.measure_s:
             self._pings += 1
             self._pinged_s = now_s
@@ -212,14 +221,17 @@ class Link:
 
     def receive(self, data: bytes, now_s: float) -> list[Action]:
         """Takes bytes that came in. Where they break the protocol, the last action is `Over`."""
-        if self.state is State.OVER:
+        if self.state is _OVER:
             return []
         self._heard_s = now_s  # any byte counts as life
         actions: list[Action] = []
         try:
             for payload in self._reader.feed(data):
+                if self.state is _UP and (read := self._runs.read(payload)) is not None:
+                    actions.append(Received(*read))
+                    continue
                 self._payload(payload, now_s, actions)
-                if self.state is State.OVER:
+                if self.state is _OVER:
                     break
         except RemoteProtocolError as error:
             actions.append(self._send(Refuse("protocol", str(error)[:1000]), now_s))
@@ -254,14 +266,13 @@ class Link:
 
     def _end_s(self) -> float:
         """Returns when the link ends if nothing comes in."""
-        times = self._times
+        end_s = self._heard_s + self._gone_s
         if self.state is State.GREETING:
-            end_s = self._opened_s + times.hello_s
+            end_s = self._opened_s + self._times.hello_s
         elif self.state is State.MET:
-            end_s = min(self._heard_s + times.gone_s, self._no_welcome_s())
-        else:
-            end_s = self._heard_s + times.gone_s
-        return max(end_s, self._excused_s + times.heartbeat_s)
+            end_s = min(end_s, self._no_welcome_s())
+        excused_s = self._excused_s + self._times.heartbeat_s
+        return end_s if end_s > excused_s else excused_s
 
     def _no_welcome_s(self) -> float:
         # The lower name may have to find out first that an older link has died.
@@ -277,7 +288,7 @@ class Link:
         return f"nothing was heard from {self._who()} for {times.gone_s:g} s"
 
     def _send(self, message: LinkMessage, now_s: float) -> Send:
-        self._sent_s = now_s
+        self.sent_s = now_s
         return Send(self._encoder.link_message(message))
 
     def _over(
@@ -304,7 +315,9 @@ class Link:
             if isinstance(message, Run):
                 if self.state is not State.UP:
                     raise RemoteProtocolError("a packet came before the link was up")
-                actions.append(Received(packets_of(message)))
+                actions.append(Received(packets_of(message), memoryview(message.rows).nbytes))
+                if len(messages) == 1:
+                    self._runs.remember(payload, message)
                 continue
             actions.extend(self._message(message, now_s))
             if self.state is State.OVER:
@@ -322,6 +335,7 @@ class Link:
         if hello.version != own.version:
             return self._other_version(hello.version, now_s)
         self.peer = hello
+        self._set_quiet()
         if hello.fleet != own.fleet:
             reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
             return self.refuse("fleet", reason, now_s)
@@ -363,4 +377,8 @@ class Link:
         if pinged_s is None:
             return  # an old one: too late to say anything about the link of today
         measured_s = now_s - pinged_s
-        self.rtt_s = measured_s if self.rtt_s is None else self.rtt_s + _RTT_WEIGHT * (measured_s - self.rtt_s)
+        if self.rtt_s is None:
+            self.rtt_s = measured_s
+            self._set_quiet()
+        else:
+            self.rtt_s += _RTT_WEIGHT * (measured_s - self.rtt_s)

@@ -10,7 +10,8 @@ All limits are checked before memory is taken: msgspec refuses a length that is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final
 
 import msgspec
@@ -18,7 +19,7 @@ from msgspec import inspect
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.packet import Fence, Packet, body_class
-from pancakes.wire.bodies import encodable, received_body, unpacked
+from pancakes.wire.bodies import encodable, encodable_of, received_body, unpacked
 from pancakes.wire.codec import Seq, Stamp, Text, Word, unsendable
 from pancakes.wire.framing import MAX_MESSAGE_BYTES
 from pancakes.wire.messages import HELLO_NUMBER, LinkMessage
@@ -29,6 +30,8 @@ _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the long
 
 _ENCODE: Final = msgspec.msgpack.Encoder().encode
 _HEAD_LENGTH: Final = 6
+_FRAME_OF_ONE: Final = struct.Struct(">IB")  # a frame's length, and the head of its array of one message
+_ARRAYS: Final = tuple(bytes((0x90 | count,)) for count in range(16))  # the heads of short arrays
 
 
 class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
@@ -55,6 +58,7 @@ _Row = tuple[Stamp, Seq, _Cause, Any, Fence | None]
 _Rows = msgspec.msgpack.Decoder[list[_Row]]
 
 _DECODERS: Final[dict[type, _Rows | None]] = {}
+_NO_ROWS: Final = msgspec.Raw()
 
 
 # Sending ---------------------------------------------------------------------------------------------------------
@@ -75,26 +79,59 @@ def head_of(packet: Packet) -> bytes:
         raise unsendable(packet, error) from None
 
 
-def row_of(packet: Packet, head: bytes) -> bytes:
-    """Returns a packet as a row of a run that begins with `head`.
+class RowEncoder:
+    """Encodes packets of one channel, type, source and destination as rows of the runs that begin with `head`.
 
-    Raises:
-        LocalProtocolError: it holds what cannot travel, or is larger than a frame. The sentence names the packet.
+    What they nearly always have in common besides, the class of their bodies and their fence, is looked at once.
+    Measured with a dataclass of two fields: 0.47 µs a packet, where looking at each took 0.67. Any thread.
     """
-    try:
-        row = _ENCODE((packet.stamp, packet.seq, packet.cause, encodable(packet.body), packet.fence))
-        if len(head) + len(row) > _ROOM:
-            raise LocalProtocolError(f"it takes {len(head) + len(row)} bytes, and a frame holds {_ROOM}")
-    except (WireError, OverflowError, UnicodeError, TypeError, ValueError) as error:
-        raise unsendable(packet, error) from None
-    return row
+
+    __slots__ = ("_known", "_most")
+
+    def __init__(self, head: bytes) -> None:
+        self._most = _ROOM - len(head)
+        # Replaced as a whole, because several threads may publish for one source.
+        self._known: tuple[type, Callable[[Any], Any], Fence | None, msgspec.Raw | None]
+        self._known = (type(None), encodable, None, None)
+
+    def encode(self, packet: Packet) -> bytes:
+        """Returns a packet as a row.
+
+        Raises:
+            LocalProtocolError: it holds what cannot travel, or is larger than a frame. The sentence names the packet.
+        """
+        body = packet.body
+        try:
+            cls, encodable_of_class, fence, raw_fence = self._known
+            if body.__class__ is not cls or packet.fence is not fence:
+                _, encodable_of_class, _, raw_fence = self._learn(packet)
+            row = _ENCODE((packet.stamp, packet.seq, packet.cause, encodable_of_class(body), raw_fence))
+            if len(row) > self._most:
+                raise LocalProtocolError(f"it takes {_ROOM - self._most + len(row)} bytes, and a frame holds {_ROOM}")
+        except (WireError, OverflowError, UnicodeError, TypeError, ValueError) as error:
+            raise unsendable(packet, error) from None
+        return row
+
+    def _learn(self, packet: Packet) -> tuple[type, Callable[[Any], Any], Fence | None, msgspec.Raw | None]:
+        cls, fence = type(packet.body), packet.fence
+        raw_fence = msgspec.Raw(_ENCODE(fence)) if fence is not None else None
+        self._known = (cls, encodable_of(cls), fence, raw_fence)
+        return self._known
 
 
 def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
     """Returns a run as one message of a frame; not more than `MAX_ROWS` rows."""
-    count = len(rows)
-    header = bytes((0x90 | count,)) if count < 16 else b"\xdc" + count.to_bytes(2, "big")
-    return b"".join((head, header, *rows))
+    return b"".join((head, _array_of(len(rows)), *rows))
+
+
+def framed_run(head: bytes, rows: Sequence[bytes], size: int) -> bytes:
+    """Returns a run as a frame of its own, without a copy in between; `size`: the bytes of all rows, as many as fit."""
+    array = _array_of(len(rows))
+    return b"".join((_FRAME_OF_ONE.pack(1 + len(head) + len(array) + size, 0x91), head, array, *rows))
+
+
+def _array_of(count: int) -> bytes:
+    return _ARRAYS[count] if count < 16 else b"\xdc" + count.to_bytes(2, "big")
 
 
 # Receiving -------------------------------------------------------------------------------------------------------
@@ -127,20 +164,56 @@ def foreign_version(payload: bytes | memoryview, own: int) -> object:
     return None if version == own else version if isinstance(version, int) else "unknown"
 
 
+class RunReader:
+    """Reads the frames of one link that hold one run each, with the same head as the one before.
+
+    Nearly all frames of a busy link do, and those of a dialogue. Only their rows are decoded: a packet that comes alone
+    takes 1.3 µs, where the frame, the head and the rows one after the other take 2.0.
+    """
+
+    __slots__ = ("_head", "_start")
+
+    def __init__(self) -> None:
+        self._start = b""
+        self._head: Run | None = None
+
+    def read(self, payload: memoryview) -> tuple[list[Packet], int] | None:
+        """Returns the packets of such a frame, and their bytes; None of any other.
+
+        Raises:
+            RemoteProtocolError: as `packets_of`.
+        """
+        start, head = self._start, self._head
+        if head is None or payload[: len(start)] != start:
+            return None
+        rows = payload[len(start) :]
+        return _packets(head, rows), len(rows)
+
+    def remember(self, payload: memoryview, run: Run) -> None:
+        """Notes the head of the only run of a payload that was not such a frame."""
+        self._start = bytes(payload[: len(payload) - memoryview(run.rows).nbytes])
+        # Without its rows, which would keep the memory of all that was read with them.
+        self._head = Run(run.channel, run.kind, run.source, run.destination, _NO_ROWS)
+
+
 def packets_of(run: Run) -> list[Packet]:
     """Returns the packets of a run; their bodies become the registered class.
 
     Raises:
         RemoteProtocolError: they are malformed, or a body does not fit its type.
     """
-    channel, kind, source, destination = run.channel, run.kind, run.source, run.destination
+    return _packets(run, run.rows)
+
+
+def _packets(head: Run, encoded: memoryview | msgspec.Raw) -> list[Packet]:
+    channel, kind, source, destination = head.channel, head.kind, head.source, head.destination
     cls = body_class(kind)
     decoder = _DECODERS[cls] if cls in _DECODERS else _decoder(cls)
     if decoder is None:
-        rows = _checked_rows(run)
+        rows = _checked_rows(head, encoded)
     else:
         try:
-            rows = decoder.decode(run.rows)
+            rows = decoder.decode(encoded)
         except msgspec.DecodeError as error:
             raise RemoteProtocolError(f"a packet of the type {kind!r} from {source} is malformed: {error}") from None
         except Exception as error:  # a registered class may run code of its own in __post_init__
@@ -153,16 +226,17 @@ def packets_of(run: Run) -> list[Packet]:
     ]
 
 
-def _checked_rows(run: Run) -> list[_Row]:
+def _checked_rows(head: Run, encoded: memoryview | msgspec.Raw) -> list[_Row]:
     """Decodes rows whose bodies may hold anything: with a look at each part of them."""
     try:
-        rows = msgspec.convert(unpacked(run.rows), Annotated[list[_Row], msgspec.Meta(min_length=1)])
+        rows = msgspec.convert(unpacked(encoded), Annotated[list[_Row], msgspec.Meta(min_length=1)])
     except msgspec.ValidationError as error:
         raise RemoteProtocolError(
-            f"a packet of the type {run.kind!r} from {run.source} is malformed: {error}"
+            f"a packet of the type {head.kind!r} from {head.source} is malformed: {error}"
         ) from None
     return [
-        (stamp, seq, cause, received_body(run.kind, body, run.source), fence) for stamp, seq, cause, body, fence in rows
+        (stamp, seq, cause, received_body(head.kind, body, head.source), fence)
+        for stamp, seq, cause, body, fence in rows
     ]
 
 

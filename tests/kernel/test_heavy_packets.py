@@ -77,7 +77,7 @@ def test_one_packet_may_always_wait_however_large(types: tuple[str, ...]):
     stream, waiting = stream_with(reliable(256), *types)
     stream.publish(blob(1, MOST_BYTES + 1))
     with pytest.raises(MailboxFull, match=r"1 \(\d+ bytes\) wait already"):
-        stream.publish(blob(2, 2000))
+        stream.publish(blob(2, 3000))
     assert drained(waiting) == [1]
     stream.publish(blob(3, MOST_BYTES + 1))
     assert drained(waiting) == [3]
@@ -112,10 +112,10 @@ def test_from_another_agent_who_has_room_gets_it_and_the_loss_of_who_has_none_is
     stream, full = stream_with(reliable(1))
     other = opened()
     stream.subscribe("a/client/Other", other, Subscription("system", "heavy.blob", queue(9)))
-    stream.inject(blob(1, 2000))
+    stream.inject(blob(1, 3000))
     for number in (2, 3):
         with pytest.raises(MailboxFull):
-            stream.inject(blob(number, 2000 * (number % 2)))
+            stream.inject(blob(number, 3000 * (number % 2)))
     assert drained(other.queues["system"]) == [1, 2, 3]
     assert drained(full) == [1]
     assert full.dropped() == 2
@@ -233,4 +233,14 @@ def test_a_heavy_packet_that_is_put_back_is_heavy_again(others):
     waiting.push_back(packet)
     assert waiting.heavy_bytes == 5000
     assert waiting.pop() is packet
+    assert waiting.heavy_bytes == 0
+
+
+def test_heavy_packets_that_have_fallen_out_of_a_shared_queue_do_not_stay_in_memory():
+    stream, waiting = stream_with(queue(64), "heavy.blob", "pose")
+    for number in range(300):
+        stream.publish(blob(number, MOST_BYTES // 30))
+        weights = [len(packet.body.data) for packet in waiting.items]
+        assert sum(weights) <= MOST_BYTES + module.SPARE_BYTES + 2 * weights[-1]
+    assert drained(waiting) == list(range(270, 300))
     assert waiting.heavy_bytes == 0

@@ -166,6 +166,18 @@ def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
         stream.tap("map", heard.append)
 
 
+def test_a_tap_hears_the_types_that_it_wants_and_no_others():
+    stream = InformationStream("a")
+    heard = []
+    tap = heard.append
+    stream.tap("system", tap, ("pose", "twist"))
+    for seq, kind in enumerate(("pose", "load", "twist", "pose")):
+        stream.publish(Packet("system", kind, "a/client/T", "", 0.0, seq, None))
+    stream.untap("system", tap)
+    stream.publish(Packet("system", "pose", "a/client/T", "", 0.0, 9, None))
+    assert [tapped.seq for tapped in heard] == [0, 2, 3]
+
+
 def test_an_untapped_tap_hears_nothing_more():
     stream = InformationStream("a")
     heard = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import pytest
 
 from pancakes.errors import MailboxFull, UnknownChannel
@@ -109,3 +111,38 @@ def test_what_is_for_no_channel_is_told_one_by_one():
     run = [Packet("nowhere", "pose", "b/client/S", "", 0.0, seq, None) for seq in (1, 2)]
     stream.inject_all(run, lambda packet, error: refused.append((packet.seq, type(error))))
     assert refused == [(1, UnknownChannel), (2, UnknownChannel)]
+
+
+@dataclass(frozen=True)
+class Text:
+    text: str = ""
+    number: int = 0
+
+
+LONG = Text("x" * (LIGHT_BYTES + 100))
+
+
+@dataclass(frozen=True)
+class Numbers:
+    numbers: list[int] = field(default_factory=list)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "size", "heavy"),
+    [
+        ([LONG, Text("x" * 40)], 2 * LIGHT_BYTES, 0),  # light in the mean, and so nobody looks at each
+        ([LONG, Text("x" * 40)], None, len(LONG.text)),
+        ([LONG, Text("x" * 40)], 2 * LIGHT_BYTES + 1, len(LONG.text)),
+        ([Numbers([0] * LIGHT_BYTES), Numbers([])], LIGHT_BYTES + 20, 32 * LIGHT_BYTES),  # a byte each on the wire
+        ([Text("x" * LIGHT_BYTES), Text("x" * LIGHT_BYTES)], 2 * LIGHT_BYTES + 60, 0),
+    ],
+)
+def test_their_bytes_on_the_wire_may_say_that_they_are_light(bodies, size, heavy):
+    stream = InformationStream("a")
+    reader = Reader(stream, "a/client/T", pose=queue(9))
+    stream.inject_all(packets(1, body=bodies[0]), nobody, size)
+    assert reader.got() == [1] and reader.queue.heavy_bytes == 0
+    run = [Packet("system", "pose", "b/client/S", "*", 0.0, seq, body) for seq, body in enumerate(bodies)]
+    stream.inject_all(run, nobody, size)
+    assert reader.queue.heavy_bytes == heavy
+    assert reader.got() == [0, 1]

@@ -5,7 +5,8 @@ import threading
 
 import pytest
 
-from pancakes.clock import MissionClock, MonotonicClock
+from pancakes.clock import MissionClock, MonotonicClock, VirtualClock
+from pancakes.kernel.schedule import Due
 from pancakes.kernel.timer import Timer, VirtualTimer
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.testing import no_thread_left
@@ -17,10 +18,13 @@ class Ticker:
     def __init__(self):
         self.deadlines = []
         self.missed = 0
+        self.missed_before = 0
         self.news = threading.Condition()
 
     def fire(self, deadline_s, missed):
         with self.news:
+            if not self.deadlines:
+                self.missed_before = missed
             self.deadlines.append(deadline_s)
             self.missed += missed
             self.news.notify_all()
@@ -134,7 +138,7 @@ def test_on_a_thread_it_ticks_in_order_changes_rates_and_ends():
         assert ticker.deadlines == sorted(dict.fromkeys(ticker.deadlines))
     # However late the machine made it, each deadline came or was counted as missed.
     steps = [round(deadline / 0.05) for deadline in slow.deadlines]
-    assert steps[-1] - steps[0] + 1 == len(steps) + slow.missed
+    assert steps[-1] - steps[0] + 1 == len(steps) + slow.missed - slow.missed_before
 
 
 def test_on_a_thread_a_held_mission_begins_when_it_is_woken():
@@ -148,4 +152,46 @@ def test_on_a_thread_a_held_mission_begins_when_it_is_woken():
         mission.begin()
         timer.wake()
         ticker.wait(3)
+        timer.halt()
+
+
+def test_what_one_thread_of_the_timer_has_left_the_next_does_at_once():
+    """Though nothing else is due for a long time."""
+    with no_thread_left():
+        host = MonotonicClock()
+        timer, ticker = Timer("a", MissionClock(host), host), Ticker()
+        timer._due.append(Due(iter([ticker]), 1.0, 0))
+        timer.launch()
+        ticker.wait(1)
+        timer.halt()
+
+
+def test_a_call_that_fails_ends_no_other(caplog):
+    with no_thread_left():
+        host = MonotonicClock()
+        timer = Timer("a", MissionClock(host), host)
+        timer.launch()
+        done = threading.Event()
+        timer.after_host(0.0, lambda: 1 / 0)
+        timer.after_host(0.001, done.set)
+        assert done.wait(10.0), "the timer's thread has ended"
+        timer.halt()
+    assert [record.message for record in caplog.records] == ["a call of the timer failed"], "once, not again and again"
+
+
+def test_a_message_just_before_something_is_due_lets_nobody_wait():
+    """With a `queue.SimpleQueue` as its inbox the timer stood still then, until it was told something else."""
+    with no_thread_left():
+        host = VirtualClock()
+        timer = Timer("a", MissionClock(host), host)
+        timer._host_schedule.at(1e-9, lambda: None)
+        told, served = threading.Semaphore(0), threading.Semaphore(0)
+        timer._serve = lambda guest: served.release()
+        timer.launch()
+        for _ in range(3000):
+            timer._tell(told.release)
+            assert told.acquire(timeout=10.0)
+            while served.acquire(blocking=False):
+                pass
+            assert served.acquire(timeout=10.0), "it waits for ever"
         timer.halt()

@@ -131,7 +131,7 @@ class Ear:
     def __init__(self, rig: TcpRig | MemoryRig) -> None:
         self._rig = rig
         self.connection: Connection | None = None
-        self.data = b""
+        self.data = bytearray()
         self.closed_for: list[str] = []
         self.drains = 0
         self.threads: list[int] = []
@@ -220,7 +220,7 @@ class Agent:
             peers,
             random.Random(name),
             rig.clock,
-            on_packets=lambda peer, packets: self._note_all(packets),
+            on_packets=lambda peer, packets, size: self._note_all(packets),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
             on_blob=lambda *blob: self._note(self.blobs, blob),

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
+from pancakes.wire.framing import frame
 from pancakes.wire.link import LinkTimes
+from pancakes.wire.runs import RowEncoder, head_of, run_of
+
+NEWS = Packet("chat", "words", "a/client/test", "b", 0.0, 1, "news")
 
 
 def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
@@ -13,6 +18,25 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
     c = memory_rig.agent("c", [a.mesh.listen], times=LinkTimes(heartbeat_s=0.5))
     memory_rig.timeline.run_until(120.0)
     assert all(len(each.mesh.connected()) == 2 and each.downs == [] for each in (a, b, c))
+
+
+def test_who_sends_packets_sends_no_heartbeats(memory_rig):
+    times = LinkTimes(measure_s=1000.0)
+    a = memory_rig.agent("a", times=times)
+    b = memory_rig.agent("b", [a.mesh.listen], times=times)
+    memory_rig.timeline.run_until(10.0)
+
+    def bytes_from(time_s):
+        before = a.mesh.describe()["peers"][0]["bytes_out"]
+        for quarter in range(1, 5):
+            a.say("b", "news")
+            b.say("a", "news")
+            memory_rig.timeline.run_until(time_s + quarter / 4)
+        return a.mesh.describe()["peers"][0]["bytes_out"] - before
+
+    head = head_of(NEWS)
+    one = len(frame([run_of(head, [RowEncoder(head).encode(NEWS)])]))
+    assert [bytes_from(10.0 + second) for second in range(5)] == [4 * one] * 5
 
 
 def test_the_configuration_says_how_long_a_peer_may_be_silent():

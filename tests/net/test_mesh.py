@@ -17,7 +17,7 @@ from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import VERSION, Hello, Welcome
-from pancakes.wire.runs import head_of, row_of, run_of
+from pancakes.wire.runs import RowEncoder, head_of, run_of
 
 
 def pair(rig, agent, **more):
@@ -33,7 +33,7 @@ def bodies(who):
 
 def message_of(packet):
     head = head_of(packet)
-    return run_of(head, [row_of(packet, head)])
+    return run_of(head, [RowEncoder(head).encode(packet)])
 
 
 def raw_hello(name="intruder", **more):
@@ -412,6 +412,9 @@ def test_only_mission_packets_are_counted(memory_rig):
     assert a.mesh.mission_packets_sent() == 5, "a beacon to each"
     a.mesh.send_blob("b", "snapshot", bytes(140_000))
     assert a.mesh.mission_packets_sent() == 8, "three pieces"
+    c.mesh.stop()
+    memory_rig.until(lambda: not a.knows("c"))
+    assert a.mesh.mission_packets_sent() == 8, "also over links that have ended"
 
 
 def test_a_beacon_brings_back_what_was_forgotten(memory_rig):
@@ -541,7 +544,7 @@ def test_a_peer_that_takes_nothing_is_closed(tcp_rig):
 
 def test_a_fault_in_a_callback_costs_no_link(rig, agent):
     a, b = pair(rig, agent)
-    b.mesh._on_packets = lambda peer, packets: 1 // 0
+    b.mesh._on_packets = lambda peer, packets, size: 1 // 0
     a.say("b", "one")
     rig.until(lambda: "ZeroDivisionError" in b.log("error"))
     assert b.knows("a") and b.downs == []

@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from pancakes.errors import MailboxFull
 from pancakes.migration.pieces import PIECE_BYTES
 from pancakes.migration.snapshot import LIMIT_BYTES
-from pancakes.net.outbox import MAX_BYTES, MAX_PACKETS, Counters, Message, Outbox, PeerBusy
+from pancakes.net.outbox import (
+    MAX_BYTES,
+    MAX_PACKETS,
+    MOST_GONE,
+    Counters,
+    CountersOfAll,
+    Message,
+    Outbox,
+    PeerBusy,
+)
 
 
 def make():
@@ -178,3 +187,23 @@ def test_whatever_waits_leaves_in_the_order_of_its_source(data):
         assert numbers == sorted(set(numbers))
     assert {(source, kind): seq for source, kind, seq in taken} == newest
     assert len(taken) + counters.dropped.get("system", 0) == len(puts)
+
+
+def test_a_peer_that_comes_back_goes_on_with_its_counters_unless_too_many_have_come_since():
+    counters = CountersOfAll()
+    stays, goes = counters.of("stays", ["stays"]), counters.of("goes", ["stays"])
+    assert counters.of("goes", ["stays"]) is goes
+    for number in range(MOST_GONE + 1):
+        counters.of(f"guest{number}", ["stays"])
+    assert counters.of("goes", ["stays"]) is not goes
+    assert counters.of("stays", ["stays"]) is stays, "it never was away"
+
+
+def test_so_many_peers_that_have_gone_are_counted_and_no_more():
+    counters = CountersOfAll()
+    for number in range(3 * MOST_GONE):
+        counters.of(f"guest{number}", []).packets_out = 1
+    known = [number for number in range(3 * MOST_GONE) if f"guest{number}" in counters]
+    assert known == list(range(2 * MOST_GONE - 1, 3 * MOST_GONE))
+    counters.forget(f"guest{known[-1]}")
+    assert f"guest{known[-1]}" not in counters

@@ -252,6 +252,15 @@ def test_a_sleeper_is_left_alone_until_it_should_be_back():
     assert it.asleep(20.0) == {}, "it came back early"
 
 
+def test_of_those_that_sleep_for_ever_so_many_are_remembered():
+    it = peers()
+    for number in range(MAX_LEARNT + 5):
+        it.over(connect(it, f"z{number}"), 1.0, goodbye=Goodbye("sleep"))
+    asleep = it.asleep(2.0)
+    assert len(asleep) == MAX_LEARNT
+    assert "z4" not in asleep and "z5" in asleep
+
+
 def test_who_has_been_met_is_not_dialled_again_before_it_says_whether_it_sleeps():
     it = peers("tcp://a:1")
     (dial,) = it.tick(0.0)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import threading
+import weakref
 from typing import Any
 
 import pytest
@@ -10,11 +13,11 @@ from hypothesis import strategies as st
 
 from pancakes.errors import LocalProtocolError, PeerLost
 from pancakes.net.outbox import PeerBusy
-from pancakes.net.sending import Sending
+from pancakes.net.sending import MOST_WAYS, Sending
 from pancakes.net.session import BATCH_BYTES
 from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.wire.framing import frame
-from pancakes.wire.runs import messages_from_payload, packets_of
+from pancakes.wire.runs import messages_from_payload, packets_of, run_of
 
 
 class Peer:
@@ -25,15 +28,26 @@ class Peer:
         self.sent: list[list[Any]] = []
         self.offered: list[Any] = []
         self.full = False
+        self.retries = 0
 
-    def send(self, trains):
-        messages = messages_from_payload(frame([train.message() for train in trains])[4:])
+    def send(self, trains, data=b""):
+        whole = frame([train.message() for train in trains])
+        assert data in (b"", whole)
+        messages = messages_from_payload(whole[4:])
         self.sent.append([packet for run in messages for packet in packets_of(run)])
+        self.retries += sum(train.retries for train in trains)
 
     def offer(self, channel, key, message):
         if self.full:
             raise PeerBusy("it is slow")
         self.offered.append(message)
+        self.retries += not message.counts
+
+    @property
+    def taken(self):
+        """What it was offered."""
+        frames = [frame([run_of(it.head, [it.data])]) for it in self.offered]
+        return [packet for it in frames for run in messages_from_payload(it[4:]) for packet in packets_of(run)]
 
     def got(self):
         return [packet for batch in self.sent for packet in batch]
@@ -70,10 +84,10 @@ def sending(turn, peers):
 
 
 def made(turn, peers):
-    def find(packet):
-        raise PeerLost(f"{packet.destination} is away")
+    def lost(packet):
+        return PeerLost(f"{packet.destination} is away")
 
-    sending = Sending(find, turn.defer if turn is not None else lambda function: function())
+    sending = Sending(lost, turn.defer if turn is not None else lambda function: function())
     sending.change(peers, tuple(peers.values()))
     return sending
 
@@ -154,3 +168,98 @@ def test_other_links_are_other_ways(sending, turn, peers):
     with pytest.raises(PeerLost):
         sending.send(packet(3))
     assert sending.send(packet(4, NEIGHBOURS)) == 0
+
+
+def test_a_way_takes_what_follows_until_other_links_are_up(sending, turn, peers):
+    sending.send(packet(1))
+    way = sending.way_of(packet(1))
+    assert way(packet(2)) == 1
+    turn.end()
+    assert [it.seq for it in peers["b"].got()] == [1, 2] and len(peers["b"].sent) == 1
+    sending.change(peers, tuple(peers.values()))
+    assert way(packet(3)) is None and sending.way_of(packet(3)) is None
+    turn.end()
+    assert len(peers["b"].got()) == 2
+
+
+def test_a_way_that_has_ended_keeps_no_session(sending, turn, peers):
+    """Whoever published once may know his way for ever; a session that has ended has megabytes that waited."""
+    sending.send(packet(1))
+    sending.send(packet(2, NEIGHBOURS))
+    turn.end()
+    known = [sending.way_of(packet(1)), sending.way_of(packet(2, NEIGHBOURS))]
+    gone = weakref.ref(peers["b"])
+    sending.change({}, ())
+    peers.clear()
+    gc.collect()
+    assert gone() is None and all(way(packet(3)) is None for way in known)
+
+
+def test_ways_are_forgotten_where_there_are_too_many(sending, turn, peers):
+    sending.send(packet(0))
+    way = sending.way_of(packet(0))
+    for number in range(MOST_WAYS):
+        sending.send(packet(number, f"c/{number}"))
+    assert way(packet(1)) is None, "it is told of other links no more"
+    sending.send(packet(1))
+    turn.end()
+    assert [it.seq for it in peers["b"].got()] == [0, 1]
+
+
+def test_no_way_is_made_of_links_that_are_being_replaced():
+    """A thread that publishes finds the old link just before another thread takes it away."""
+    peers, older, newer, turn = {}, Peer(), Peer(), Turn()
+    sending = made(turn, peers)
+
+    class Links(dict):
+        """Lets the other thread begin while somebody looks for his way, and no sooner."""
+
+        def get(self, name):
+            other.start()
+            return older
+
+    other = threading.Thread(target=lambda: sending.change({"b": newer}, (newer,)))
+    sending.change(Links(), ())
+    sending.send(packet(1))
+    other.join()
+    way = sending.way_of(packet(2))
+    assert way is None
+    sending.send(packet(2))
+    turn.end()
+    assert [it.seq for it in older.got()] == [1] and [it.seq for it in newer.got()] == [2]
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["b/x", "b/y", "c/x", NEIGHBOURS]),
+            st.integers(0, BATCH_BYTES // 2),
+            st.booleans(),
+            st.sampled_from(["", "", "", "turn ends", "other links", "b slow", "b quick"]),
+        ),
+        max_size=30,
+    )
+)
+def test_in_whatever_way_a_packet_is_sent_it_arrives_once_and_in_order(its):
+    """By its known way where there is one, as tasks do; the frames are those that were announced (see `Peer`)."""
+    turn, peers = Turn(), {"b": Peer(), "c": Peer()}
+    sending = made(turn, peers)
+    ways = {}
+    for seq, (to, size, retry, happens) in enumerate(its):
+        it = packet(seq, to, body=bytes(size))
+        way = ways.get(to)
+        if retry or way is None or way(it) is None:
+            sending.send(it, retry)
+            ways[to] = sending.way_of(it)
+        if happens == "turn ends":
+            turn.end()
+        elif happens == "other links":
+            sending.change(dict(peers), tuple(peers.values()))
+        elif happens.startswith("b "):
+            peers["b"].congested = happens == "b slow"
+    turn.end()
+    for name, peer in peers.items():
+        wanted = [seq for seq, (to, _, _, _) in enumerate(its) if to == NEIGHBOURS or to.startswith(name)]
+        sent, offered = [it.seq for it in peer.got()], [it.seq for it in peer.taken]
+        assert sorted(sent + offered) == wanted and sent == sorted(sent) and offered == sorted(offered)
+        assert peer.retries == sum(it[2] for seq, it in enumerate(its) if seq in wanted)

@@ -123,7 +123,7 @@ def test_senders_in_many_threads_do_not_mix_their_bytes(tcp_rig):
     tcp_rig.until(lambda: len(there.data) == 3 * 300 * 5005)
     seen = {b"a": 0, b"b": 0, b"c": 0}
     for start in range(0, len(there.data), 5005):
-        letter = there.data[start : start + 1]
+        letter = bytes(there.data[start : start + 1])
         assert there.data[start + 1 : start + 5] == seen[letter].to_bytes(4, "big")
         assert there.data[start + 5 : start + 5005] == letter * 5000
         seen[letter] += 1

@@ -158,8 +158,8 @@ def test_a_connection_says_when_it_has_room_again(tcp_rig):
     a, b = tcp_rig.transport("a"), tcp_rig.transport("b")
     a.dial(b.listen(tcp_rig.listen_at, lambda: there), here)
     tcp_rig.until(lambda: here.connection and there.connection)
-    while here.connection.unsent() == 0:
-        here.connection.send(bytes(1_000_000))
+    while here.connection.send(bytes(1_000_000)) == 0:
+        assert here.connection.unsent() == 0
     assert here.drains == 0
     gate.set()
     tcp_rig.until(lambda: here.drains)

@@ -14,6 +14,7 @@ from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
 from torture.report import json_option, spread, write
 from torture.schedules import run_schedule, run_schedules
+from torture.standstill_command import standstill
 
 from pancakes.plugins import Plugins, UnknownPlugin
 
@@ -133,7 +134,7 @@ COUNTED = (
 """What is counted in fault schedules: how it is called, and its key in `Outcome.counts`."""
 
 
-for live in (kills, cuts, gap, load):
+for live in (kills, cuts, gap, load, standstill):
     torture.add_command(live)
 
 

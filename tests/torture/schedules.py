@@ -454,7 +454,10 @@ def run_schedules(seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
 
 
 def _one_by_one(
-    inject: Callable[[Packet], None], packets: Sequence[Packet], refused: Callable[[Packet, PancakesError], None]
+    inject: Callable[[Packet], None],
+    packets: Sequence[Packet],
+    refused: Callable[[Packet, PancakesError], None],
+    size: int | None = None,
 ) -> None:
     """What `InformationStream.inject_all` does, with an `inject` of our own."""
     for packet in packets:

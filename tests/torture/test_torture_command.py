@@ -7,14 +7,15 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from torture import __main__ as command
-from torture import live_commands
+from torture import live_commands, standstill_command
 from torture.gap import Gaps
 from torture.missions import Job, Outcome, fly
 from torture.points import Point
@@ -107,3 +108,17 @@ def test_a_mission_that_breaks_down_fails(tmp_path: Path) -> None:
 def test_an_unknown_demo_is_named() -> None:
     result = CliRunner().invoke(command.torture, ["missions", "--demo", "encirclment"])
     assert result.exit_code == 2 and "did you mean 'encirclement'?" in result.output
+
+
+def round_with(gaps: dict[str, int]) -> Callable[[int, str], dict[str, Any]]:
+    """Returns what a round of `standstill` found, however short it was."""
+    return lambda seed, dumps: {"seed": seed, "gaps": gaps, "looks": 700, "late": 1}
+
+
+@pytest.mark.parametrize(("gaps", "code"), [({}, 0), ({"pool": 1, "thin": 2}, 1)])
+def test_a_standstill_gives_exit_code_1(monkeypatch: pytest.MonkeyPatch, gaps: dict[str, int], code: int) -> None:
+    monkeypatch.setattr(standstill_command, "run_round", round_with(gaps))
+    monkeypatch.setattr(standstill_command, "time", SimpleNamespace(monotonic=iter(range(100)).__next__))
+    result = CliRunner().invoke(command.torture, ["standstill", "--seconds", "3"])
+    assert result.exit_code == code
+    assert "2 rounds, " + ("6" if code else "0") + " gaps above 0.15 s" in result.output

@@ -21,7 +21,7 @@ from pancakes.wire.bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.wire.messages import HELLO_NUMBER, Hello, Identity, Peers, Piece, Ping
-from pancakes.wire.runs import head_of, messages_from_payload, packets_of, row_of, run_of
+from pancakes.wire.runs import RowEncoder, head_of, messages_from_payload, packets_of, run_of
 
 
 class Colour(enum.Enum):
@@ -50,7 +50,7 @@ def there_and_back(it):
     """Over a link; by itself, as a letter or a recording has it, it must become the same."""
     (row,) = rows_from_payload(frame([Encoder().packet(it)])[4:])
     head = head_of(it)
-    (run,) = messages_from_payload(frame([run_of(head, [row_of(it, head)])])[4:])
+    (run,) = messages_from_payload(frame([run_of(head, [RowEncoder(head).encode(it)])])[4:])
     (came,) = packets_of(run)
     assert repr(came) == repr(packet_from_row(row))
     return came

@@ -10,7 +10,7 @@ from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame, split
 from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, ReceivedBlob, Send, State, Up
 from pancakes.wire.messages import VERSION, Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
-from pancakes.wire.runs import head_of, row_of, run_of
+from pancakes.wire.runs import RowEncoder, head_of, run_of
 
 
 def hello(name, **more):
@@ -27,7 +27,12 @@ def hello(name, **more):
 
 def run(*packets):
     head = head_of(packets[0])
-    return run_of(head, [row_of(packet, head) for packet in packets])
+    return run_of(head, [RowEncoder(head).encode(packet) for packet in packets])
+
+
+def received(*packets):
+    head = head_of(packets[0])
+    return Received(list(packets), len(run(*packets)) - len(head))
 
 
 def wire(*messages):
@@ -84,24 +89,33 @@ def test_the_higher_name_cannot_welcome():
 
 def test_hello_and_welcome_may_come_in_one_chunk():
     link = opened("b")
-    assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Met(hello("a")), Up(), Received([PACKET])]
+    assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Met(hello("a")), Up(), received(PACKET)]
 
 
 def test_packets_and_messages_keep_their_order():
     link = up()
     actions = link.receive(wire(PACKET, PACKET, Peers(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
     assert actions == [
-        Received([PACKET]),
-        Received([PACKET]),
+        received(PACKET),
+        received(PACKET),
         Learnt(("tcp://c:1",)),
-        Received([PACKET]),
-        Received([PACKET]),
+        received(PACKET),
+        received(PACKET),
     ]
+
+
+def test_frames_of_several_runs_are_read_whole_however_often_they_come():
+    link = up()
+    other = Packet("chat", "words", "b/c/e", "a", 0.0, 1, "hello")
+    for messages in ((PACKET,), (PACKET, PACKET), (other, PACKET)):
+        for _ in range(3):
+            assert link.receive(wire(*messages), 1.0) == [received(it) for it in messages]
+    assert link.receive(wire(PACKET) + wire(PACKET) + wire(other), 1.0) == [received(PACKET)] * 2 + [received(other)]
 
 
 def test_the_packets_of_a_run_come_together():
     others = [Packet("chat", "words", "b/c/d", "a", 0.5, seq, {"n": seq}, ("b/c/d", 1)) for seq in range(2, 20)]
-    assert up().receive(frame([run(PACKET, *others)]), 1.0) == [Received([PACKET, *others])]
+    assert up().receive(frame([run(PACKET, *others)]), 1.0) == [received(PACKET, *others)]
 
 
 def test_blobs_come_whole():
@@ -124,8 +138,8 @@ def test_nothing_but_a_welcome_may_follow_the_hello(early):
 
 
 def test_what_came_before_the_fault_is_delivered_and_the_peer_is_told():
-    received, refuse, over = up().receive(wire(PACKET, hello("b")), 1.0)
-    assert received == Received([PACKET])
+    came, refuse, over = up().receive(wire(PACKET, hello("b")), 1.0)
+    assert came == received(PACKET)
     assert b"protocol" in refuse.message
     assert over.broken and over.reason == "b broke the protocol: a second hello came"
 
@@ -175,7 +189,7 @@ def test_a_heartbeat_is_sent_when_nothing_else_was():
     link = up()
     assert link.due_s() == 0.5 and link.tick(0.49) == []
     assert sent(link.tick(0.5)) == wire(Ping(1))
-    link.sent(0.9)  # a packet went out
+    link.sent_s = 0.9  # a packet went out
     assert link.due_s() == 1.4 and link.tick(1.0) == []
     assert sent(link.tick(1.4)) == wire(Ping(2))
 
@@ -185,7 +199,7 @@ def test_a_busy_link_is_measured_all_the_same():
     now_s, pings = 0.0, 0
     while now_s < 20.0:
         now_s += 0.1
-        link.sent(now_s)
+        link.sent_s = now_s
         link.receive(wire(PACKET), now_s)
         pings += len(link.tick(now_s))
     assert pings == 3

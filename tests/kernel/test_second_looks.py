@@ -1,0 +1,168 @@
+"""Mailboxes and turns where two threads meet: each interleaving that a second look is there for, forced."""
+
+from collections import deque
+from types import SimpleNamespace
+
+import pytest
+from msgspec import structs
+
+from pancakes.events import LogLine
+from pancakes.kernel import plan as plan_module
+from pancakes.kernel import stream as stream_module
+from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.mailbox import ChannelQueue, Mailbox, queue
+from pancakes.packet import Packet
+
+
+class ByHand(Dispatcher):
+    """Notes whose turn is due, and gives none."""
+
+    def __init__(self):
+        self.due = []
+
+    def ready(self, mailbox):
+        self.due.append(mailbox)
+
+
+class Actor:
+    """Does in its turn what a test has in mind."""
+
+    def __init__(self, dispatcher, turn=lambda: None):
+        self.address = "a/client/A"
+        self.said = []
+        self.kernel = SimpleNamespace(log=lambda level, text: self.said.append(text))
+        self.actor_inbox = Mailbox()
+        self._turn = turn
+        dispatcher.attach(self)
+
+    def take_turn(self, slice_s, timer=None):
+        self._turn()
+
+
+def packet(text="x"):
+    return Packet("system", "line", "a/client/S", "", 0.0, 1, LogLine("info", text))
+
+
+@pytest.fixture
+def dispatcher():
+    return ByHand()
+
+
+def failing():
+    raise SystemExit(3)
+
+
+def given(dispatcher, actor):
+    """Gives the turn that is due, and returns whether another one is due after it."""
+    mailbox = actor.actor_inbox
+    assert dispatcher.due == [mailbox]
+    dispatcher.due.clear()
+    dispatcher.give_turn(mailbox, [])
+    return dispatcher.due == [mailbox]
+
+
+# Turns
+
+
+def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher):
+    actor = Actor(dispatcher)
+    assert not given(dispatcher, actor)
+    assert actor.actor_inbox.token.acquire(blocking=False), "nobody could give it another turn"
+
+
+def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher):
+    actor = Actor(dispatcher)
+    mailbox = actor.actor_inbox
+    waiting = mailbox.subscribe("system", {"line": queue(8)})
+    waiting.put(packet())
+    assert given(dispatcher, actor), "nobody will come to what waits, until something else comes"
+    mailbox.paused = True
+    assert not given(dispatcher, actor), "it stands still"
+
+
+def test_a_message_that_comes_in_the_middle_of_a_turn_is_for_another_turn(dispatcher):
+    actor = Actor(dispatcher)
+    actor._turn = lambda: actor.actor_inbox.put("a message")
+    assert given(dispatcher, actor)
+
+
+def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher):
+    actor = Actor(dispatcher, failing)
+    assert not given(dispatcher, actor)
+    assert actor.said == ["the end of a/client/A's turn failed: SystemExit: 3"]
+    actor.actor_inbox.put("a message")
+    assert dispatcher.due == [actor.actor_inbox]
+
+
+def test_the_turn_of_an_actor_that_is_no_more_is_nobody_s(dispatcher):
+    actor = Actor(dispatcher, lambda: pytest.fail("it has ended"))
+    actor.actor_inbox.component = None
+    assert not given(dispatcher, actor)
+    assert not actor.actor_inbox.token.acquire(blocking=False), "what comes now waits for its successor"
+
+
+# Mailboxes
+
+
+class Emptied(deque):
+    """Seems to have something in it, and somebody else takes it out first."""
+
+    def popleft(self):
+        self.clear()
+        raise IndexError("pop from an empty deque")
+
+
+def test_two_threads_may_clear_what_nobody_will_handle():
+    mailbox = Mailbox()
+    mailbox.control = Emptied(["a message"])
+    mailbox.clear_control()
+    assert mailbox.empty()
+
+
+def test_a_reader_may_take_the_oldest_while_room_is_made_for_a_heavy_packet():
+    waiting = ChannelQueue(Mailbox(), "system", {"line": queue(1)})
+    waiting.items = Emptied([packet()], maxlen=1)
+    waiting.put_heavy(heavy := packet("heavy"), 5000)
+    assert list(waiting.items) == [heavy] and waiting.heavy_bytes == 5000
+
+
+def test_a_heavy_packet_that_was_pushed_out_and_comes_again_weighs_no_more_than_once():
+    waiting = ChannelQueue(Mailbox(), "system", {"line": queue(1)})
+    heavy = packet("heavy")
+    waiting.put_heavy(heavy, 5000)
+    waiting.put(packet())
+    waiting.put_heavy(heavy, 5000)
+    assert waiting.heavy_bytes == 5000
+
+
+def test_a_queue_in_which_much_comes_is_listed_once():
+    mailbox = Mailbox()
+    waiting = mailbox.subscribe("system", {"line": queue(8)})
+    for _ in range(3):
+        waiting.put(packet())
+    assert mailbox.waiting == [waiting]
+
+
+def test_who_subscribes_again_as_before_keeps_the_queue():
+    """What a publisher is about to put there would overtake what was moved out of it."""
+    mailbox = Mailbox()
+    first = mailbox.subscribe("system", {"line": queue(8)})
+    assert mailbox.subscribe("system", {"line": queue(8)}) is first
+
+
+# The stream
+
+
+def test_whoever_makes_up_one_destination_after_the_other_does_not_fill_the_memory(monkeypatch):
+    monkeypatch.setattr(stream_module, "MOST_ROUTES", 4)
+    stream = stream_module.InformationStream("a")
+    stream.gateway = lambda packet: lambda following: 1
+    for number in range(20):
+        for agent in ("a", "b"):
+            stream.publish(structs.replace(packet(), type="line", destination=f"{agent}/client/T{number}"))
+    assert 0 < len(stream._routes) <= 4 and 0 < len(stream.exits) <= 4
+
+
+def test_classes_that_are_made_one_after_the_other_are_not_all_remembered():
+    before = plan_module.plan_of.cache_info()
+    assert before.maxsize == plan_module.MOST_PLANS

@@ -1,0 +1,187 @@
+"""How the timer serves what is due as a guest of the pool: one visit at a time, on a clock that a test moves."""
+
+import threading
+
+import pytest
+
+from pancakes.clock import MissionClock, MonotonicClock
+from pancakes.kernel.pool import GUEST_S
+from pancakes.kernel.timer import ONE_BY_ONE_S, Timer
+from pancakes.testing import no_thread_left
+
+PATIENCE_S = 10.0
+
+
+class Clock:
+    """Stands still until it is moved; counts how often it is asked, for who would ask for ever."""
+
+    def __init__(self):
+        self.now_s = 100.0
+        self.asked = 0
+
+    def now(self):
+        self.asked += 1
+        assert self.asked < 10_000, "it spins"
+        return self.now_s
+
+
+class Visitor:
+    """A guest that is always welcome.
+
+    Attributes:
+        turns: what is done in the turns that wait; a turn that returns False holds the guest until it is relieved.
+        ticks_until_s: how long each tick was to have its turn at once.
+        works_until_s: how long it was to give the turns that wait, each time.
+    """
+
+    def __init__(self):
+        self.stays = True
+        self.turns = []
+        self.left = 0
+        self.ticks_until_s = []
+        self.works_until_s = []
+
+    def arrive(self):
+        return True
+
+    def turn(self):
+        if self.turns and self.turns.pop(0)() is False:
+            self.stays = False
+        return self.stays
+
+    def tick(self, targets, deadline_s, missed, until_s):
+        self.ticks_until_s.append(until_s)
+        for target in targets:
+            target.fire(deadline_s, missed)
+            if not self.turn():
+                return False
+        return True
+
+    def work(self, until_s):
+        self.works_until_s.append(until_s)
+        while self.turns and self.turn():
+            pass
+
+    def leave(self):
+        self.left += 1
+
+
+class Ticked:
+    """Does something with each tick."""
+
+    def __init__(self, tick=lambda: None):
+        self.deadlines = []
+        self._tick = tick
+
+    def fire(self, deadline_s, missed):
+        self.deadlines.append(deadline_s)
+        self._tick()
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def timer(clock):
+    return Timer("a", MissionClock(clock), clock)
+
+
+def tick(timer, clock, targets, period_s=0.01):
+    """Lets all be ticked from now on, and the first of the ticks be due."""
+    for target in targets:
+        timer._mission_schedule.every(target, period_s, timer._mission.now())
+    clock.now_s += period_s
+
+
+def test_a_visit_ends_when_all_is_done_and_nothing_is_due(timer, clock):
+    ticked, guest = Ticked(), Visitor()
+    tick(timer, clock, [ticked])
+    timer._serve(guest)
+    assert len(ticked.deadlines) == 1 and guest.left == 1
+
+
+def test_what_is_due_again_is_done_in_the_same_visit(timer, clock):
+    def late():
+        if len(ticked.deadlines) == 1:
+            clock.now_s += 0.0011
+
+    ticked, guest = Ticked(late), Visitor()
+    tick(timer, clock, [ticked], 0.001)
+    timer._serve(guest)
+    assert len(ticked.deadlines) == 2 and guest.left == 1
+
+
+def test_a_visit_ends_even_where_something_is_due_all_the_time(timer, clock):
+    """Its thread has other duties, and others have work."""
+
+    def slow():
+        clock.now_s += 0.0011
+        assert len(ticked.deadlines) < 50, "the visit never ends"
+
+    ticked, guest = Ticked(slow), Visitor()
+    tick(timer, clock, [ticked], 0.001)
+    begun_s = clock.now_s
+    timer._serve(guest)
+    assert clock.now_s - begun_s < 2 * GUEST_S and guest.left == 1
+
+
+@pytest.mark.parametrize("period_s", [0.001, 1.0])
+def test_turns_keep_nothing_waiting_that_is_due_next_and_have_their_time(timer, clock, period_s):
+    guest = Visitor()
+    tick(timer, clock, [Ticked()], period_s)
+    begun_s = clock.now_s
+    timer._serve(guest)
+    assert guest.ticks_until_s == [pytest.approx(begun_s + min(period_s, ONE_BY_ONE_S))]
+    assert guest.works_until_s == [pytest.approx(begun_s + min(period_s, GUEST_S))]
+
+
+def test_a_visit_in_which_a_call_fails_ends_as_any(timer, clock):
+    guest = Visitor()
+    timer._host_schedule.at(clock.now_s, lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        timer._serve(guest)
+    assert guest.left == 1
+
+
+def test_who_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clock):
+    """The successor serves the same schedules already."""
+    first, second, guest = Ticked(), Ticked(), Visitor()
+    guest.turns = [lambda: False, lambda: pytest.fail("a relieved guest gives another turn")]
+    tick(timer, clock, [first, second])
+    next_s, asked = timer._next_host_s, []
+    timer._next_host_s = lambda: asked.append(guest.stays) or next_s()
+    timer._serve(guest)
+    assert all(asked), "it looks into what its successor changes"
+    assert guest.left == 1 and (len(first.deadlines), len(second.deadlines)) == (1, 0)
+    successor = Visitor()
+    timer._serve(successor)
+    assert (len(first.deadlines), len(second.deadlines)) == (1, 1)
+
+
+def test_who_is_relieved_while_it_gives_the_turns_that_wait_goes_too(timer, clock):
+    guest = Visitor()
+    timer._host_schedule.at(clock.now_s, lambda: guest.turns.append(lambda: bool(clock.now_s) and False))
+    # Something is due again at once: whoever stays would go on.
+    guest.work = lambda until_s: (setattr(clock, "now_s", clock.now_s + 0.001), guest.turn())
+    later = []
+    timer._host_schedule.at(clock.now_s + 0.0005, lambda: later.append(1))
+    timer._serve(guest)
+    assert later == [] and guest.left == 1
+
+
+def test_ticks_go_on_although_the_next_call_is_further_away_than_any_wait_may_be():
+    with no_thread_left():
+        host = MonotonicClock()
+        timer = Timer("a", MissionClock(host), host)
+        timer.after_host(1e12, lambda: None)
+        timer.launch()
+        done = threading.Event()
+        timer.after_host(0.01, done.set)
+        assert done.wait(PATIENCE_S)
+        timer.after_host(0.01, done.clear)
+        done = threading.Event()
+        timer.after_host(0.02, done.set)
+        assert done.wait(PATIENCE_S), "the timer's thread has ended"
+        timer.halt()
