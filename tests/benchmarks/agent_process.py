@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
-         "bench.Started": "benchmarks.mesh_tasks:Started", "bench.Idle": "benchmarks.mesh_tasks:Idle",
+         "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
          "bench.Noted": "benchmarks.lateness:Noted", "bench.Judge": "benchmarks.lateness:Judge",
          "bench.Small": "benchmarks.many_tasks:Small",
@@ -27,19 +27,47 @@ PATIENCE_S = 60.0
 PATIENCE_TO_END_S = 10.0
 
 
-def offer_tasks(directory: Path) -> Mapping[str, str]:
-    """Makes the distribution in `directory`; returns the environment of a process that finds it."""
+def offer_tasks(
+    directory: Path, tasks: Mapping[str, str] = TASKS, packets: Mapping[str, str] = PACKETS
+) -> Mapping[str, str]:
+    """Makes the distribution in `directory`; returns the environment of a process that finds it.
+
+    Args:
+        directory: where it is put.
+        tasks: the task types that it offers.
+        packets: the modules of packet types that it offers; each agent imports all of these at its start.
+    """
     info = directory / "pancakes_bench-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pancakes-bench\nVersion: 1\n")
-    lines = ["[pancakes.tasks]", *(f"{name} = {value}" for name, value in TASKS.items())]
+    lines = ["[pancakes.tasks]", *(f"{name} = {value}" for name, value in tasks.items())]
     lines += ["[pancakes.services]", "bench.Crowd = benchmarks.many_tasks:Crowd"]
-    lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in PACKETS.items())]
+    lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in packets.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
     path = [str(directory), str(Path(__file__).resolve().parents[1])]
     runtime = directory / "run"
     runtime.mkdir(mode=0o700)
     return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+
+
+def head_of(name: str, directory: Path, peers: Sequence[str] = ()) -> str:
+    """Returns how the configuration of an agent begins: it listens anywhere, and shows nothing.
+
+    Args:
+        name: the agent's name.
+        directory: its state goes into a directory in here.
+        peers: addresses that it dials.
+    """
+    return f"""
+schema = 1
+[agent]
+name = "{name}"
+listen = "tcp://127.0.0.1:0"
+peers = {json.dumps(list(peers))}
+state_dir = "{directory}/state-{name}"
+[service.log]
+settings = {{ console = false }}
+"""
 
 
 def usual_environment() -> dict[str, str]:

@@ -18,7 +18,15 @@ from statistics import median
 from typing import Any
 
 import msgspec
-from benchmarks.agent_process import PATIENCE_S, agent_process, end, listening_at, offer_tasks, read_report
+from benchmarks.agent_process import (
+    PATIENCE_S,
+    agent_process,
+    end,
+    head_of,
+    listening_at,
+    offer_tasks,
+    read_report,
+)
 
 MEMBERS = 8
 
@@ -64,16 +72,8 @@ ALL_TO_ALL = Shape("all", range(MEMBERS), range(MEMBERS), False, 10_000)
 ALL_TO_EACH = Shape("each", range(MEMBERS), range(MEMBERS), True, 5_000)
 SHAPES = {shape.name: shape for shape in (EIGHT_TO_ONE, ALL_TO_ALL, ALL_TO_EACH)}
 
-_CONFIG = """
-schema = 1
-[agent]
-name = "{name}"
-listen = "tcp://127.0.0.1:0"
-peers = [{peers}]
-state_dir = "{directory}/state-{name}"
+_TASK = """
 [channel.bench]
-[service.log]
-settings = {{ console = false }}
 [task.Member]
 type = "bench.Member"
 settings = {{ {settings} }}
@@ -87,17 +87,17 @@ def pancakes(shape: Shape, packets: int, size: int = 64) -> dict[int, dict[str, 
         environment = offer_tasks(directory)
         readers: dict[int, int] = {}
         processes = []
-        peers = ""
+        peers: list[str] = []
         for member in shape.members:
             readers[member], writer = os.pipe()
             stack.callback(os.close, readers[member])
             try:
                 settings = _settings(shape, member, packets, size, writer)
-                config = _CONFIG.format(name=f"a{member}", peers=peers, directory=name, settings=settings)
+                config = head_of(f"a{member}", directory, peers) + _TASK.format(settings=settings)
                 processes.append(stack.enter_context(agent_process(config, directory, environment, pass_fds=(writer,))))
             finally:
                 os.close(writer)
-            peers = peers or f'"{listening_at(environment, "a0", processes[0])}"'
+            peers = peers or [listening_at(environment, "a0", processes[0])]
         stack.callback(end, processes)
         reports: dict[int, dict[str, Any]] = {}
         while len(reports) < len(readers) and not any("fault" in report for report in reports.values()):

@@ -148,25 +148,3 @@ class Near(Task):
         """Tells whoever started the agent."""
         report = {"times_s": self.times_s, "per_s": self.settings.packets / took_s, "received": self.got}
         os.write(self.settings.report_fd, f"{json.dumps(report)}\n".encode())
-
-
-class Started(Task):
-    """Says on a file descriptor that it was ticked for the first time."""
-
-    @dataclass
-    class Settings:
-        report_fd: int
-
-    @every(hz=1000)
-    def tick(self, tick: Tick) -> None:
-        """Says so, and rests from then on."""
-        self.reschedule(0)
-        os.write(self.settings.report_fd, b"{}\n")
-
-
-class Idle(Task):
-    """Does next to nothing, now and then."""
-
-    @every(hz=1)
-    def tick(self, tick: Tick) -> None:
-        """Does nothing."""

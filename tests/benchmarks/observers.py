@@ -1,13 +1,19 @@
 """What it costs the agents of the demo to be recorded, and to be watched by an open page.
 
 Everything is measured on one live fleet, as `pancakes demo encirclement` runs it (five times real time), in spans that
-take turns: with the observer, and without. The baseline is the same agents, unobserved. Processor time is that of the
-agents' processes; lateness is that of a task on each agent that is ticked 200 times a second of host time.
+take turns: unobserved, recorded, unobserved, watched, and so on. A span with an observer is compared with the two
+beside it, half as long each: what drifts in the machine falls out of that. Processor time is that of the agents'
+processes; lateness is that of a task on each agent that is ticked 200 times a second of host time, ticks that never
+came included.
 
-The p99 of a span rests on its two dozen latest ticks, and differs twofold between two spans in which nothing is
-different. So percentiles are those of all ticks of a side together. What else the machine does makes ticks late as
-well: only that half of the rounds counts in which all other processes together were busy the least, on whichever side.
-The spread that is shown is that of the single spans of all rounds.
+A span with an observer lasts five seconds, in which a recorder brings its file to the disk once; what only its start
+takes is over before. The p99 of such a span rests on its forty latest ticks, and differs twofold between two in which
+nothing is different: so percentiles are those of all ticks of a side together. What else the machine does makes ticks
+late as well: rounds in which all other processes together were much busier than in the quietest do not count, on
+whichever side that was; at least half of them does.
+
+The range that is shown is where a ratio lies in 90 of 100 draws of as many rounds from these (a bootstrap): it says how
+far the ratio is to be trusted.
 """
 
 from __future__ import annotations
@@ -17,15 +23,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from random import Random
+from statistics import mean
 from typing import Any
 
 import psutil
 from benchmarks.agent_process import offer_tasks, process
-from benchmarks.figure import Figure, Plan, in_turns_of_all
+from benchmarks.figure import Figure, Plan
 
 from pancakes.client import Client
 from pancakes.control import Begin, Configure, Describe, Start, Stop
@@ -37,16 +45,26 @@ from pancakes.web.watch import Watch
 TITLE = "being observed, the agents of the demo; bare: the same, unobserved"
 AGENTS = ("world", "agent1", "agent2", "sensor")
 SPEED = 5.0
-SPAN_S = 3.0
+SPAN_S = 5.0
 TICKS_HZ = 200.0
 WANTED = 1.1
 SHOWN = (("processor time a second", None), ("lateness p50", 0.5), ("lateness p99", 0.99))
 """What is told of each observer, and which percentile of the lateness it is."""
-ROUNDS = 13
-"""So many rounds at least: with fewer, the p99 is not sure to 10 % either."""
-SETTLE_S = 1.0
-"""So long after something was switched nothing is measured."""
-READY_S = 30.0
+ROUNDS = 9
+"""So many rounds at least, which take three minutes: with fewer, the p99 is not sure to 10 % either."""
+SETTLE_S = 0.5
+"""So long after nothing observes any more nothing is measured, ..."""
+RECORDER_SETTLE_S = 1.0
+"""... so long after a recorder began, which first asks for all tasks, ..."""
+PAGE_SETTLE_S = 2.2
+"""... and so long after a page was opened, which first asks for what was said before, and for each task."""
+READY_S, READY_SETTLE_S = 30.0, 3.0
+DRAWS = 200
+"""So often as many rounds are drawn to see how far a ratio is to be trusted, ..."""
+TRUSTED = 0.9
+"""... which is how many of these lie in the range that is shown."""
+BUSY_SHARE = 0.1
+"""A round counts where all others took no more of the machine than in the quietest round, and this much of it."""
 RECORDER, STEADY = "log/Recorder", "client/Steady"
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "encirclement"
 
@@ -65,67 +83,74 @@ class Span:
     late_us: list[int]
     others_ms: float
 
-    def value(self, share: float | None) -> float:
-        """Returns a percentile of the lateness, or the processor time where none is asked for."""
-        return self.busy_ms if share is None else quantile(self.late_us, share)
 
+@dataclass(frozen=True)
+class Round:
+    """A span with an observer, and those without one before and after it."""
 
-class Side:
-    """One side of all figures: what was measured of it, span by span.
+    ours: Span
+    bare: tuple[Span, Span]
 
-    Args:
-        span: measures one.
-
-    Attributes:
-        spans: what was measured.
-        runs: the values of each span, by figure (see `SHOWN`).
-    """
-
-    def __init__(self, span: Callable[[], Span]) -> None:
-        self._span = span
-        self.spans: list[Span] = []
-        self.runs: list[list[float]] = [[] for _ in SHOWN]
-
-    def measure(self) -> list[float]:
-        """Measures one span, and returns its values."""
-        span = self._span()
-        self.spans.append(span)
-        return [span.value(share) for _, share in SHOWN]
-
-    def value(self, share: float | None, rounds: list[int]) -> float:
-        """Returns the value of some rounds together."""
-        spans = [self.spans[number] for number in rounds]
-        if share is None:
-            return sum(span.busy_ms for span in spans) / len(spans)
-        return quantile([late_us for span in spans for late_us in span.late_us], share)
+    @property
+    def others_ms(self) -> float:
+        """The processor time of all other processes for each second, in the busiest of the spans."""
+        return max(span.others_ms for span in (self.ours, *self.bare))
 
 
 @dataclass
-class Quieter(Figure):
-    """A figure of that half of the rounds in which the rest of the machine was busy the least.
+class Compared(Figure):
+    """A figure of those rounds in which the rest of the machine left the agents alone.
 
     Attributes:
         share: which percentile of the lateness; None: the processor time.
-        sides: ours and the baseline's.
+        rounds: what was measured.
     """
 
     share: float | None = None
-    sides: tuple[Side, ...] = ()
+    rounds: list[Round] = field(default_factory=list)
+
+    def take(self, measured: Round) -> None:
+        """Takes a round."""
+        self.rounds.append(measured)
+        ours, bare = self._sides([measured])
+        self.runs.append(ours)
+        self.bare_runs.append(bare)
 
     @property
     def value(self) -> float:
-        return self.sides[0].value(self.share, self.rounds())
+        return self._sides(quiet(self.rounds))[0]
 
     @property
     def baseline(self) -> float:
-        return self.sides[1].value(self.share, self.rounds())
+        return self._sides(quiet(self.rounds))[1]
 
-    def rounds(self) -> list[int]:
-        """Returns the numbers of the rounds that count."""
-        others_ms = [
-            max(span.others_ms for span in spans) for spans in zip(*(it.spans for it in self.sides), strict=True)
-        ]
-        return sorted(range(len(others_ms)), key=others_ms.__getitem__)[: (len(others_ms) + 1) // 2]
+    @property
+    def spread(self) -> tuple[float, float]:
+        """The range in which the ratio lies in `TRUSTED` of all draws of as many rounds, each as often as it comes."""
+        rounds, draw, ratios = quiet(self.rounds), Random(1), []
+        for _ in range(DRAWS):
+            ours, bare = self._sides(draw.choices(rounds, k=len(rounds)))
+            ratios.append(ours / bare)
+        ratios.sort()
+        outside = round(DRAWS * (1.0 - TRUSTED) / 2)
+        return ratios[outside], ratios[-1 - outside]
+
+    def _sides(self, rounds: list[Round]) -> tuple[float, float]:
+        ours = [measured.ours for measured in rounds]
+        return self._of(ours), self._of([span for measured in rounds for span in measured.bare])
+
+    def _of(self, spans: list[Span]) -> float:
+        if self.share is None:
+            return mean(span.busy_ms for span in spans)
+        return quantile([late_us for span in spans for late_us in span.late_us], self.share)
+
+
+def quiet(rounds: list[Round]) -> list[Round]:
+    """Returns the rounds that count: those in which all others left the machine alone, and the quieter half anyway."""
+    by_noise = sorted(rounds, key=lambda measured: measured.others_ms)
+    most_ms = by_noise[0].others_ms + 1000 * BUSY_SHARE * psutil.cpu_count()
+    undisturbed = sum(measured.others_ms <= most_ms for measured in rounds)
+    return by_noise[: max(undisturbed, (len(rounds) + 1) // 2)]
 
 
 def quantile(late_us: list[int], share: float) -> float:
@@ -164,9 +189,13 @@ class Demo:
         used_s, all_used_s = self._processor_s() - before_s, _machine_s() - all_before_s
         took_s = time.monotonic() - begun_s
         self._mark()
-        late_us = [one_us for agent in AGENTS for one_us in self._ticks(agent)]
-        if len(late_us) < 0.5 * len(AGENTS) * TICKS_HZ * duration_s:
-            raise RuntimeError(f"only {len(late_us)} ticks came in {duration_s:g} s")
+        ticks = {agent: self._ticks(agent) for agent in AGENTS}
+        if any(len(late_us) < 0.5 * TICKS_HZ * duration_s for late_us in ticks.values()):
+            told = ", ".join(
+                f"{agent} {len(late_us)} (latest {max(late_us, default=0)} µs)" for agent, late_us in ticks.items()
+            )
+            raise RuntimeError(f"of {TICKS_HZ * duration_s:.0f} ticks in {took_s:.2f} s these came: {told}")
+        late_us = [one_us for agent in AGENTS for one_us in ticks[agent]]
         return Span(1000 * used_s / took_s, late_us, 1000 * max(0.0, all_used_s - used_s) / took_s)
 
     def _mark(self) -> None:
@@ -178,7 +207,7 @@ class Demo:
         state = self.ask(agent, Describe(STEADY, state=True))["state"]
         if state["window"] != self._window:
             raise RuntimeError(f"{agent} tells the ticks of another span")
-        return list(state["late_us"])
+        return [int(one_us) for one_us in state["late_us"].split()]
 
     def _processor_s(self) -> float:
         # Of another process, to the nanosecond: how Linux builds the number of such a clock (clock_getcpuclockid).
@@ -220,7 +249,7 @@ def running_demo() -> Iterator[Demo]:
         for agent in AGENTS:
             client.request(agent, Begin(0.5), READY_S)
         demo = Demo(directory, client, processes)
-        time.sleep(3 * SETTLE_S)
+        time.sleep(READY_SETTLE_S)
         yield demo
 
 
@@ -246,7 +275,7 @@ def recorded(demo: Demo, span_s: float) -> Span:
     """One span in which all agents record everything."""
     for agent in AGENTS:
         demo.ask(agent, Start(RECORDER, {"path": f"{demo.directory}/{{agent}}.mcap"}))
-    time.sleep(SETTLE_S)
+    time.sleep(RECORDER_SETTLE_S)
     try:
         return demo.span(span_s)
     finally:
@@ -260,7 +289,7 @@ def watched(demo: Demo, span_s: float) -> Span:
     addresses = [door.agents()[0].listen for door in demo.client.doors()]
     watch = Watch(Feed(lambda: time.monotonic() - begun_s), addresses)
     watch.start()
-    time.sleep(SETTLE_S)
+    time.sleep(PAGE_SETTLE_S)
     try:
         return demo.span(span_s)
     finally:
@@ -276,25 +305,26 @@ def unobserved(demo: Demo, span_s: float) -> Span:
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
     span_s = max(2.0, SPAN_S * plan.scale)
-    if plan.scale == 1.0:
-        plan = replace(plan, rounds=max(ROUNDS, plan.rounds))
-    observers: tuple[tuple[str, Callable[[Demo, float], Span]], ...] = (
-        ("recording everything", recorded),
-        ("one open page", watched),
-    )
+    observers = (("recording everything", recorded), ("one open page", watched))
+    figures = {
+        name: [
+            Compared(f"{name}: {what}", "ms" if share is None else "µs", wanted=WANTED, share=share)
+            for what, share in SHOWN
+        ]
+        for name, _ in observers
+    }
     with running_demo() as demo:
-        bare = Side(lambda: unobserved(demo, span_s))
-        sides: list[Side] = [bare]
-        figures: list[Figure] = []
-        for name, observer in observers:
-            observer(demo, 2.0)  # the first time modules are imported
-            ours = Side(lambda observer=observer: observer(demo, span_s))  # type: ignore[misc]
-            sides.append(ours)
-            for number, (what, share) in enumerate(SHOWN):
-                figure = Quieter(f"{name}: {what}", "ms" if share is None else "µs", wanted=WANTED, share=share)
-                figure.runs, figure.bare_runs, figure.sides = ours.runs[number], bare.runs[number], (ours, bare)
-                figures.append(figure)
-        yield from in_turns_of_all(plan, [(side.measure, side.runs) for side in sides], figures)
+        for _, observer in observers:
+            observer(demo, 1.0)  # the first time modules are imported
+        before = unobserved(demo, span_s / 2)
+        for _ in range(max(ROUNDS, plan.rounds) if plan.scale == 1.0 else plan.rounds):
+            for name, observer in observers:
+                ours, after = observer(demo, span_s), unobserved(demo, span_s / 2)
+                for figure in figures[name]:
+                    figure.take(Round(ours, (before, after)))
+                before = after
+    for found in figures.values():
+        yield from found
 
 
 def _machine_s() -> float:

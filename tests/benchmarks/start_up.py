@@ -10,7 +10,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import Popen
@@ -18,6 +18,7 @@ from subprocess import Popen
 import psutil
 from benchmarks.agent_process import (
     agent_process,
+    head_of,
     listening_at,
     offer_tasks,
     process,
@@ -32,25 +33,15 @@ SETTLE_S = 1.0
 SPAN_S = 10.0
 """How long its processor time is taken for."""
 
+_TASKS = {name: f"benchmarks.idle_tasks:{name.removeprefix('bench.')}" for name in ("bench.Started", "bench.Idle")}
+"""All that it offers: the packet types of other benchmarks, which each agent would import, are no part of it."""
 _BARE = "import os, sys, pykka, msgpack; os.write(int(sys.argv[1]), b'{}\\n'); sys.stdin.read()"
-_CONFIG = """
-schema = 1
-[agent]
-name = "{name}"
-listen = "tcp://127.0.0.1:0"
-peers = [{peers}]
-state_dir = "{directory}/state-{name}"
-[service.log]
-settings = {{ console = false }}
-[task.Started]
-type = "bench.Started"
-settings = {{ report_fd = {report_fd} }}
-"""
+_STARTED = '[task.Started]\ntype = "bench.Started"\nsettings = {{ report_fd = {report_fd} }}\n'
 _IDLE = "".join(f'[task.Idle{number}]\ntype = "bench.Idle"\n' for number in range(10))
 
 
-def _config(name: str, directory: Path, report_fd: int, peers: str = "") -> str:
-    return _CONFIG.format(name=name, directory=directory, report_fd=report_fd, peers=peers) + _IDLE
+def _config(name: str, directory: Path, report_fd: int, peers: Sequence[str] = ()) -> str:
+    return head_of(name, directory, peers) + _STARTED.format(report_fd=report_fd) + _IDLE
 
 
 def _measure(started: Popen[bytes], began_s: float, reader: int, writer: int) -> list[float]:
@@ -69,7 +60,7 @@ def pancakes() -> list[float]:
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
-        environment = offer_tasks(directory)
+        environment = offer_tasks(directory, _TASKS, {})
         config = _config("idle", directory, writer)
         began_s = time.perf_counter()
         with agent_process(config, directory, environment, pass_fds=(writer,)) as started:
@@ -94,7 +85,9 @@ def percent_of_a_core(started: Popen[bytes], span_s: float) -> float:
 
 
 @contextmanager
-def _ticking(name: str, directory: Path, environment: Mapping[str, str], peers: str = "") -> Iterator[Popen[bytes]]:
+def _ticking(
+    name: str, directory: Path, environment: Mapping[str, str], peers: Sequence[str] = ()
+) -> Iterator[Popen[bytes]]:
     """Runs an agent, from its first tick on."""
     reader, writer = os.pipe()
     config = _config(name, directory, writer, peers)
@@ -111,11 +104,10 @@ def processor(span_s: float) -> list[float]:
     """One run. Returns how much of a core an agent takes alone, and with a neighbour that is like it, in per cent."""
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
-        environment = offer_tasks(directory)
+        environment = offer_tasks(directory, _TASKS, {})
         with _ticking("one", directory, environment) as one:
             alone_percent = percent_of_a_core(one, span_s)
-            peers = f'"{listening_at(environment, "one", one)}"'
-            with _ticking("two", directory, environment, peers):
+            with _ticking("two", directory, environment, [listening_at(environment, "one", one)]):
                 return [alone_percent, percent_of_a_core(one, span_s)]
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from pancakes.task import Task, Tick, every
 
 
 class Steady(Task):
-    """Ticks, and tells how late each tick was, in microseconds of host time, between two changes of `window`."""
+    """Ticks, and tells how late each tick was, in microseconds of host time, between two changes of `window`.
+
+    A tick that never came because the agent stood still counts too, as late as it would have been: otherwise the
+    longest delays would be the ones that are told least of.
+    """
 
     @dataclass
     class Settings:
@@ -16,8 +20,10 @@ class Steady(Task):
 
     @dataclass
     class State:
+        """What was measured; the numbers as one text, which costs nothing when the state is written down."""
+
         window: int = 0
-        late_us: list[int] = field(default_factory=list)
+        late_us: str = ""
 
     def on_start(self) -> None:
         self._late_s: list[float] = []
@@ -25,9 +31,12 @@ class Steady(Task):
     @every(hz=40)
     def tick(self, tick: Tick) -> None:
         """Takes one tick."""
-        self._late_s.append((self.now() - tick.time_s) / self.kernel.mission.speed)
+        late_s, speed = self.now() - tick.time_s, self.kernel.mission.speed
+        self._late_s.append(late_s / speed)
+        for number in range(tick.missed):
+            self._late_s.append((late_s + (number + 1) * self.timers["tick"].period_s) / speed)
 
     def on_settings(self) -> None:
         late_s, self._late_s = self._late_s, []
         self.state.window = self.settings.window
-        self.state.late_us = [round(1e6 * one_s) for one_s in late_s]
+        self.state.late_us = " ".join(str(round(1e6 * one_s)) for one_s in late_s)

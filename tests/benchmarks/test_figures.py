@@ -15,9 +15,11 @@ sys.path.insert(0, str(TESTS))
 
 from benchmarks import fan_out  # noqa: E402
 from benchmarks.figure import Figure, Plan, in_turns  # noqa: E402
+from benchmarks.observers import Compared, Round, Span, quiet  # noqa: E402
 from benchmarks.steady import Steady  # noqa: E402
 
 from pancakes.control import Configure, Describe  # noqa: E402
+from pancakes.task import Tick  # noqa: E402
 from pancakes.testing import FleetInTest  # noqa: E402
 
 
@@ -52,7 +54,48 @@ def test_a_control_task_tells_how_late_it_was_between_two_marks():
             assert agent.ask(Configure("Steady", {"window": window})).ok
             fleet.run_for(2.0)
         state = agent.ask(Describe("Steady", state=True)).result["state"]
-        assert (state["window"], state["late_us"]) == (2, [0] * 80)
+        assert (state["window"], state["late_us"].split()) == (2, ["0"] * 80)
+
+
+def test_ticks_that_never_came_count_as_late_as_they_would_have_been():
+    with FleetInTest() as fleet:
+        steady = fleet.start("a", tasks={"Steady": Steady}).task("Steady")
+        steady._late_s.clear()
+        steady.tick(Tick(steady.now() - 0.01, missed=2))
+        assert steady._late_s == [pytest.approx(late_s) for late_s in (0.01, 0.035, 0.06)]
+
+
+def observed(ratio: float, late_us: int, others_ms: float) -> Round:
+    """A round in which the machine slowed down, all the while, by a half."""
+    bare = Span(100.0, [100] * 200, 50.0), Span(150.0, [100] * 200, 50.0)
+    return Round(Span(125.0 * ratio, [100] * 396 + [late_us] * 4, others_ms), bare)
+
+
+def test_an_observer_is_compared_with_the_spans_beside_it_in_the_rounds_that_were_left_alone():
+    alone = [observed(1.05, 100, 50.0) for _ in range(9)]
+    disturbed = [observed(2.0, 9000, 1e6) for _ in range(2)]
+    processor, p99 = Compared("x", "ms"), Compared("y", "us", share=0.99)
+    for figure in (processor, p99):
+        for measured in (*alone, *disturbed):
+            figure.take(measured)
+    assert (processor.value, processor.baseline) == (pytest.approx(131.25), 125.0)
+    assert processor.spread == (pytest.approx(1.05), pytest.approx(1.05))
+    assert (p99.ratio, p99.spread) == (1.0, (1.0, 1.0))
+    assert processor.runs[-1] / processor.bare_runs[-1] == pytest.approx(2.0), "what does not count is written down too"
+
+
+def test_where_all_rounds_were_disturbed_the_quieter_half_counts():
+    rounds = [observed(1.0, 100, 1e6 * number) for number in range(1, 6)]
+    assert quiet(rounds) == rounds[:3]
+
+
+def test_the_range_of_a_ratio_is_wide_where_the_rounds_differ():
+    figure = Compared("x", "ms")
+    for ratio in (0.8, 1.0, 1.2, 0.9, 1.1):
+        figure.take(observed(ratio, 100, 50.0))
+    low, high = figure.spread
+    assert figure.ratio == pytest.approx(1.0)
+    assert 0.85 < low < 0.95 and 1.05 < high < 1.15
 
 
 def test_a_short_run_writes_its_figures_as_json(tmp_path):

@@ -59,14 +59,14 @@ def test_a_peer_tells_what_it_measured_and_what_it_lost_is_an_error(tmp_path: Pa
     script.write_text(f"""
 import sys
 sys.path.insert(0, {str(SCRIPTS)!r})
-from talk import body_of, encode, hear, kind_of, say, unpack
+from talk import BODY, KIND, encode, hear, say, unpack
 if sys.argv[1] == "far":
     say(at="here")
 else:
     plan = hear()
     packet = unpack(encode("load", plan["packets"], bytes(plan["size"])))
-    assert kind_of(packet) == "load" and len(body_of(packet)["data"]) == 64
-    say(times_s=[], per_s=7.0, received=body_of(packet)["number"] - {lost}, near=sys.argv[2])
+    assert packet[KIND] == "load" and len(packet[BODY]["data"]) == 64
+    say(times_s=[], per_s=7.0, received=packet[BODY]["number"] - {lost}, near=sys.argv[2])
 hear()
 """)
     peer = Peer("nothing", script, ())

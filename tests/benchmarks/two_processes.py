@@ -15,6 +15,7 @@ from typing import Any
 
 from benchmarks.agent_process import (
     agent_process,
+    head_of,
     listening_at,
     offer_tasks,
     process,
@@ -31,19 +32,11 @@ PACKETS = {64: 50_000, 65_536: 3_000}
 SKIPPED = 10
 """The first so many-th of the round trips do not count: everything is cold."""
 
-_CONFIG = """
-schema = 1
-[agent]
-name = "{name}"
-listen = "tcp://127.0.0.1:0"
-peers = [{peers}]
-state_dir = "{directory}/state-{name}"
+_TASK = """
 [channel.bench]
-[service.log]
-settings = {{ console = false }}
 [task.{task}]
 type = "bench.{task}"
-{settings}
+settings = {{ {settings} }}
 """
 
 
@@ -58,16 +51,11 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True) -
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
         environment = offer_tasks(directory)
-        far = _CONFIG.format(name="far", peers="", directory=name, task="Far", settings="")
-        numbers = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
+        far = head_of("far", directory) + _TASK.format(task="Far", settings="")
+        settings = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
         with agent_process(far, directory, environment, far_core) as listener:
-            near = _CONFIG.format(
-                name="near",
-                peers=f'"{listening_at(environment, "far", listener)}"',
-                directory=name,
-                task="Near",
-                settings=f"settings = {{ {numbers} }}",
-            )
+            peers = [listening_at(environment, "far", listener)]
+            near = head_of("near", directory, peers) + _TASK.format(task="Near", settings=settings)
             with agent_process(near, directory, environment, near_core, (writer,)):
                 os.close(writer)
                 try:

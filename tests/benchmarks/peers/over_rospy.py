@@ -11,14 +11,11 @@ from __future__ import annotations
 
 import queue
 import sys
-import time
 import warnings
 from typing import Any
 
-from talk import body_of, encode, hear, kind_of, say, unpack
+from talk import Bytes, answering, hear, knock, measure, say, unpack
 
-KNOCK_S = 0.1
-"""How often the other is called until it answers."""
 BUFFER_BYTES = 1 << 22
 
 
@@ -32,73 +29,49 @@ def master() -> None:
     hear()
 
 
-def far() -> None:
-    """Answers pings, and acknowledges the last of what comes one way."""
+def node(name: str) -> None:
+    """Makes this process a node."""
+    import rospy
+
+    rospy.init_node(name, disable_signals=True)
+
+
+def publisher(topic: str) -> Bytes:
+    """Returns what publishes a packet, in the caller's thread, and waits rather than give it up."""
     import rospy
     from std_msgs.msg import UInt8MultiArray
 
-    rospy.init_node("far", disable_signals=True)
-    answers = rospy.Publisher("near", UInt8MultiArray, queue_size=None, tcp_nodelay=True)
-    count = 0
+    publish = rospy.Publisher(topic, UInt8MultiArray, queue_size=None, tcp_nodelay=True).publish
+    return lambda data: publish(UInt8MultiArray(data=data))
 
-    def take(message: Any) -> None:
-        nonlocal count
-        packet = unpack(message.data)
-        kind, body = kind_of(packet), body_of(packet)
-        if kind == "ping":
-            count = 0
-            answers.publish(UInt8MultiArray(data=encode("pong", body["number"], body["data"])))
-        else:
-            count += 1
-            if body["number"] < 0:
-                answers.publish(UInt8MultiArray(data=encode("got", count, b"")))
 
-    rospy.Subscriber("far", UInt8MultiArray, take, tcp_nodelay=True, buff_size=BUFFER_BYTES)
+def subscribe(topic: str, take: Bytes) -> None:
+    """Has each packet taken."""
+    import rospy
+    from std_msgs.msg import UInt8MultiArray
+
+    rospy.Subscriber(
+        topic, UInt8MultiArray, lambda message: take(message.data), tcp_nodelay=True, buff_size=BUFFER_BYTES
+    )
+
+
+def far() -> None:
+    """Answers pings, and acknowledges the last of what comes one way."""
+    node("far")
+    subscribe("far", answering(publisher("near")))
     say(at="far")
     hear()
 
 
 def near() -> None:
     """Measures round trips, then packets one way."""
-    import rospy
-    from std_msgs.msg import UInt8MultiArray
-
-    rospy.init_node("near", disable_signals=True)
+    node("near")
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    rospy.Subscriber(
-        "near",
-        UInt8MultiArray,
-        lambda message: came.put(unpack(message.data)),
-        tcp_nodelay=True,
-        buff_size=BUFFER_BYTES,
-    )
-    publisher = rospy.Publisher("far", UInt8MultiArray, queue_size=None, tcp_nodelay=True)
+    subscribe("near", lambda data: came.put(unpack(data)))
+    publish = publisher("far")
     plan = hear()
-    data = bytes(plan["size"])
-    while True:  # until both know of each other
-        publisher.publish(UInt8MultiArray(data=encode("ping", -1, data)))
-        try:
-            came.get(timeout=KNOCK_S)
-            break
-        except queue.Empty:
-            continue
-    time.sleep(2 * KNOCK_S)
-    while not came.empty():
-        came.get()
-    times_s = []
-    for number in range(plan["round_trips"]):
-        asked_s = time.perf_counter()
-        publisher.publish(UInt8MultiArray(data=encode("ping", number, data)))
-        came.get()
-        times_s.append(time.perf_counter() - asked_s)
-    packets = plan["packets"]
-    began_s = time.perf_counter()
-    for number in range(packets):
-        number = number if number + 1 < packets else -1
-        publisher.publish(UInt8MultiArray(data=encode("load", number, data)))
-    count = body_of(came.get())["number"]
-    say(times_s=times_s, per_s=packets / (time.perf_counter() - began_s), received=count)
-    hear()
+    knock(publish, came)
+    measure(plan, publish, publish, came.get)
 
 
 if __name__ == "__main__":

@@ -18,10 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import zenoh
-from talk import body_of, encode, hear, kind_of, say, unpack
-
-KNOCK_S = 0.05
-"""How often others are called until they have been heard."""
+from talk import BODY, KIND, KNOCK_S, answering, encode, hear, knock, measure, say, unpack
 
 
 def opened(connect: Sequence[str]) -> tuple[zenoh.Session, str]:
@@ -45,22 +42,8 @@ def publisher(session: zenoh.Session, key: str, express: bool = False) -> zenoh.
 def far() -> None:
     """Answers pings, and acknowledges the last of what comes one way."""
     session, address = opened([])
-    answers = publisher(session, "near", express=True)
-    count = 0
-
-    def take(sample: zenoh.Sample) -> None:
-        nonlocal count
-        packet = unpack(sample.payload.to_bytes())
-        kind, body = kind_of(packet), body_of(packet)
-        if kind == "ping":
-            count = 0
-            answers.put(encode("pong", body["number"], body["data"]))
-        else:
-            count += 1
-            if body["number"] < 0:
-                answers.put(encode("got", count, b""))
-
-    session.declare_subscriber("far", take)
+    take = answering(publisher(session, "near", express=True).put)
+    session.declare_subscriber("far", lambda sample: take(sample.payload.to_bytes()))
     say(at=address)
     hear()
 
@@ -72,30 +55,8 @@ def near(address: str) -> None:
     session.declare_subscriber("near", lambda sample: came.put(unpack(sample.payload.to_bytes())))
     pings, loads = publisher(session, "far", express=True), publisher(session, "far")
     plan = hear()
-    data = bytes(plan["size"])
-    while True:  # until both know of each other
-        pings.put(encode("ping", -1, data))
-        try:
-            came.get(timeout=KNOCK_S)
-            break
-        except queue.Empty:
-            continue
-    time.sleep(2 * KNOCK_S)
-    while not came.empty():
-        came.get()
-    times_s = []
-    for number in range(plan["round_trips"]):
-        asked_s = time.perf_counter()
-        pings.put(encode("ping", number, data))
-        came.get()
-        times_s.append(time.perf_counter() - asked_s)
-    packets = plan["packets"]
-    began_s = time.perf_counter()
-    for number in range(packets):
-        loads.put(encode("load", number if number + 1 < packets else -1, data))
-    count = body_of(came.get())["number"]
-    say(times_s=times_s, per_s=packets / (time.perf_counter() - began_s), received=count)
-    hear()
+    knock(pings.put, came)
+    measure(plan, pings.put, loads.put, came.get)
 
 
 def member() -> None:
@@ -111,8 +72,8 @@ def member() -> None:
     def take(sample: zenoh.Sample) -> None:
         nonlocal count, ended_s
         packet = unpack(sample.payload.to_bytes())
-        body = body_of(packet)
-        if kind_of(packet) == "knock":
+        body = packet[BODY]
+        if packet[KIND] == "knock":
             if body["number"] in waits_for:
                 waits_for.discard(body["number"])
                 if not waits_for:
