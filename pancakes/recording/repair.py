@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
@@ -49,13 +50,17 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
     if not reading.cut:
         return Repaired(path, True, count, 0)
     made = into or path.with_name(path.name + ".repaired")
+    begun = False
     try:
         with path.open("rb") as file, made.open("xb") as out:
+            begun = True
             used = _copy(file, out, reading.about)
             size = file.seek(0, 2)
         if into is None:
             made.replace(path)
     except OSError as error:
+        if begun:
+            made.unlink(missing_ok=True)  # half a file takes room, and would be in the way of the next repair
         raise RecordingError(f"{path} cannot be repaired into {made}: {error.strerror or error}") from None
     return Repaired(into or path, False, count, size - used)
 
@@ -69,7 +74,7 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
     channels: dict[int, int] = {}
     used = 0
     try:
-        for record in StreamReader(file, validate_crcs=True).records:
+        for record in _readable(file):
             if isinstance(record, Schema):
                 if record.id not in schemas:
                     schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
@@ -82,8 +87,17 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
                 channel = channels[record.channel_id]
                 writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
             used = file.tell()
-    except READ_ERRORS:
+    except KeyError:  # its channel or schema is missing: it is torn
         pass
     writer.finish()
     out.flush()
+    os.fsync(out.fileno())  # it may take the place of the only other copy
     return used
+
+
+def _readable(file: BinaryIO) -> Iterator[McapRecord]:
+    """Gives what can be read. Apart from the writing, whose errors do not say that the file ends here."""
+    try:
+        yield from StreamReader(file, validate_crcs=True).records
+    except READ_ERRORS:
+        return

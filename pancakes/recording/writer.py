@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -38,9 +39,15 @@ class RecordingWriter:
         self.path = path
         self.messages = 0
         self._file = path.open("xb")
-        self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
-        self._chunks.add_metadata(METADATA, about)
-        self._file.flush()  # whoever is killed now leaves a file that is one
+        try:
+            self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
+            self._chunks.add_metadata(METADATA, about)
+            self._file.flush()  # whoever is killed now leaves a file that is one
+        except OSError:
+            path.unlink()  # nobody could read it
+            with suppress(OSError):  # which is said already
+                self._file.close()
+            raise
         self._encoder = EntryEncoder()
         self._packet_channels: dict[tuple[str, str, str], int] = {}
         self._channels: dict[tuple[str, str], int] = {}

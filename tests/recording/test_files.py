@@ -1,5 +1,6 @@
 """The files of a recording: packets go in and come out as they were, also where a crash has cut the file off."""
 
+import errno
 import math
 import os
 from dataclasses import dataclass
@@ -8,10 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
+from pancakes.recording.chunks import ChunkedFile
 from pancakes.recording.entry import Entry, EntryEncoder, RecordingError, packet_from_data
 from pancakes.recording.parts import Parts, part_path, parts_of
 from pancakes.recording.reader import RecordingReader
@@ -165,6 +168,35 @@ def test_a_whole_file_is_left_alone_by_a_repair(tmp_path):
     assert (tmp_path / "r.mcap").read_bytes() == before
 
 
+@pytest.mark.parametrize("full_after_bytes", [0, 20_000])
+def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later(
+    tmp_path, monkeypatch, full_after_bytes
+):
+    path = tmp_path / "r.mcap"
+    written(path, [pose(number) for number in range(300)])
+    os.truncate(path, path.stat().st_size - 100)
+    before = path.read_bytes()
+
+    class Filling(Writer):
+        """Writes into a disk that is full for a moment."""
+
+        written_bytes = 0
+
+        def add_message(self, channel_id, log_time, data, publish_time, sequence):
+            self.written_bytes += len(data)
+            if self.written_bytes > full_after_bytes:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            super().add_message(channel_id, log_time, data, publish_time, sequence)
+
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr("pancakes.recording.repair.Writer", Filling)
+        with pytest.raises(RecordingError, match="No space left on device"):
+            repair(path)
+    assert [(it.name, it.read_bytes()) for it in tmp_path.iterdir()] == [("r.mcap", before)]
+    assert repair(path).messages == 300
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_recorder_that_was_killed_after_a_flush_has_lost_nothing_of_before(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {})
     for number in range(7):
@@ -287,6 +319,16 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
         assert parts.flush() == ""
     parts.close()
     assert synced
+
+
+def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
+    def full(chunks, name, values):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(ChunkedFile, "add_metadata", full)
+    with pytest.raises(RecordingError, match=r"r\.mcap cannot be written: No space left on device"):
+        make_parts(tmp_path / "r.mcap")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_nothing_is_overwritten_and_what_cannot_be_written_is_named(tmp_path):
