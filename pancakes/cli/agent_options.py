@@ -60,10 +60,12 @@ def usual(arguments: Sequence[str]) -> Options | None:
 
 
 _NO_NUMBER: Final = -1
+_MOST_DIGITS: Final = 18
+"""A number of more digits is left to click, which has words also for those that Python does not read."""
 
 
 def _last_number(texts: Sequence[str]) -> int | None:
     """Returns the last of some numbers; None where there are none, `_NO_NUMBER` where one of them is none."""
-    if not all(text.isascii() and text.isdecimal() for text in texts):
+    if not all(text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS for text in texts):
         return _NO_NUMBER
     return int(texts[-1]) if texts else None

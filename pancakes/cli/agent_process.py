@@ -120,6 +120,8 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
 
 def _check(config: Config, plugins: Plugins) -> None:
     """Says that a configuration is sound, and which plug-ins of this environment are not."""
+    import click
+
     from pancakes.errors import PluginError
     from pancakes.plugins import GROUPS
 
@@ -132,7 +134,7 @@ def _check(config: Config, plugins: Plugins) -> None:
                 continue  # `problems` has it
     for problem in plugins.problems():
         _warn(f"warning: {problem}")
-    print(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
+    click.echo(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
 
 
 def _register(running: Agent) -> Registration | None:
@@ -201,4 +203,6 @@ def _listen_to_libraries(running: Agent) -> Callable[[], None]:
 
 
 def _warn(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    import click  # only now: most agents have nothing to warn of
+
+    click.echo(text, err=True)

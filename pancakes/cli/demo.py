@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pancakes.cli import interpreter
 from pancakes.cli.demo_page import DemoPage
 from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
@@ -118,6 +119,7 @@ def demo(
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
+    interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, again=INTERRUPTED)

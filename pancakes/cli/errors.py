@@ -53,6 +53,8 @@ def fail(error: Exception) -> NoReturn:
         sys.exit(exit_code(error))
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         click.echo(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
+        if not error.filename:
+            _forget_output()
         sys.exit(REFUSED)
     missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if missing in EXTRAS:
@@ -70,9 +72,13 @@ def fail(error: Exception) -> NoReturn:
 
 def end_unread() -> NoReturn:
     """Exits without a word: whoever read the output, such as `head`, has had enough of it."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)  # what Python still keeps for standard output would else be an error at its end
+    _forget_output()
     sys.exit(UNREAD)
+
+
+def _forget_output() -> None:
+    """Sends nowhere what Python still keeps for standard output; it would else be an error at the process's end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
 def sentences(function: Callable[_P, _R]) -> Callable[_P, _R]:

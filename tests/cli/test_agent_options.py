@@ -48,9 +48,10 @@ def test_a_usual_command_line_needs_no_click(arguments):
         ("--config", "a.toml", "more"),
         ("--config", "a.toml", "--ready-fd", "2"),
         ("--config", "a.toml", "--die-with-parent"),
+        ("--config", "a.toml", "--die-with-parent", "9" * 5000),
         ("--confg", "a.toml"),
     ],
-    ids=" ".join,
+    ids=lambda arguments: " ".join(arguments)[:60],
 )
 def test_all_others_are_left_to_click(arguments):
     assert usual(arguments) is None

@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -75,13 +76,52 @@ def test_an_extra_that_is_not_installed_is_named(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().err == "this needs mcap: pip install 'pancakes-agents[record]'\n"
 
 
-@pytest.mark.parametrize("format_", ["table", "json"])
-def test_who_reads_no_more_ends_a_verb_without_a_word(format_: str):
+def verb_into(output: int, *verb: str) -> tuple[int, bytes]:
+    """What a process ends with whose output goes there: its exit code, and what it says on standard error."""
+    # As in a terminal: else Python keeps nothing of the output, and the end of the process has nothing to trip over.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    ended = subprocess.run(
+        [sys.executable, "-m", *verb], stdout=output, stderr=subprocess.PIPE, env=environment, check=False
+    )
+    return ended.returncode, ended.stderr
+
+
+@pytest.fixture
+def checked(tmp_path: Path) -> tuple[str, ...]:
+    config = tmp_path / "a.toml"
+    config.write_text('schema = 1\n[agent]\nname = "a"\n')
+    return "pancakes.cli.agent", "--config", str(config), "--check"
+
+
+LIST = ("pancakes.cli.main", "plugin", "list")
+
+
+def test_who_reads_no_more_ends_a_verb_without_a_word(checked: tuple[str, ...]):
     reader, writer = os.pipe()
     os.close(reader)
+    try:
+        for verb in (LIST, (*LIST, "--format", "json"), checked):
+            assert verb_into(writer, *verb) == (141, b""), verb
+    finally:
+        os.close(writer)
 
-    verb = [sys.executable, "-m", "pancakes.cli.main", "plugin", "list", "--format", format_]
-    ended = subprocess.run(verb, stdout=writer, stderr=subprocess.PIPE, check=False)
 
-    os.close(writer)
-    assert (ended.returncode, ended.stderr) == (141, b"")
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no device that is always full")
+def test_output_that_nothing_takes_ends_a_verb_with_one_sentence(checked: tuple[str, ...]):
+    with open("/dev/full", "wb") as full:
+        for verb in (LIST, (*LIST, "--format", "json"), checked):
+            said = b"cannot write the output: No space left on device\n"
+            assert verb_into(full.fileno(), *verb) == (1, said), verb
+
+
+def test_a_file_whose_name_is_no_text_can_be_checked(checked: tuple[str, ...]):
+    odd = checked[2].encode() + b"\xff"
+    os.rename(checked[2], odd)
+    ended = subprocess.run(
+        [sys.executable, "-m", *checked[:2], odd, checked[3]],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, b"")
+    assert b"is sound" in ended.stdout
