@@ -311,7 +311,8 @@ class InformationStream:
         try:
             return self._give(packet, destination)
         except MailboxFull:
-            self._routes.get((packet.channel, packet.type, destination), NOBODY).give_where_room(packet)
+            # It may be another route by now, or none: readers come and go.
+            self._route_of(packet, destination).give_where_room(packet)
             raise
 
     def inject_all(
@@ -453,7 +454,10 @@ class InformationStream:
         if channel not in self._readers:
             self.exits.clear()
 
-    def _route(self, packet: Packet, destination: str) -> Route:
+    def _route_of(self, packet: Packet, destination: str) -> Route:
+        return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)
+
+    def _new_route(self, packet: Packet, destination: str) -> Route:
         """Makes the snapshot for packets like this one; an empty destination means whoever subscribes here."""
         with self._lock:
             readers = self._readers.get(packet.channel)
@@ -482,7 +486,7 @@ class InformationStream:
             return route
 
     def _give(self, packet: Packet, destination: str) -> int:
-        route = self._routes.get((packet.channel, packet.type, destination)) or self._route(packet, destination)
+        route = self._route_of(packet, destination)
         route.give(packet)
         readers = len(route.queues) + len(route.shared)
         if destination and not readers and not route.taps:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
+from pancakes.kernel.inbox import LONGEST_S
 from pancakes.kernel.pool import GUEST_S, Guest
 from pancakes.net.readiness import READ, readiness
 
@@ -23,8 +24,6 @@ READING_S: Final = 0.0002
 decoded is then still in the processor's cache, and little waits in mailboxes. Measured with eight agents that send as
 fast as they can to one: 2.1 µs of its processor time a packet, where reading them all first took 2.9.
 """
-VISIT_S: Final = 2 * GUEST_S
-"""After this time the thread sees to its other duties before it reads from more sockets."""
 
 _LOG = logging.getLogger("pancakes.net")
 
@@ -156,35 +155,30 @@ class Loop:
         """Does all that is to be done, until the end or until another thread takes over; returns whether one does."""
         guest: Guest | None = None
         timers, now, poll = self._timers, self._now, self._readiness.poll
-        ready: list[tuple[int, int]] = []
         while not self._ended:
-            # Sockets come before timers, so that after a pause of this process (a debugger, SIGSTOP) what
-            # peers sent in the meantime is read before their silence is judged.
-            if not ready:
-                self._forgotten.clear()
-                # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
-                ready = poll(max(0.0, timers[0][0] - now()) if timers else None)
+            self._forgotten.clear()
+            # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
+            wait_s = max(0.0, min(timers[0][0] - now(), LONGEST_S)) if timers else None
+            ready = poll(wait_s)
             if guest is None and self._make_guest is not None:
                 guest = self._make_guest(self._take_over)
-            ready = self._serve_sockets(ready, guest if ready and guest is not None and guest.arrive() else None)
+            # All sockets come before any timer, so that after a pause of this process (a debugger, SIGSTOP) what
+            # peers sent in the meantime is read before their silence is judged.
+            self._serve_sockets(ready, guest if ready and guest is not None and guest.arrive() else None)
             if guest is not None and not guest.stays:
                 return True
             if timers and timers[0][0] <= now():
                 self._run_timers()
         return False
 
-    def _serve_sockets(self, ready: list[tuple[int, int]], guest: Guest | None) -> list[tuple[int, int]]:
-        """Serves sockets that are ready; as a guest, gives the turns of those to whom that has brought something.
-
-        Returns:
-            The sockets that it had no time for.
-        """
+    def _serve_sockets(self, ready: list[tuple[int, int]], guest: Guest | None) -> None:
+        """Serves sockets that are ready; as a guest, gives the turns of those to whom that has brought something."""
         now, watched, forgotten = self._now, self._watched, self._forgotten
-        began_s = last_s = now()
-        served = 0
+        last_s = now()
+        left = len(ready)
         try:
             for number, events in ready:
-                served += 1
+                left -= 1
                 if number not in forgotten:  # by one before it; another socket may have its number by now
                     try:
                         watched[number](events)
@@ -193,16 +187,15 @@ class Loop:
                 if guest is None:
                     continue
                 now_s = now()
-                if now_s - last_s < READING_S and served < len(ready):
+                if now_s - last_s < READING_S and left:
                     continue
                 guest.work(now_s + GUEST_S)
+                if not guest.stays:
+                    return  # who has taken over finds the others ready as well
                 last_s = now()
-                if not guest.stays or last_s - began_s >= VISIT_S:
-                    break
         finally:
             if guest is not None:
                 self._guard(guest.leave)
-        return ready[served:]
 
     def _take_over(self) -> None:
         """A turn holds the loop's thread: lets another one be the loop's. From any thread."""

@@ -14,11 +14,12 @@ from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.net.alarm import Alarm
 from pancakes.net.outbox import CountersOfAll
 from pancakes.net.peers import Admit, Decision, Dial, Peers, reachable
 from pancakes.net.sending import Sending
 from pancakes.net.session import Session, Unwanted
-from pancakes.net.transport import Handler, Scheduled, Transport
+from pancakes.net.transport import Handler, Transport
 from pancakes.packet import Packet, agent_of
 from pancakes.wire.link import (
     Action,
@@ -113,11 +114,9 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._established = False
-        self._timer: Scheduled | None = None
-        self._timer_s = math.inf
         self._sending = Sending(self._packet_lost, defer)
-        self._links_timer: Scheduled | None = None
-        self._links_timer_s = math.inf
+        self._peers_alarm = Alarm(transport, self._now, self._run_peers)
+        self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
         self._beacons = 0
         self._tally_lock = threading.Lock()
         self._mission_packets = 0
@@ -398,26 +397,18 @@ class Mesh:
         """Sees to it that `_tick` runs when the link has something to do."""
         if session.link is not None and session.number in self._sessions:
             session.due_s = session.link.due_s()
-            if session.due_s < self._links_timer_s:
-                self._arm_links(session.due_s)
-
-    def _arm_links(self, due_s: float) -> None:
-        if self._links_timer is not None:
-            self._links_timer.cancel()
-        self._links_timer, self._links_timer_s = None, due_s
-        if due_s < math.inf:
-            delay_s = max(0.0, due_s + TOGETHER * self._times.heartbeat_s - self._now())
-            self._links_timer = self._transport.call_later(delay_s, self._run_links)
+            if session.due_s < self._links_alarm.due_s:
+                self._links_alarm.set(session.due_s)
 
     def _run_links(self) -> None:
-        self._links_timer, self._links_timer_s = None, -math.inf  # not to be armed for each link
+        self._links_alarm.due_s = -math.inf  # not to be set for each link
         now_s = self._now()
         try:
             for session in list(self._sessions.values()):
                 if session.due_s <= now_s:
                     self._tick(session, now_s)
         finally:
-            self._arm_links(min((session.due_s for session in self._sessions.values()), default=math.inf))
+            self._links_alarm.set(min((session.due_s for session in self._sessions.values()), default=math.inf))
 
     def _tick(self, session: Session, now_s: float) -> None:
         link = session.link
@@ -549,17 +540,9 @@ class Mesh:
     def _arm(self) -> None:
         """Sees to it that `_run_peers` runs when membership has something to do."""
         due_s = self._peers.due_s() if self._peers is not None and self._state == "running" else math.inf
-        if due_s == self._timer_s:
-            return
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        self._timer_s = due_s
-        if due_s < math.inf:
-            self._timer = self._transport.call_later(max(0.0, due_s - self._now()), self._run_peers)
+        self._peers_alarm.set(due_s)
 
     def _run_peers(self) -> None:
-        self._timer, self._timer_s = None, math.inf
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 

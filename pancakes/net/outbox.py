@@ -13,6 +13,7 @@ were sent. When the peer, or the network, does not keep up:
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict, deque
 from collections.abc import Collection, Iterator
 from typing import Final
@@ -34,6 +35,9 @@ MOST_GONE: Final = 1024
 FIRST: Final = (SYSCTRL, NETWORK)
 """Channels that are served before all others."""
 
+# Two links with one peer may drop something at once: the one that has just ended, and its successor.
+_DROPS: Final = threading.Lock()
+
 Key = tuple[str, str, str]
 
 
@@ -52,8 +56,9 @@ class Counters(msgspec.Struct):
     """Packets for this peer that were given up, for each channel."""
 
     def drop(self, channel: str, packets: int = 1) -> None:
-        """Counts packets that were given up."""
-        self.dropped[channel] = self.dropped.get(channel, 0) + packets
+        """Counts packets that were given up. From any thread."""
+        with _DROPS:
+            self.dropped[channel] = self.dropped.get(channel, 0) + packets
 
 
 class CountersOfAll:

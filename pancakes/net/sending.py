@@ -210,17 +210,18 @@ class Sending:
     def _way(self, packet: Packet) -> Way:
         destination = packet.destination
         with self._lock:
-            sessions = self.neighbours
-            if destination != NEIGHBOURS:
-                session = self._links.get(agent_of(destination))
-                if session is None:
-                    raise self._lost(packet)
-                sessions = (session,)
-            way = Way(packet, sessions, self._local)
-            if len(self._ways) >= MOST_WAYS:
-                self._end_ways()
-            self._ways[packet.channel, packet.type, packet.source, destination] = way
-            return way
+            sessions = self.neighbours if destination == NEIGHBOURS else self._sessions_of(agent_of(destination))
+            if sessions is not None:
+                way = Way(packet, sessions, self._local)
+                if len(self._ways) >= MOST_WAYS:
+                    self._end_ways()
+                self._ways[packet.channel, packet.type, packet.source, destination] = way
+                return way
+        raise self._lost(packet)
+
+    def _sessions_of(self, agent: str) -> tuple[Session, ...] | None:
+        session = self._links.get(agent)
+        return (session,) if session is not None else None
 
     def _end_ways(self) -> None:
         # Whoever still knows one of them must not keep sessions that have ended. Under the lock.

@@ -24,6 +24,10 @@ BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
 one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
 """
+MOST_UNSENT_BYTES: Final = 512 * 1024
+"""Where more waits in the connection, the link itself has nothing more to say: who sends pings all the time and takes
+next to nothing of the answers must not fill the memory.
+"""
 
 
 class Train(msgspec.Struct, gc=False):
@@ -159,9 +163,13 @@ class Session:
     # Sending
 
     def send_link(self, message: bytes) -> None:
-        """Sends a message of the link itself, before all that waits in the outbox."""
+        """Sends a message of the link itself, before all that waits in the outbox.
+
+        To a peer that takes next to nothing it is not sent; what the peer gets meanwhile is sign of life enough.
+        """
         with self._lock:
-            self._write(frame([message]))
+            if self._unsent() <= MOST_UNSENT_BYTES:
+                self._write(frame([message]))
 
     def send(self, trains: Sequence[Train], data: bytes = b"") -> None:
         """Sends what one turn has for this peer, at once. From any thread.

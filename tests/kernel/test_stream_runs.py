@@ -146,3 +146,23 @@ def test_their_bytes_on_the_wire_may_say_that_they_are_light(bodies, size, heavy
     stream.inject_all(run, nobody, size)
     assert reader.queue.heavy_bytes == heavy
     assert reader.got() == [0, 1]
+
+
+def test_who_begins_to_listen_while_somebody_has_no_room_costs_the_others_nothing():
+    """What came from another agent does not come again, so whoever has room is to get it."""
+    stream, refused = InformationStream("a"), []
+    full = Reader(stream, "a/client/Full", pose=reliable(1))
+    other = Reader(stream, "a/client/Other", pose=queue(9))
+
+    class Component:
+        """Whoever is named in the refusal, which is said just before the others get the packet."""
+
+        @property
+        def address(self):
+            Reader(stream, "a/client/New", ir=queue(9))
+            return "a/client/Full"
+
+    full.mailbox.component = Component()
+    stream.inject_all(packets(1, 2), lambda packet, error: refused.append(packet.seq))
+    assert refused == [2] and full.got() == [1] and full.queue.dropped() == 1
+    assert other.got() == [1, 2]

@@ -70,8 +70,8 @@ def test_more_addresses_than_a_message_may_hold_are_told_in_several(memory_rig):
 def test_the_heartbeats_of_many_links_are_served_by_few_wake_ups(memory_rig):
     agents = crowd(memory_rig, MANY)
     woken = []
-    run = agents[0].mesh._run_links
-    agents[0].mesh._run_links = lambda: woken.append(run())
+    alarm, run = agents[0].mesh._links_alarm, agents[0].mesh._run_links
+    alarm._function = lambda: woken.append(run())
     memory_rig.timeline.run_until(memory_rig.clock.now() + 10.0)
     assert 10 < len(woken) < 100, "and not two a second for each link"
     assert all(agent.downs == [] for agent in agents)

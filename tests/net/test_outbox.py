@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -207,3 +209,23 @@ def test_so_many_peers_that_have_gone_are_counted_and_no_more():
     assert known == list(range(2 * MOST_GONE - 1, 3 * MOST_GONE))
     counters.forget(f"guest{known[-1]}")
     assert f"guest{known[-1]}" not in counters
+
+
+def test_what_two_links_with_one_peer_drop_at_once_is_all_counted():
+    counters = Counters()
+    other = threading.Thread(target=lambda: counters.drop("chat"))
+
+    class Dropped(dict):
+        """Lets the other thread count while one is at it."""
+
+        def get(self, channel, default):
+            count = super().get(channel, default)
+            if other.ident is None:
+                other.start()
+                other.join(0.05)  # as long as one needs that does not wait
+            return count
+
+    counters.dropped = Dropped()
+    counters.drop("chat")
+    other.join()
+    assert counters.dropped == {"chat": 2}

@@ -1,0 +1,53 @@
+"""A session by itself: what it gives to a connection that takes little."""
+
+from __future__ import annotations
+
+from pancakes.net.session import MOST_UNSENT_BYTES, Session
+from pancakes.net.transport import Connection
+from pancakes.wire.codec import Encoder
+from pancakes.wire.messages import Pong
+
+
+class Nobody:
+    """An owner that does nothing."""
+
+    def session_opened(self, session: Session) -> None:
+        pass
+
+    def session_received(self, session: Session, data: bytes) -> None:
+        pass
+
+    def session_closed(self, session: Session, reason: str) -> None:
+        pass
+
+
+class Slow(Connection):
+    """A connection whose other end takes what a test lets it take."""
+
+    remote = "tcp://127.0.0.1:1"
+
+    def __init__(self) -> None:
+        self.waiting = 0
+
+    def send(self, data: bytes) -> int:
+        self.waiting += len(data)
+        return self.waiting
+
+    def unsent(self) -> int:
+        return self.waiting
+
+    def close(self, reason: str = "") -> None:
+        pass
+
+
+def test_the_answers_to_endless_pings_that_nobody_takes_do_not_fill_the_memory() -> None:
+    session = Session(Nobody(), 1, "", lambda: 0.0)
+    connection = Slow()
+    session.opened(connection)
+    pong = Encoder().link_message(Pong(1)) * 1000
+    for _ in range(2 * MOST_UNSENT_BYTES // len(pong)):
+        session.send_link(pong)
+    assert MOST_UNSENT_BYTES < connection.waiting < MOST_UNSENT_BYTES + 2 * len(pong)
+    before = connection.waiting = 0
+    session.send_link(pong)
+    assert connection.waiting > before, "it has taken what waited, and is spoken to again"
