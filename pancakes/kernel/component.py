@@ -331,15 +331,19 @@ class Component(pykka.Actor):
 
         Args:
             slice_s: after this time the turn ends even if more waits; None: no limit.
-            timer: one that is armed: its tick comes before all that waits; None: there is none.
+            timer: one that is armed: its tick comes after the control that waits; None: there is none.
         """
         try:
             if not self.__started:
                 self.__begin()
-            if timer is not None and timer.component is self:
-                timer.run()
             mailbox = self.actor_inbox
-            if mailbox.control:
+            control = mailbox.control
+            if timer is not None and timer.component is self:
+                if control:
+                    control.append(timer)
+                else:
+                    timer.run()
+            if control:
                 self.__handle_control()
             # Whoever has ended has no mailbox any more.
             if mailbox.waiting and not mailbox.paused and mailbox.component is self:

@@ -78,7 +78,7 @@ class Dispatcher(ABC):
             mailbox: its mailbox, whose token is held.
             deferred: what this thread's turns put off (`begin_turns`).
             slice_s: after this time the turn ends even if more waits; None: no limit.
-            timer: one of the component's, armed: its tick comes first.
+            timer: one of the component's, armed: its tick is part of the turn.
         """
         component = mailbox.component
         if component is None:

@@ -29,11 +29,14 @@ GUEST_S = 0.002
 """A guest, who has duties of his own, should not work longer."""
 WATCH_S = 0.02
 """How often the watchdog looks."""
+MOST_PASSED_S = 2 * WATCH_S
+"""So much counts between two looks, at the most: where the watchdog itself comes late, the machine stood still."""
 DOZE_LOOKS = 5
 """After so many looks at which nobody had done anything the watchdog rests until somebody does."""
 HOGGED_S = 0.05
 """A handler that holds its thread longer than this is named."""
 MOST_WORKERS = 64
+"""So many workers may be held at a time, and as many guests."""
 STOP_S = 0.3
 """How long, in all, a stop waits for workers that are held."""
 
@@ -51,11 +54,11 @@ class _Shift:
         here: whether he is at work, or called to it; under the pool's lock.
         held: whether he is not reckoned with though he is here, because he does not get on.
         seen: the number of the turn at which the watchdog saw him last.
-        since_s: when it saw that turn first.
+        seen_s: for how long, in seconds, it has seen him at that one.
         named: whether it has said who holds him in that turn.
     """
 
-    __slots__ = ("held", "here", "mailbox", "named", "relieve", "relieved", "seen", "since_s", "turns")
+    __slots__ = ("held", "here", "mailbox", "named", "relieve", "relieved", "seen", "seen_s", "turns")
 
     def __init__(self, relieve: Callable[[], None] | None = None) -> None:
         self.mailbox: Mailbox | None = None
@@ -65,16 +68,18 @@ class _Shift:
         self.here = False
         self.held = False
         self.seen = -1
-        self.since_s = 0.0
+        self.seen_s = 0.0
         self.named = False
 
-    def same_s(self, now_s: float) -> float:
-        """Returns for how long the watchdog has seen him at one and the same turn."""
+    def see(self, passed_s: float) -> float:
+        """Returns for how long the watchdog has seen him at one and the same turn; `passed_s` since it looked last."""
         if self.turns != self.seen:
             self.seen = self.turns
-            self.since_s = now_s
+            self.seen_s = 0.0
             self.named = False
-        return now_s - self.since_s
+        else:
+            self.seen_s += passed_s
+        return self.seen_s
 
 
 class _Worker(threading.Thread):
@@ -214,8 +219,6 @@ class Guest:
             shift.mailbox = None
             if shift.held:
                 pool.come_back(shift)
-                if shift.relieved:
-                    return
 
     def leave(self) -> None:
         """Leaves what is still to be done to a worker."""
@@ -231,7 +234,7 @@ class PoolDispatcher(Dispatcher):
         name: for the names of the threads.
         clock: the host's clock.
         hogged: called by the watchdog, in its thread, with the address of a component that has held a
-            worker for `HOGGED_S`, and for how long, in seconds.
+            worker for `HOGGED_S`, and for how long at least, in seconds.
     """
 
     def __init__(self, name: str, clock: Clock, hogged: Callable[[str, float], None] = lambda address, held_s: None):
@@ -248,6 +251,7 @@ class PoolDispatcher(Dispatcher):
         self._visits = 0
         self._lacks_threads = False
         self._reliefs: list[Callable[[], None]] = []
+        self._looked_s = 0.0
         self._stopping = False
         self._dozing = False
         # Held while the watchdog has nothing to be woken for.
@@ -312,7 +316,7 @@ class PoolDispatcher(Dispatcher):
         if self._active:
             return False
         with self._lock:
-            if self._active or self._stopping:
+            if self._active or self._stopping or len(self._guests) >= MOST_WORKERS:
                 return False
             self._begin(guest)
             self._visits += 1
@@ -343,11 +347,10 @@ class PoolDispatcher(Dispatcher):
             self._active -= 1
 
     def come_back(self, shift: _Shift) -> None:
-        """Reckons with somebody again whose turn has ended."""
+        """Reckons with somebody again whose turn has ended. In his thread; nobody else takes the mark away."""
         with self._lock:
-            if shift.held:
-                shift.held = False
-                self._active += 1
+            shift.held = False
+            self._active += 1
 
     def _watch_again(self) -> None:
         """Wakes the watchdog if it dozes. Under the lock."""
@@ -378,20 +381,24 @@ class PoolDispatcher(Dispatcher):
     def _look(self) -> int:
         """Sees whether everybody gets on. Returns a number that changes as long as turns are given."""
         now_s = self.clock.now()
+        passed_s = min(now_s - self._looked_s, MOST_PASSED_S)
+        self._looked_s = now_s
         with self._lock:
             shifts = [*(worker.shift for worker in self._workers), *self._guests]
             turns = self._visits
         for shift in shifts:
             turns += shift.turns
             mailbox = shift.mailbox
-            same_s = shift.same_s(now_s)
-            if same_s < WATCH_S:
+            if not shift.here:
+                continue
+            seen_s = shift.see(passed_s)
+            if seen_s < WATCH_S:
                 continue
             self._hold(shift)
             component = mailbox.component if mailbox is not None else None
-            if same_s >= HOGGED_S and not shift.named and component is not None:
+            if seen_s >= HOGGED_S and not shift.named and component is not None:
                 shift.named = True
-                self._hogged(component.address, same_s)
+                self._hogged(component.address, seen_s)
         while self._reliefs:
             self._reliefs[0]()  # where no thread can be started it fails, and is tried again at the next look
             del self._reliefs[0]
@@ -402,18 +409,17 @@ class PoolDispatcher(Dispatcher):
     def _hold(self, shift: _Shift) -> None:
         """Reckons without somebody who does not get on; a guest whose turn does not end is to be relieved.
 
-        Whoever is here may be held by what he does before a turn, too, or where the system gives him no core.
+        Whoever is here may be held by what he does before a turn, too, or where the system gives him no core. Whoever
+        has got on just now is taken for held until the end of his next turn, which harms nobody.
         """
         with self._lock:
-            already, shift.held = shift.held, True
-            # First the mark, then the look: who comes back looks for the mark when his turn has ended.
-            in_turn = shift.mailbox is not None
-            if shift.turns != shift.seen or not shift.here:
-                shift.held = already
+            if not shift.here:
                 return
-            if not already:
+            if not shift.held:
+                shift.held = True
                 self._active -= 1
-            if in_turn and shift.relieve is not None and not shift.relieved:
+            # First the mark, then the look: who comes back looks for the mark when his turn has ended.
+            if shift.mailbox is not None and shift.relieve is not None and not shift.relieved:
                 shift.relieved = True
                 self._reliefs.append(shift.relieve)
 

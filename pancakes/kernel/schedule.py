@@ -49,7 +49,6 @@ class Schedule:
         self._order = count()
         self._groups: dict[float, _Group] = {}
         self._group_of: dict[int, _Group] = {}
-        self._calls: dict[int, tuple[float, int]] = {}
 
     def every(self, target: Any, period_s: float, now_s: float) -> None:
         """Ticks `target` each `period_s` from now on; a target that ticks already changes its rate.

@@ -70,13 +70,13 @@ class TaskTimer:
             self._deadline_s = deadline_s
             return
         self.arm(deadline_s, missed)
-        self.pending = True
         self.mailbox.put(self)
 
     def arm(self, deadline_s: float, missed: int) -> None:
-        """Gives it the deadline that `run` is for; where no tick is pending."""
+        """Gives it the deadline that `run` is for; where no tick is pending, and one is then."""
         self.missed += missed
         self._deadline_s = deadline_s
+        self.pending = True
 
     def run(self) -> None:
         """Calls the method (the component's turn)."""

@@ -1,11 +1,16 @@
-"""A kernel on threads, for the tests of what runs on it."""
+"""A kernel on threads, and a pool whose watchdog looks when it is told to, for the tests of what runs on them."""
+
+import threading
 
 import pytest
 
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.pool import WATCH_S, Guest, PoolDispatcher
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0
+LATER_S = 1.1 * WATCH_S
 
 
 @pytest.fixture
@@ -16,3 +21,160 @@ def kernel():
         for component in reversed(made.registry.components()):
             component.actor_ref.stop(timeout=PATIENCE_S)
         made.stop()
+
+
+class HandClock:
+    """Stands still until it is moved; who waits for it to move by itself fails."""
+
+    def __init__(self):
+        self.now_s = 100.0
+        self._asked = 0
+
+    def now(self):
+        self._asked += 1
+        assert self._asked < 10_000, "it spins"
+        return self.now_s
+
+
+class Actor:
+    """As much of a component as a dispatcher needs: does in its turns what it is told."""
+
+    def __init__(self, pool, address):
+        self.address = address
+        self.slices_s = []
+        self.actor_inbox = Mailbox()
+        pool.attach(self)
+
+    def take_turn(self, slice_s, timer=None):
+        self.slices_s.append(slice_s)
+        control = self.actor_inbox.control
+        if control:
+            control.popleft()()
+
+    def do(self, function):
+        self.actor_inbox.put(function)
+
+
+class Interposed:
+    """A lock before which something else happens, once."""
+
+    def __init__(self, lock, before):
+        self._lock = lock
+        self._before = before
+
+    def __enter__(self):
+        before, self._before = self._before, lambda: None
+        before()
+        self._lock.acquire()
+
+    def __exit__(self, *_):
+        self._lock.release()
+
+
+class Rig:
+    """A pool whose watchdog looks when it is told to.
+
+    Attributes:
+        named: whom the watchdog has named.
+    """
+
+    def __init__(self):
+        self.clock = HandClock()
+        self.named = []
+        self.pool = PoolDispatcher("p", self.clock, lambda address, held_s: self.named.append((address, held_s)))
+        self.pool._look = lambda: 0
+        self._actors = 0
+        self._gates = []
+
+    def look(self, later_s=0.0):
+        """Lets the watchdog look, in this thread, after some time."""
+        self.clock.now_s += later_s
+        return PoolDispatcher._look(self.pool)
+
+    def new_actor(self):
+        """Returns one that has not had its first turn yet."""
+        self._actors += 1
+        return Actor(self.pool, f"a/{self._actors}")
+
+    def actor(self):
+        actor = self.new_actor()
+        self.does(actor)
+        return actor
+
+    def does(self, actor):
+        """Lets an actor do something, and waits until it has, though the watchdog does not look."""
+        done = threading.Event()
+        actor.do(done.set)
+        assert done.wait(PATIENCE_S), f"nobody gives {actor.address} its turn"
+
+    def hold(self):
+        """Holds a worker; returns what lets it go on."""
+        gate, holds = threading.Event(), threading.Event()
+        self._gates.append(gate)
+        self.actor().do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        assert holds.wait(PATIENCE_S)
+        return gate
+
+    def see_held(self):
+        """Lets the watchdog see everybody who is held."""
+        self.look()
+        self.look(LATER_S)
+
+    def guest(self, relieve=lambda: None):
+        return Guest(self.pool, relieve)
+
+    def visiting(self, relieve=lambda: None):
+        """Returns a guest that has arrived; waits until no worker is at work any more."""
+        guest = self.guest(relieve)
+        self.until(guest.arrive, "the pool is never at rest")
+        return guest
+
+    def held_guest(self, relieve=lambda: None):
+        """Holds a guest, in a thread of its own, in a turn; returns what lets it go on, and the thread."""
+        gate, holds = threading.Event(), threading.Event()
+        self._gates.append(gate)
+        actor = self.actor()
+
+        def visit():
+            guest = self.visiting(relieve)
+            actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+            guest.turn()
+            guest.leave()
+
+        visitor = threading.Thread(target=visit)
+        visitor.start()
+        assert holds.wait(PATIENCE_S)
+        return gate, visitor
+
+    def at_rest(self):
+        """Waits until nobody is at work; who has been counted wrongly stays so for ever."""
+        pool = self.pool
+        self.until(lambda: len(pool._idle) == len(pool._workers) and not pool._guests, "somebody never rests")
+        assert pool._active == 0
+
+    @staticmethod
+    def until(condition, complaint):
+        """Waits until something is so that nobody tells of."""
+        moment = threading.Event()
+        for _ in range(int(PATIENCE_S * 1000)):
+            if condition():
+                return
+            moment.wait(0.001)
+        raise AssertionError(complaint)
+
+    def before_lock(self, happens):
+        """Returns the pool's lock, before which something happens, once."""
+        return Interposed(self.pool._lock, happens)
+
+    def end(self):
+        for gate in self._gates:
+            gate.set()
+        self.pool.stop()
+
+
+@pytest.fixture
+def rig():
+    with no_thread_left():
+        made = Rig()
+        yield made
+        made.end()

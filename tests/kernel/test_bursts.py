@@ -103,6 +103,33 @@ def test_who_has_its_turn_elsewhere_gets_the_tick_there_and_counts_what_it_misse
     assert busy.done == [(0.5, 2)]
 
 
+def test_what_a_turn_elsewhere_has_left_goes_before_the_tick(kernel, burst):
+    """A stop, say, that came while the turn went on."""
+    ends, goes_on = spawned(kernel, "Ends", "GoesOn")
+    for task, ask in ((ends, ends.stop), (goes_on, lambda: goes_on.call(lambda: goes_on.done.append("call")))):
+        assert task.actor_inbox.token.acquire(timeout=PATIENCE_S)  # as the thread does that gives it a turn
+        ask()
+        task.actor_inbox.token.release()  # it has not looked yet whether something came meanwhile
+    burst(ends, goes_on)
+    assert (ends.done, goes_on.done) == ([], ["call", (0.5, 0)])
+
+
+def test_a_tick_that_is_late_in_its_turn_is_replaced_by_the_next_and_not_doubled(kernel, burst):
+    """The system may let a thread stand still there, and another thread may be the timer's until it goes on."""
+    (task,) = spawned(kernel, "A")
+    take_turn = task.take_turn
+
+    def late(slice_s, timer):
+        task.timers["tick"].fire(0.6, 0)
+        take_turn(slice_s, timer)
+
+    task.take_turn = late
+    burst(task)
+    del task.take_turn
+    burst(task)
+    assert task.done == [(0.6, 1), (0.5, 0)]
+
+
 def test_what_a_tick_asks_its_own_actor_for_is_done_after_it(kernel, burst):
     (task,) = spawned(kernel, "A")
     task.idea = lambda it: it.call(lambda: it.done.append("call"))

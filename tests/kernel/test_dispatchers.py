@@ -96,6 +96,14 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
     assert all(echo.reached.is_set() for echo in stuck)
 
 
+def test_who_starts_and_ends_the_services_is_not_told_to_be_written_otherwise(kernel):
+    probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
+    kernel._hogged("a/kernel", 0.1)
+    kernel._hogged("a/client/T", 0.1)
+    assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
+    assert ["a/client/T has held" in packet.body.text for packet in probe.packets(LogLine)] == [True]
+
+
 def wait_until_heard(echo, count):
     """Waits until an actor has heard so many lines; each look is a message that it answers after those before it."""
     while len(ready(echo).heard) < count:

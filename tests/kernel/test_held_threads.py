@@ -1,0 +1,272 @@
+"""Whoever a handler holds is not reckoned with: the others work on, and a guest's loop goes on in another thread."""
+
+import threading
+
+from pancakes.kernel import pool as pool_module
+from pancakes.kernel.pool import WATCH_S, _Shift
+
+PATIENCE_S = 10.0
+LATER_S = 1.1 * WATCH_S
+
+
+def test_beside_a_held_worker_nobody_waits_for_the_watchdog(rig):
+    """Else all others would be given their turns at its pace: fifty times a second, as long as the handler takes."""
+    other = rig.actor()
+    gates = [rig.hold()]
+    rig.see_held()
+    rig.does(other)
+    gates.append(rig.hold())
+    rig.see_held()
+    rig.does(other)
+    for gate in gates:
+        gate.set()
+    rig.at_rest()
+
+
+def test_beside_a_held_guest_others_work_at_once_and_it_is_relieved_once(rig):
+    relieved = []
+    gate, visitor = rig.held_guest(lambda: relieved.append(1))
+    for _ in range(3):
+        rig.see_held()
+    assert relieved == [1]
+    successor = rig.guest()
+    assert successor.arrive(), "the guest's successor must wait until its handler is done"
+    gate.set()
+    visitor.join(PATIENCE_S)
+    assert not rig.guest().arrive(), "there are two at work"
+    successor.leave()
+    rig.at_rest()
+
+
+def test_beside_a_guest_that_is_held_between_its_turns_nobody_waits_for_the_watchdog(rig):
+    relieved = []
+    other = rig.actor()
+    guest = rig.visiting(lambda: relieved.append(1))
+    rig.see_held()
+    rig.does(other)
+    rig.until(lambda: rig.pool._active == 0, "the worker never rests")
+    assert guest.turn()
+    rig.look()
+    rig.does(other)
+    guest.leave()
+    assert relieved == [], "nobody else may be in the middle of its loop"
+    rig.at_rest()
+
+
+def test_a_guest_that_was_held_without_a_turn_is_reckoned_with_when_it_comes_again(rig):
+    guest = rig.visiting()
+    rig.see_held()
+    guest.leave()
+    assert guest.arrive() and not rig.guest().arrive()
+    guest.leave()
+    rig.at_rest()
+
+
+def test_a_guest_that_is_first_held_between_turns_and_then_in_one_is_relieved(rig):
+    relieved = []
+    gate, holds = threading.Event(), threading.Event()
+    actor, seen = rig.actor(), threading.Event()
+
+    def visit():
+        guest = rig.visiting(lambda: relieved.append(1))
+        arrived.set()
+        assert seen.wait(PATIENCE_S)
+        # Not by way of `ready`, which would have a worker do it.
+        assert actor.actor_inbox.token.acquire(False)
+        actor.actor_inbox.control.append(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        rig.pool.work.append(actor.actor_inbox)
+        guest.turn()
+        guest.leave()
+
+    arrived = threading.Event()
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    assert arrived.wait(PATIENCE_S)
+    rig.see_held()
+    assert rig.pool._active == 0
+    seen.set()
+    assert holds.wait(PATIENCE_S)
+    rig.see_held()
+    assert relieved == [1]
+    gate.set()
+    visitor.join(PATIENCE_S)
+    rig.at_rest()
+
+
+def test_a_guest_that_is_not_reckoned_with_comes_back_though_the_watchdog_sees_another_turn(rig):
+    gate, arrived, seen, holds = (threading.Event() for _ in range(4))
+    actor = rig.actor()
+
+    def visit():
+        guest = rig.visiting()
+        arrived.set()
+        assert seen.wait(PATIENCE_S)
+        assert actor.actor_inbox.token.acquire(False)
+        actor.actor_inbox.control.append(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        rig.pool.work.append(actor.actor_inbox)
+        guest.turn()
+        guest.leave()
+
+    def too_late(shift):
+        seen.set()
+        assert holds.wait(PATIENCE_S)
+        hold(shift)
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    assert arrived.wait(PATIENCE_S)
+    rig.see_held()
+    hold, rig.pool._hold = rig.pool._hold, too_late
+    rig.look()
+    assert rig.pool._active == 0
+    gate.set()
+    visitor.join(PATIENCE_S)
+    rig.at_rest()
+
+
+def test_nobody_waits_for_a_worker_that_was_called_and_does_not_come(rig):
+    """The machine may have no core for it."""
+
+    class Slow:
+        """A bell that the worker does not hear yet."""
+
+        def release(self):
+            pass
+
+    actor = rig.actor()
+    rig.at_rest()
+    worker = rig.pool._idle[-1]
+    bell, worker.wake = worker.wake, Slow()
+    done = threading.Event()
+    actor.do(done.set)
+    rig.look()
+    assert rig.pool._active == 1
+    rig.look(LATER_S)
+    assert done.wait(PATIENCE_S), "nobody else has come"
+    worker.wake = bell
+    bell.release()
+    rig.at_rest()
+
+
+def test_a_worker_whose_turn_has_ended_is_reckoned_with_in_its_next(rig, monkeypatch):
+    """Else another would be at work beside it as long as it finds work."""
+    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)  # nobody else comes to what waits
+    waiting, first = rig.actor(), rig.hold()
+    rig.see_held()
+    gate, holds = threading.Event(), threading.Event()
+    waiting.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+    assert rig.pool._active == 0
+    first.set()
+    assert holds.wait(PATIENCE_S)
+    counted = rig.pool._active
+    gate.set()
+    assert counted == 1
+    rig.at_rest()
+
+
+def test_a_worker_that_has_come_back_just_now_is_reckoned_with(rig):
+    gate = rig.hold()
+    hold = rig.pool._hold
+
+    def too_late(shift):
+        gate.set()
+        rig.until(lambda: rig.pool._idle, "the worker does not come back")
+        hold(shift)
+
+    rig.look()
+    rig.pool._hold = too_late
+    rig.look(LATER_S)
+    rig.at_rest()
+
+
+def test_a_guest_that_has_got_on_just_now_leaves_after_its_next_turn_at_the_latest(rig):
+    """The watchdog saw it for long in the turn before."""
+    relieved, stays = [], []
+    gates = [threading.Event(), threading.Event()]
+    holds = [threading.Event(), threading.Event()]
+    actors = [rig.actor(), rig.actor()]
+
+    def visit():
+        guest = rig.visiting(lambda: relieved.append(1))
+        for number, actor in enumerate(actors):
+            actor.do(lambda number=number: (holds[number].set(), gates[number].wait(PATIENCE_S)))
+        stays.extend([guest.turn(), guest.turn()])
+        guest.leave()
+
+    def too_late(shift):
+        gates[0].set()
+        assert holds[1].wait(PATIENCE_S)
+        hold(shift)
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    assert holds[0].wait(PATIENCE_S)
+    rig.look()
+    hold, rig.pool._hold = rig.pool._hold, too_late
+    rig.look(LATER_S)
+    assert relieved == [1] and rig.pool._active == 0
+    gates[1].set()
+    visitor.join(PATIENCE_S)
+    assert stays == [True, False]
+    rig.at_rest()
+
+
+def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
+    """It has laid its mailbox down, but not yet looked whether it stays."""
+
+    class Seen(_Shift):
+        """Lets the guest end its turn while the watchdog looks whether it is in one."""
+
+        hook = staticmethod(lambda: None)
+
+        @property
+        def mailbox(self):
+            seen = self.its_mailbox
+            self.hook()
+            return seen
+
+        @mailbox.setter
+        def mailbox(self, mailbox):
+            self.its_mailbox = mailbox
+
+    relieved, stays = [], []
+    gate, holds, back = threading.Event(), threading.Event(), threading.Event()
+    actor = rig.actor()
+    guest = rig.guest()
+    guest._shift = shift = Seen(lambda: relieved.append(1))
+
+    def visit():
+        rig.until(guest.arrive, "the pool is never at rest")
+        actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        stays.append(guest.turn())
+        back.set()
+        guest.leave()
+
+    def ends_its_turn():
+        Seen.hook = staticmethod(lambda: None)
+        gate.set()
+        rig.until(lambda: shift.mailbox is None, "its turn does not end")
+        back.wait(0.05)  # as long as a guest needs that looks too early; one that does not waits for the watchdog
+
+    visitor = threading.Thread(target=visit)
+    visitor.start()
+    assert holds.wait(PATIENCE_S)
+    rig.look()
+    rig.clock.now_s += LATER_S
+    hold = rig.pool._hold
+    rig.pool._hold = lambda it: (setattr(Seen, "hook", staticmethod(ends_its_turn)), hold(it))
+    rig.look()
+    visitor.join(PATIENCE_S)
+    assert stays == [not relieved], "two threads are in one loop, or none is"
+    rig.at_rest()
+
+
+def test_a_guest_that_comes_again_after_a_while_was_not_held_all_that_time(rig):
+    guest = rig.visiting()
+    rig.look()
+    guest.leave()
+    rig.clock.now_s += 10.0
+    assert guest.arrive()
+    rig.look()
+    assert not rig.guest().arrive()
+    guest.leave()

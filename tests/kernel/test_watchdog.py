@@ -1,0 +1,177 @@
+"""The pool's watchdog: whom it names, when it rests, and what it does where there are no threads."""
+
+import threading
+
+import pytest
+
+from pancakes.kernel import pool as pool_module
+from pancakes.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
+
+PATIENCE_S = 10.0
+LATER_S = 1.1 * WATCH_S
+
+
+def test_whoever_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
+    gate = rig.hold()
+    rig.look()
+    rig.look(0.5 * HOGGED_S)
+    rig.look(0.4 * HOGGED_S)
+    assert rig.named == []
+    rig.look(0.2 * HOGGED_S)
+    rig.look(0.5 * HOGGED_S)
+    assert rig.named == [("a/1", pytest.approx(1.1 * HOGGED_S))]
+    gate.set()
+    rig.at_rest()
+    gate = rig.hold()
+    rig.look()
+    rig.look(0.6 * HOGGED_S)
+    rig.look(0.6 * HOGGED_S)
+    assert [address for address, _ in rig.named] == ["a/1", "a/2"]
+    gate.set()
+
+
+def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
+    """What is told of its end may hold it still."""
+    gate, holds = threading.Event(), threading.Event()
+    actor = rig.actor()
+
+    def end():
+        actor.actor_inbox.component = None
+        holds.set()
+        gate.wait(PATIENCE_S)
+
+    actor.do(end)
+    assert holds.wait(PATIENCE_S)
+    rig.see_held()
+    for _ in range(5):
+        rig.look(LATER_S)
+    assert rig.named == [] and rig.pool._active == 0
+    gate.set()
+    rig.at_rest()
+
+
+def test_nobody_is_named_because_the_whole_machine_stood_still(rig):
+    """The watchdog itself came late then, and knows of no more than what it would have seen by its own periods."""
+    gate = rig.hold()
+    rig.look()
+    rig.look(100 * HOGGED_S)
+    assert rig.named == []
+    rig.look(100 * HOGGED_S)
+    assert rig.named == [("a/1", pytest.approx(2 * MOST_PASSED_S))], "it holds it still"
+    gate.set()
+
+
+def no_thread(*_):
+    raise RuntimeError("can't start new thread")
+
+
+def test_where_no_thread_can_be_started_nobody_fails_and_work_is_done_later(rig, monkeypatch, caplog):
+    with monkeypatch.context() as patch:
+        patch.setattr(pool_module._Worker, "start", no_thread)
+        done = threading.Event()
+        actor = rig.new_actor()
+        actor.do(done.set)
+        rig.look()
+        assert len(caplog.records) == 1 and "gets none: can't start new thread" in caplog.text
+        assert rig.pool._active == 0 and rig.pool._workers == []
+        assert not rig.pool._may_doze(), "nobody will look again"
+    rig.look()
+    assert done.wait(PATIENCE_S)
+    rig.at_rest()
+    with monkeypatch.context() as patch:
+        patch.setattr(pool_module._Worker, "start", no_thread)
+        rig.pool._idle, rig.pool._workers, kept = [], [], (rig.pool._idle, rig.pool._workers)
+        actor.do(lambda: None)
+        assert len(caplog.records) == 2, "it is told each time that it begins"
+        rig.pool._idle, rig.pool._workers = kept
+    rig.look()
+    rig.at_rest()
+
+
+def test_a_guest_for_whose_relief_there_is_no_thread_is_relieved_later(rig):
+    relieved = []
+
+    def relieve():
+        relieved.append(1)
+        if len(relieved) == 1:
+            no_thread()
+
+    gate, visitor = rig.held_guest(relieve)
+    with pytest.raises(RuntimeError):
+        rig.see_held()
+    gate.set()
+    visitor.join(PATIENCE_S)
+    rig.look()
+    rig.look()
+    assert relieved == [1, 1]
+
+
+def test_a_watchdog_that_fails_looks_again_and_does_not_rest(rig, caplog):
+    looked = threading.Semaphore(0)
+
+    def look():
+        looked.release()
+        raise ValueError("a fault in whoever is told")
+
+    rig.at_rest()
+    rig.pool._look = look
+    with rig.pool._lock:
+        rig.pool._watch_again()
+    for _ in range(2 * DOZE_LOOKS):
+        assert looked.acquire(timeout=PATIENCE_S), "the watchdog has ended"
+    rig.pool._look = lambda: 0
+    assert "the watchdog of the pool of p failed" in caplog.text
+
+
+def test_a_watchdog_that_sees_visits_only_sees_that_something_is_done(rig):
+    before = rig.look()
+    rig.visiting().leave()
+    assert rig.look() != before
+    assert rig.look() == rig.look()
+
+
+def test_a_watchdog_does_not_rest_while_somebody_is_here(rig):
+    rig.at_rest()
+    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    gate = rig.hold()
+    assert not rig.pool._dozing, "nobody watches the worker"
+    gate.set()
+    rig.at_rest()
+    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    guest = rig.visiting()
+    assert not rig.pool._dozing, "nobody watches the guest"
+    assert not rig.pool._may_doze()
+    rig.see_held()
+    assert not rig.pool._may_doze(), "a guest that is held is still to be watched"
+    guest.leave()
+    gate = rig.hold()
+    rig.see_held()
+    assert not rig.pool._may_doze(), "a worker that is held is still to be named"
+    gate.set()
+
+
+def test_a_pool_stops_while_its_watchdog_is_being_woken(rig):
+    """Its alarm rings already."""
+    rig.at_rest()
+    may_doze = rig.pool._may_doze
+    stopping = threading.Thread(target=rig.end)
+
+    def hooked():
+        dozes = may_doze()
+        if dozes:
+            assert guest.arrive()
+            stopping.start()
+            rig.until(lambda: rig.pool._stopping, "nobody stops")
+            with rig.pool._lock:
+                pass
+        return dozes
+
+    guest = rig.guest()
+    rig.pool._may_doze = hooked
+    with rig.pool._lock:
+        rig.pool._watch_again()
+    rig.until(lambda: rig.pool._stopping, "the watchdog never rests")
+    stopping.join(PATIENCE_S)
+    assert not stopping.is_alive() and not rig.pool._watchdog.is_alive()
+    rig.end = lambda: None
+    guest.leave()
