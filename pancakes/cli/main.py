@@ -17,27 +17,27 @@ VARIABLE: Final = "_PANCAKES_COMPLETE"
 """The environment variable with which a shell asks how the line may go on."""
 
 COMMANDS = {
-    "agent": Later("pancakes.cli.agent_verbs:agent", "Agents that run."),
-    "task": Later("pancakes.cli.task_verbs:task", "Tasks that agents have."),
-    "service": Later("pancakes.cli.service_verbs:service", "Services that agents have."),
-    "channel": Later("pancakes.cli.channel_verbs:channel", "Channels, and the packets on them."),
-    "param": Later("pancakes.cli.param_verbs:param", "Settings of tasks."),
-    "log": Later("pancakes.cli.log:log", "What agents say and do."),
-    "record": Later("pancakes.cli.record:record", "Recordings of what agents say."),
-    "replay": Later("pancakes.cli.replay:replay", "Feed a recording into a fleet."),
-    "rerun": Later("pancakes.cli.rerun:rerun", "Run a recorded task through its present code."),
-    "why": Later("pancakes.cli.why:why", "What led to the commands of a recording's actuators."),
-    "view": Later("pancakes.cli.view:view", "A page that shows what a fleet does."),
-    "report": Later("pancakes.cli.report:report", "A recording as a page, and as pictures for a paper."),
-    "top": Later("pancakes.cli.top:top", "Watch agents and tasks: rates, lateness, load."),
-    "launch": Later("pancakes.cli.launch:launch", "Run a fleet from its files."),
-    "down": Later("pancakes.cli.down:down", "End agents in order."),
-    "demo": Later("pancakes.cli.demo:demo", "Run a whole mission, and judge it."),
-    "new": Later("pancakes.cli.new:new", "Begin a task, driver, service or plug-in of one's own."),
-    "config": Later("pancakes.cli.config_verbs:config", "Check and show configuration files."),
-    "plugin": Later("pancakes.cli.plugin_verbs:plugin", "What is installed for agents to use."),
-    "doctor": Later("pancakes.cli.doctor:doctor", "Look for what is wrong on this machine and with its agents."),
-    "completion": Later("pancakes.cli.completion:completion", "Completion of names in the shell."),
+    "agent": Later("pancakes.cli.verbs.agent:agent", "Agents that run."),
+    "task": Later("pancakes.cli.verbs.task:task", "Tasks that agents have."),
+    "service": Later("pancakes.cli.verbs.service:service", "Services that agents have."),
+    "channel": Later("pancakes.cli.verbs.channel:channel", "Channels, and the packets on them."),
+    "param": Later("pancakes.cli.verbs.param:param", "Settings of tasks."),
+    "log": Later("pancakes.cli.verbs.log:log", "What agents say and do."),
+    "record": Later("pancakes.cli.verbs.record:record", "Recordings of what agents say."),
+    "replay": Later("pancakes.cli.verbs.replay:replay", "Feed a recording into a fleet."),
+    "rerun": Later("pancakes.cli.verbs.rerun:rerun", "Run a recorded task through its present code."),
+    "why": Later("pancakes.cli.verbs.why:why", "What led to the commands of a recording's actuators."),
+    "view": Later("pancakes.cli.verbs.view:view", "A page that shows what a fleet does."),
+    "report": Later("pancakes.cli.verbs.report:report", "A recording as a page, and as pictures for a paper."),
+    "top": Later("pancakes.cli.verbs.top:top", "Watch agents and tasks: rates, lateness, load."),
+    "launch": Later("pancakes.cli.verbs.launch:launch", "Run a fleet from its files."),
+    "down": Later("pancakes.cli.verbs.down:down", "End agents in order."),
+    "demo": Later("pancakes.cli.verbs.demo:demo", "Run a whole mission, and judge it."),
+    "new": Later("pancakes.cli.verbs.new:new", "Begin a task, driver, service or plug-in of one's own."),
+    "config": Later("pancakes.cli.verbs.config:config", "Check and show configuration files."),
+    "plugin": Later("pancakes.cli.verbs.plugin:plugin", "What is installed for agents to use."),
+    "doctor": Later("pancakes.cli.verbs.doctor:doctor", "Look for what is wrong on this machine and with its agents."),
+    "completion": Later("pancakes.cli.verbs.completion:completion", "Completion of names in the shell."),
 }
 
 
@@ -49,7 +49,7 @@ def pancakes() -> None:
     It finds the agents of this machine by itself, others with --at HOST:PORT, and the rest of the fleet through any
     one of them. To run an agent: pancakes-agent.
 
-    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration.
+    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 141 where nobody reads on (| head).
     """
 
 
@@ -60,7 +60,7 @@ def main() -> None:
         if getattr(sys, name) is None:  # closed by the shell (>&-)
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - it stays open to the end
     if VARIABLE in os.environ:
-        from pancakes.cli.completion import answer_shell
+        from pancakes.cli.verbs.completion import answer_shell
 
         answer_shell()
     pancakes(prog_name=PROGRAM)

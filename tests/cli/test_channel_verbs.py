@@ -8,7 +8,7 @@ import pytest
 from live_output import LiveOutput
 from processes import Rig, Running
 
-from pancakes.cli.throughput import size_of
+from pancakes.cli.verbs.throughput import size_of
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet
 

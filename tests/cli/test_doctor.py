@@ -13,10 +13,16 @@ import pytest
 from processes import Rig, Running
 
 from pancakes import __version__
-from pancakes.cli import machine_checks
-from pancakes.cli.agent_checks import check_entries, check_fleet
-from pancakes.cli.finding import Finding
-from pancakes.cli.machine_checks import check_files, check_plugins, check_python, check_runtime_dir, check_state_dirs
+from pancakes.cli.verbs import machine_checks
+from pancakes.cli.verbs.agent_checks import check_entries, check_fleet
+from pancakes.cli.verbs.finding import Finding
+from pancakes.cli.verbs.machine_checks import (
+    check_files,
+    check_plugins,
+    check_python,
+    check_runtime_dir,
+    check_state_dirs,
+)
 from pancakes.journal import Entry as JournalEntry
 from pancakes.journal import FileJournal
 from pancakes.plugins import Plugins

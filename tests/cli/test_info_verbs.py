@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from processes import Rig, Running
 
-from pancakes.cli import service_verbs, task_verbs
+from pancakes.cli.verbs import service as service_verbs
+from pancakes.cli.verbs import task as task_verbs
 from pancakes.services.root import ServiceState
 from pancakes.slot import TaskState
 

@@ -8,7 +8,7 @@ import pytest
 from live_output import LiveOutput, on_a_terminal
 from processes import Rig, Running
 
-from pancakes.cli.log import Asks, Known, words_of
+from pancakes.cli.verbs.log import Asks, Known, words_of
 
 SOURCE = """
 from pancakes.task import Task, every

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from pancakes.cli import distribution
-from pancakes.cli.distribution import KINDS, LONGEST, File, Names, files_of, write
 from pancakes.cli.main import pancakes
+from pancakes.cli.verbs import distribution
+from pancakes.cli.verbs.distribution import KINDS, LONGEST, File, Names, files_of, write
 from pancakes.errors import PancakesError
 
 LONG = "abcdefghijklmnopqrstuvwxyzabcd"

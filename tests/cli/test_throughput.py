@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.cli.throughput import Throughput, size_of
+from pancakes.cli.verbs.throughput import Throughput, size_of
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet
 

@@ -9,7 +9,7 @@ from live_output import LiveOutput, on_a_terminal
 from processes import Rig, Running
 from rich.console import Console
 
-from pancakes.cli.top import picture
+from pancakes.cli.verbs.top import picture
 
 SOURCE = """
 from pancakes.task import Task, every

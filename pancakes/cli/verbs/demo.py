@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pancakes.cli import interpreter
-from pancakes.cli.demo_page import DemoPage
 from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import FiniteRange
-from pancakes.cli.view import port_option
+from pancakes.cli.verbs.demo_page import DemoPage
+from pancakes.cli.verbs.view import port_option
 from pancakes.plugins import Plugins, UnknownPlugin
 
 if TYPE_CHECKING:

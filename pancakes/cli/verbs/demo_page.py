@@ -81,7 +81,7 @@ class DemoPage:
             self._server.close()
 
     def _show(self, shown: Shown) -> None:
-        from pancakes.cli.view import tell_address
+        from pancakes.cli.verbs.view import tell_address
         from pancakes.web.page import open_page
 
         self._feed = shown.feed

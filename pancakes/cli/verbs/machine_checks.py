@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from pancakes.cli.finding import Finding, Level
+from pancakes.cli.verbs.finding import Finding, Level
 from pancakes.errors import PancakesError
 from pancakes.plugins import GROUPS, Plugins
 from pancakes.runtime_dir import leftovers, runtime_dir, usable
@@ -85,7 +85,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 def check_plugins(plugins: Plugins) -> Iterator[Finding]:
     """Imports all plug-ins."""
-    from pancakes.cli.plugin_verbs import rows_of
+    from pancakes.cli.verbs.plugin import rows_of
 
     rows = [row for group in GROUPS for row in rows_of(plugins, group)]
     for problem in plugins.unreadable():

@@ -15,7 +15,7 @@ from pancakes.cli.output import show_json
 from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
-    from pancakes.cli.finding import Finding
+    from pancakes.cli.verbs.finding import Finding
 
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
@@ -59,7 +59,7 @@ def _print(finding: Finding) -> None:
 
 def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
     if machine:
-        from pancakes.cli.machine_checks import check_machine
+        from pancakes.cli.verbs.machine_checks import check_machine
         from pancakes.plugins import Plugins
 
         yield from check_machine(Plugins())
@@ -67,8 +67,8 @@ def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Findin
 
 
 def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
-    from pancakes.cli.agent_checks import check_entries, check_fleet
-    from pancakes.cli.finding import Finding
+    from pancakes.cli.verbs.agent_checks import check_entries, check_fleet
+    from pancakes.cli.verbs.finding import Finding
     from pancakes.client import Client
     from pancakes.control import Describe
     from pancakes.errors import PancakesError

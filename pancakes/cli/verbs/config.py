@@ -142,7 +142,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
 
 def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """A row for each key, with the table that it stands in."""
-    from pancakes.cli.schema_rows import rows_of
+    from pancakes.cli.verbs.schema_rows import rows_of
     from pancakes.config.toml_text import value_text
 
     for table, part in schema["properties"].items():

@@ -11,10 +11,10 @@ import click
 from pancakes.cli.asking import accepted, order, placed, survey
 from pancakes.cli.completing import timers
 from pancakes.cli.errors import sentences
-from pancakes.cli.migration_verbs import adopt, migrate, migrations
 from pancakes.cli.names import TaskName, a_task, agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.cli.verbs.migration import adopt, migrate, migrations
 from pancakes.client import Client
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 

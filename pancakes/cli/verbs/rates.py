@@ -13,7 +13,7 @@ from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import count_option, for_option, one_line, say, until_ended
-from pancakes.cli.throughput import WINDOW, Throughput, size_of
+from pancakes.cli.verbs.throughput import WINDOW, Throughput, size_of
 from pancakes.client import Client
 from pancakes.client.following import Following
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from pancakes import __version__
-from pancakes.cli.finding import Finding
+from pancakes.cli.verbs.finding import Finding
 from pancakes.runtime_dir import Entry
 
 MISSED_SHARE: Final = 0.01

@@ -7,16 +7,16 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import ask_each, order
-from pancakes.cli.echo import echo
 from pancakes.cli.errors import sentences
 from pancakes.cli.listening import listen
 from pancakes.cli.names import ChannelName, a_channel, an_agent
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.output import show, show_json
-from pancakes.cli.publish import pub
-from pancakes.cli.rates import bw, hz
 from pancakes.cli.streaming import say
-from pancakes.cli.throughput import Throughput, size_of
+from pancakes.cli.verbs.echo import echo
+from pancakes.cli.verbs.publish import pub
+from pancakes.cli.verbs.rates import bw, hz
+from pancakes.cli.verbs.throughput import Throughput, size_of
 from pancakes.client import Client
 from pancakes.client.following import Following
 from pancakes.control import Channels

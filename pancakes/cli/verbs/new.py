@@ -14,7 +14,7 @@ from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_json
 
 if TYPE_CHECKING:
-    from pancakes.cli.distribution import Names
+    from pancakes.cli.verbs.distribution import Names
 
 COLUMNS = ("file", "purpose")
 _ABOUT: Final = {
@@ -48,7 +48,7 @@ class DistributionName(click.ParamType):
     name = "NAME"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Names:
-        from pancakes.cli.distribution import Names
+        from pancakes.cli.verbs.distribution import Names
 
         if isinstance(value, Names):
             return value
@@ -103,7 +103,7 @@ for _kind in _ABOUT:
 
 
 def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> None:
-    from pancakes.cli.distribution import check_free, files_of, write
+    from pancakes.cli.verbs.distribution import check_free, files_of, write
     from pancakes.errors import PancakesError
 
     folder = into / names.dist

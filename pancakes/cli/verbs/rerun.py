@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli import param_file
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.options import Duration
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import one_line, say
+from pancakes.cli.verbs import param_file
 
 if TYPE_CHECKING:
     from pancakes.replay.comparison import Comparison, Difference, StreamKey

@@ -8,13 +8,13 @@ from typing import Any
 
 import click
 
-from pancakes.cli import param_file
 from pancakes.cli.asking import accepted, order, placed
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.names import TaskName, a_task
 from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
-from pancakes.cli.param_names import AgentOrTask, ParamName, a_task_or_agent
+from pancakes.cli.verbs import param_file
+from pancakes.cli.verbs.param_names import AgentOrTask, ParamName, a_task_or_agent
 from pancakes.client import Client
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
@@ -124,7 +124,7 @@ def describe(name: TaskName, setting: str, format_: str, at: tuple[str, ...], ti
         pancakes param describe agent1/ScanTarget
         pancakes param describe agent1/ScanTarget radius_m --format json
     """
-    from pancakes.cli.schema_rows import rows_of
+    from pancakes.cli.verbs.schema_rows import rows_of
 
     with Client(at, timeout) as client:
         (described,) = _described(client, name)
