@@ -16,11 +16,11 @@ from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 
 Tap = Callable[[Packet], None]
-Way = Callable[[Packet], int | None]
+WayOut = Callable[[Packet], int | None]
 """Takes packets of one channel, type, source and destination out of the agent; once it has ended it does nothing, and
 returns None.
 """
-Gateway = Callable[[Packet], Way | None]
+Gateway = Callable[[Packet], WayOut | None]
 """Takes any packet out of the agent; returns what takes others like it, if there is a shorter way for these."""
 
 MOST_ROUTES = 4096
@@ -168,7 +168,7 @@ class Exit(msgspec.Struct, frozen=True):
     """
 
     type: str
-    send: Way
+    send: WayOut
     taps: tuple[Tap, ...]
 
 

@@ -214,7 +214,7 @@ class DurableService(RecordedService):
         self.kernel.registry.unreserve(self._place_of(task_id))
         self._postbox.forget(task_id)
         # What it was, down to the last byte of its state, is elsewhere now.
-        self._saved.pop(task_id, None)
+        self._checkpoints.forget(task_id)
         self._ask_again_s.pop(task_id, None)
         ends = slot is not None and slot.task is not None and self.id_of(slot) == task_id
         courier = self._postbox.courier()

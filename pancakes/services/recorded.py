@@ -30,29 +30,18 @@ from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
 from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
 from pancakes.services.catalogue import Catalogue
+from pancakes.services.checkpoints import Checkpoints, plain_of
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
-from pancakes.task import Carried, Nothing, Task, TaskSpec
+from pancakes.task import Carried, Task, TaskSpec
 from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
-
-
-class _Saved(msgspec.Struct):
-    """What was written down of a task at last.
-
-    Attributes:
-        plain: what it carried, encoded.
-        made_of: of a task without state its settings and its periods, the very objects; None: it has state.
-    """
-
-    plain: bytes
-    made_of: tuple[Mapping[str, Any], Mapping[str, float]] | None
 
 
 class RecordedService(Service):
@@ -74,7 +63,7 @@ class RecordedService(Service):
         self.hand_offs: dict[TaskId, HandOff] = {}
         self._ids: dict[str, list[TaskId]] = {}  # of all hand-offs, by the task's name
         self._starting: dict[TaskId, list[Callable[[str], None]]] = {}
-        self._saved: dict[TaskId, _Saved] = {}
+        self._checkpoints = Checkpoints()
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
         self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
@@ -330,7 +319,7 @@ class RecordedService(Service):
 
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
         task_id = hand_off.record.task_id
-        self._saved.pop(task_id, None)
+        self._checkpoints.forget(task_id)
         hand_off.failed(reason)
         for then in self._stopped.pop(task_id, []):
             then(f"{task_id} is stopped, but the journal could not write that, and tries again: {reason}")
@@ -407,20 +396,10 @@ class RecordedService(Service):
             slot = self.slots.get(name)
             if slot is None or slot.task is None or slot.state is not TaskState.RUNNING:
                 continue
-            if not self._is_written_down(slot, slot.task):
+            # Its duplicate filter cannot have changed either: whoever gives it a letter owes the sender an answer then.
+            task_id = self.id_of(slot)
+            if self._postbox.owes(task_id) or not self._checkpoints.surely_hold(task_id, slot.task):
                 self.checkpoint(slot, slot.task)
-
-    def _is_written_down(self, slot: Slot, task: Task) -> bool:
-        """Returns whether a task has surely not changed since its last checkpoint: most have no state at all."""
-        task_id = self.id_of(slot)
-        saved = self._saved.get(task_id)
-        # Its duplicate filter cannot have changed either: whoever gives it a letter owes the sender an answer then.
-        return (
-            saved is not None
-            and saved.made_of is not None
-            and task.still_carries(*saved.made_of)
-            and not self._postbox.owes(task_id)
-        )
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         arguments = super().arguments_of(slot)
@@ -476,16 +455,14 @@ class RecordedService(Service):
             self._late[slot.name] = None
             return
         try:
-            plain = msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s, carried.heard])
-            saved = self._saved.get(task_id)
-            if saved is not None and saved.plain == plain and not self._postbox.owes(task_id):
+            plain = plain_of(carried)
+            if self._checkpoints.hold(task_id, plain) and not self._postbox.owes(task_id):
                 return
             snapshot = self._snapshot(slot, carried)
         except (PancakesError, TypeError, OverflowError) as error:
             self.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
-        stateless = slot.spec.cls.State is Nothing
-        self._saved[task_id] = _Saved(plain, (carried.settings, carried.periods_s) if stateless else None)
+        self._checkpoints.take(task_id, task, carried, plain)
         consumed = self._postbox.consumed(task_id, carried.heard)
         hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot, consumed))
 
@@ -551,7 +528,7 @@ class RecordedService(Service):
             # It came back before the actor that was given away has ended.
             self.halt(slot, lambda: self._start_task(task_id, effect, done), "it comes back")
             return
-        self._saved.pop(task_id, None)
+        self._checkpoints.forget(task_id)
         self._owed.pop(task_id, None)
         slot.carried = replace(_carried(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
