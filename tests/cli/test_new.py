@@ -130,7 +130,7 @@ def test_every_template_has_a_purpose_and_every_purpose_a_template():
 def test_templates_are_installed_with_the_package():
     parser = configparser.ConfigParser()
     parser.read(Path(__file__).parents[2] / "setup.cfg")
-    assert "templates/**/*.in" in parser["options.package_data"]["pancakes.cli"]
+    assert "templates/**/*.in" in parser["options.package_data"]["pancakes.cli.verbs"]
 
 
 def test_the_next_commands_are_told(tmp_path):

@@ -71,7 +71,7 @@ def kept_by(agent):
     service = agent.component("client")
     records = [hand_off.record for hand_off in service.hand_offs.values()]
     carried = [slot.carried for slot in service.slots.values()]
-    return held_by([records, carried, service._saved]).size_bytes
+    return held_by([records, carried, service._checkpoints]).size_bytes
 
 
 def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
