@@ -287,6 +287,14 @@ class InformationStream:
                 self.exits.clear()
             self.exits[packet.source, packet.channel, body_type, packet.destination] = found
 
+    def forget_exits(self) -> None:
+        """Forgets how packets leave: the links have changed, and with them all ways out have ended. Any thread.
+
+        Those to a peer that comes back are found again; of one that never does nothing is kept.
+        """
+        with self._lock:
+            self.exits.clear()
+
     def remember(self, packet: Packet) -> None:
         """Notes in `local` where a packet without a destination went that was just published."""
         body_type = type(packet.body)
