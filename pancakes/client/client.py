@@ -145,7 +145,7 @@ class Client:
         """
         until_s = self._until_s(timeout_s)
         door = self._door_of(agent, until_s)
-        number = door.ask(agent, body)
+        number = door.request(agent, body)
         self._wait(until_s, lambda: door.answer(number) is not None)
         answer = door.answer(number)
         door.forget(number)
@@ -342,7 +342,7 @@ class Client:
             self._learn(key[0], reply.result)
             if body is not None and (not wanted or key[1] in wanted):
                 door.forget(asked[key][1])
-                asked[key] = door, door.ask(key[1], body)
+                asked[key] = door, door.request(key[1], body)
             else:
                 answers[key] = reply
 
@@ -351,7 +351,7 @@ class Client:
                 for hello in door.agents():
                     key = (door.fleet, hello.name)
                     if key not in asked:
-                        asked[key] = door, door.ask(hello.name, Describe())
+                        asked[key] = door, door.request(hello.name, Describe())
                 for name, for_s in door.asleep().items():
                     failed[door.fleet, name] = "its network sleeps" + ("" if for_s is None else f" for {for_s:.1f} s")
             for key, (door, number) in list(asked.items()):

@@ -87,8 +87,8 @@ class Door:
         """Returns the agents that said they sleep, and for how many more seconds (None: they did not say)."""
         return {peer["name"]: peer["for_s"] for peer in self._mesh.describe()["asleep"]}
 
-    def ask(self, agent: str, body: Any) -> int:
-        """Sends a control packet to a connected agent.
+    def request(self, agent: str, body: Any) -> int:
+        """Sends a control packet to a connected agent, and waits for nothing.
 
         Returns:
             The number of the request, for `answer`.

@@ -244,7 +244,7 @@ class Following:
             it.door.forget(it.request)
         it.asked_s = now_s
         it.link = it.door.link(it.agent)
-        it.request = it.door.ask(it.agent, self._request)
+        it.request = it.door.request(it.agent, self._request)
 
     def _take_answer(self, it: _Followed) -> None:
         answer = it.door.answer(it.request) if it.request is not None else None

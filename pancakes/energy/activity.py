@@ -169,7 +169,7 @@ class Supervision:
         self._activities[rule].read(number_of(getattr(body, self._rules[rule].field)), now_s)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns what is to be asked for now; `asked` must be told of each."""
+        """Returns the orders that are due; `asked` must be told of each."""
         self.busy = {name: activity.busy(now_s) for name, activity in self._activities.items()}
         fast = {
             Knob(target, timer=pace.timer): None

@@ -108,7 +108,7 @@ class Governing:
             self._feedback.load(cpu)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns what is to be asked for now; `asked` must be told of each."""
+        """Returns the orders that are due; `asked` must be told of each."""
         if math.isnan(self.level):
             return []
         if self._feedback is not None:

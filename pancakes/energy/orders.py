@@ -69,7 +69,7 @@ class OrderBook:
         self._wanted.update(values)
 
     def due(self, now_s: float) -> list[Order]:
-        """Returns what is to be asked for now; `asked` must be told of each.
+        """Returns the orders that are due; `asked` must be told of each.
 
         Several settings of one task become one order. Knobs in doubt are asked about first.
         """

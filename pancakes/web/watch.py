@@ -196,7 +196,7 @@ class Watch:
             for door in client.doors():
                 for hello in door.agents():
                     if hello.name in self._met:
-                        door.ask(hello.name, Traces(most=0))
+                        door.request(hello.name, Traces(most=0))
 
     def _hear(self, client: Client, following: Following) -> None:
         heard = []
@@ -282,7 +282,7 @@ class Watch:
         met.stale.clear()
 
     def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _Asked:
-        asked = _Asked(door, door.ask(agent, body), until_s, agent, about)
+        asked = _Asked(door, door.request(agent, body), until_s, agent, about)
         self._asked.append(asked)
         return asked
 

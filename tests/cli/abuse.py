@@ -107,7 +107,7 @@ class Abuse:
 
     def send(self, client: int, agent: str, body: Any) -> Asked:
         """Sends a command and waits for nothing."""
-        return Asked(client, self.clients[client].door.ask(agent, body), agent, body)
+        return Asked(client, self.clients[client].door.request(agent, body), agent, body)
 
     def ask(self, client: int, agent: str, body: Any) -> Reply:
         """Sends a command and waits for its reply."""

@@ -101,21 +101,21 @@ def nothing_touched_anything(flight: Flight) -> None:
 def robots_did_what_robots_can(flight: Flight) -> None:
     """Wheels keep to their limits, and a robot goes where its wheels take it: along its heading, at their speed."""
     for robot in ("agent1", "agent2"):
-        for now, then in pairwise(flight.paths[robot]):
-            turn_mps = 0.5 * KHEPERA_BASE_M * abs(now.omega_radps)
-            assert abs(now.v_mps) + turn_mps <= KHEPERA_WHEEL_MPS + 1e-6
-            step_s = then.t_s - now.t_s
+        for row, after in pairwise(flight.paths[robot]):
+            turn_mps = 0.5 * KHEPERA_BASE_M * abs(row.omega_radps)
+            assert abs(row.v_mps) + turn_mps <= KHEPERA_WHEEL_MPS + 1e-6
+            step_s = after.t_s - row.t_s
             assert 0.0 < step_s <= 0.1 + 1e-6, "rows come at 10 Hz or more"
-            assert math.dist(now.place, then.place) <= max(abs(now.v_mps), abs(then.v_mps)) * step_s + 0.002
-            if not now.driven_by:
-                assert now.v_mps == 0.0 and now.omega_radps == 0.0, "in safe hold the wheels stand"
+            assert math.dist(row.place, after.place) <= max(abs(row.v_mps), abs(after.v_mps)) * step_s + 0.002
+            if not row.driven_by:
+                assert row.v_mps == 0.0 and row.omega_radps == 0.0, "in safe hold the wheels stand"
 
 
 def the_batteries_explain_the_events(flight: Flight) -> None:
     """The true voltage only falls; what the agents do at 90 % and 65 % happens where it is 90 % and 65 %."""
     for robot in ("agent1", "agent2"):
         volts = [moment.battery_v for moment in flight.paths[robot]]
-        assert all(then <= now for now, then in pairwise(volts))  # type: ignore[operator]
+        assert all(later <= earlier for earlier, later in pairwise(volts))  # type: ignore[operator]
         assert all(EMPTY_V < volt <= FULL_V for volt in volts if volt is not None)
     for (event,), level in (
         (flight.told("saving_power", "agent1"), 0.90),
