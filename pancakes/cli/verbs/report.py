@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pancakes.cli.errors import sentences
+from pancakes.cli.options import format_option
 from pancakes.cli.output import show
 
 
@@ -18,7 +19,7 @@ from pancakes.cli.output import show
     help="Folder for the report. [default: FILE-report or DIR-report, beside it]",
 )
 @click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
-@click.option("--format", "format_", type=click.Choice(["table", "json"]), default="table", show_default=True)
+@format_option
 @sentences
 def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.cli.errors import OK, REFUSED, sentences
-from pancakes.cli.options import Duration
+from pancakes.cli.options import Duration, format_option
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import one_line, say
 from pancakes.cli.verbs import param_file
@@ -53,14 +53,7 @@ LONGEST: Final = 100
     "--show", "most", metavar="N", type=click.IntRange(min=0), default=SHOWN, show_default=True,
     help="How many differences of each stay are shown.",
 )  # fmt: skip
-@click.option(
-    "--format",
-    "format_",
-    type=click.Choice(["table", "json"]),
-    default="table",
-    show_default=True,
-    help="How to print the answer.",
-)
+@format_option
 @sentences
 def rerun(
     path: Path,
