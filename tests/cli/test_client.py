@@ -37,9 +37,9 @@ def test_a_refusal_is_a_reply_with_its_reason(agent: Running):
 def test_an_agent_that_dies_is_not_waited_for(
     agent: Running, freeze: Callable[[Running], None], monkeypatch: pytest.MonkeyPatch
 ):
-    send = Door.ask
+    send = Door.request
 
-    def ask(door: Door, name: str, body: object) -> int:
+    def request(door: Door, name: str, body: object) -> int:
         number = send(door, name, body)
         agent.process.kill()
         return number
@@ -47,7 +47,7 @@ def test_an_agent_that_dies_is_not_waited_for(
     with Client(timeout_s=60.0) as client:
         client.request("a", Describe())
         freeze(agent)  # so that it cannot answer before it dies
-        monkeypatch.setattr(Door, "ask", ask)
+        monkeypatch.setattr(Door, "request", request)
         with pytest.raises(Unreachable, match="a did not answer: the link to it ended before it answered"):
             client.request("a", Stop("load"))
 
