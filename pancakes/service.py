@@ -12,7 +12,7 @@ from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reply
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import describe
 from pancakes.kernel.handlers import on
-from pancakes.kernel.mailbox import reliable
+from pancakes.kernel.keep import reliable
 from pancakes.packet import SYSCTRL, Packet
 from pancakes.settings import change_plain, change_settings
 from pancakes.slot import Request, Slot, TaskState

@@ -27,7 +27,8 @@ from pancakes.control import Migrate
 from pancakes.errors import PancakesError
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of
-from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.kernel.keep import queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 
 import msgspec
 
-from pancakes.packet import field_names
+from pancakes.packet import Packet, field_names
 
 LIGHT_BYTES: Final = 2048
 """A lighter body is not counted: the number of packets that may wait bounds them well enough."""
@@ -94,6 +94,13 @@ def _light_on_the_wire(cls: type) -> int:
 def weigh(value: Any) -> int:
     """Returns how many bytes a body, or a part of one, takes, roughly. It never raises."""
     return _Scales().weigh(value, 0)
+
+
+def heavy_weight(packet: Packet) -> int:
+    """Returns the bytes of a packet's body where it is a heavy one; of a light one 0."""
+    weigh = weigher(type(packet.body))
+    weight = weigh(packet.body) if weigh is not None else 0
+    return weight if weight > LIGHT_BYTES else 0
 
 
 def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
 from pancakes.events import Event
-from pancakes.kernel.mailbox import queue
+from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
 from pancakes.services.log import line_of, record_of
 from pancakes.task import Task, Tick, every, on

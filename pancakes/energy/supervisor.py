@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pancakes.energy.activity import Supervision, SupervisorSettings
 from pancakes.energy.rim import AdjustingTask
 from pancakes.errors import PancakesError
-from pancakes.kernel.mailbox import LATEST
+from pancakes.kernel.keep import LATEST
 from pancakes.packet import Packet, agent_of, body_class, field_names, known_types
 from pancakes.suggestion import suggestion
 from pancakes.task import Tick, every

@@ -14,8 +14,10 @@ from pykka.messages import _ActorStop
 
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import Event, LogLine
+from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.handlers import Period, Subscription, period_of
-from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox
+from pancakes.kernel.keep import Keep
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.plan import NO_HANDLERS, Handlers, plan_of
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, Cause, Fence, Packet, type_name

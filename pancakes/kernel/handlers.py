@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from pancakes.kernel.mailbox import LATEST, Keep, queue
+from pancakes.kernel.keep import LATEST, Keep, queue
 from pancakes.packet import type_name
 
 _F = TypeVar("_F", bound=Callable[..., Any])

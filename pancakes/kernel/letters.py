@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from pancakes.kernel.mailbox import ChannelQueue
+from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.packet import Packet
 
 ATTEMPTS = 3

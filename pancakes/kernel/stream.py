@@ -10,8 +10,11 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
+from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import ChannelQueue, Keep, Mailbox, SharedQueue
+from pancakes.kernel.keep import Keep
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.shared_queue import SharedQueue
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 

@@ -16,7 +16,7 @@ from msgspec import Meta
 from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.kernel.handlers import on
-from pancakes.kernel.mailbox import queue
+from pancakes.kernel.keep import queue
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.service import Service

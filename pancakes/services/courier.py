@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
-from pancakes.kernel.mailbox import queue
+from pancakes.kernel.keep import queue
 from pancakes.migration.outbox import Outbox
 from pancakes.migration.post import RESEND_S, Dispatch, ForwardTo, Letter, Receipt
 from pancakes.migration.record import TaskId

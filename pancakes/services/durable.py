@@ -14,7 +14,7 @@ import msgspec
 
 from pancakes.control import Adopt, Describe, Migrate
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
-from pancakes.kernel.mailbox import LATEST
+from pancakes.kernel.keep import LATEST
 from pancakes.migration.candidate import would_take
 from pancakes.migration.cost import cost_text, fault_of_choice
 from pancakes.migration.effect import (

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
-from pancakes.kernel.mailbox import queue
+from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, Packet, agent_of
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service

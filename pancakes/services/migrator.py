@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.kernel.handlers import on
-from pancakes.kernel.mailbox import reliable
+from pancakes.kernel.keep import reliable
 from pancakes.migration.capability import Capability
 from pancakes.migration.cost import Cost, HostLoad, cost_of, cost_text
 from pancakes.migration.effect import HandedOver

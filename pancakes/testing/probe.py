@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 from pancakes.kernel.component import Component
+from pancakes.kernel.keep import queue
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Mailbox, queue
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Packet, type_name
 
 KEEP = queue(1_000_000)

@@ -16,7 +16,7 @@ from pancakes.slot import TaskState
 SOURCE = """
 from dataclasses import dataclass
 from pancakes.devices.types import Pose
-from pancakes.kernel.mailbox import queue
+from pancakes.kernel.keep import queue
 from pancakes.task import Task, every, on
 
 class Steer(Task):

@@ -10,9 +10,10 @@ from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
 from pancakes.events import Event, LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import Tick, every, on
+from pancakes.kernel.keep import queue, reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.letters import ATTEMPTS
-from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.packet import packet_type
 from pancakes.testing import Probe, assert_published

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from pancakes.kernel.keep import reliable
 from pancakes.kernel.letters import ATTEMPTS, MOST_KNOWN, DeadLetters
-from pancakes.kernel.mailbox import Mailbox, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import SYSTEM, Packet
 
 

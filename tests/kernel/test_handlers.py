@@ -5,7 +5,7 @@ import pytest
 from pancakes.devices.types import Battery, Pose
 from pancakes.errors import LocalProtocolError
 from pancakes.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
-from pancakes.kernel.mailbox import LATEST, Keep, reliable
+from pancakes.kernel.keep import LATEST, Keep, reliable
 
 
 class Base:

@@ -11,9 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.errors import MailboxFull
-from pancakes.kernel import mailbox as module
+from pancakes.kernel import channel_queue as module
+from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import MOST_BYTES, ChannelQueue, Mailbox, queue, reliable
+from pancakes.kernel.keep import MOST_BYTES, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.shared_queue import SPARE_BYTES
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet, packet_type
 
@@ -241,6 +244,6 @@ def test_heavy_packets_that_have_fallen_out_of_a_shared_queue_do_not_stay_in_mem
     for number in range(300):
         stream.publish(blob(number, MOST_BYTES // 30))
         weights = [len(packet.body.data) for packet in waiting.items]
-        assert sum(weights) <= MOST_BYTES + module.SPARE_BYTES + 2 * weights[-1]
+        assert sum(weights) <= MOST_BYTES + SPARE_BYTES + 2 * weights[-1]
     assert drained(waiting) == list(range(270, 300))
     assert waiting.heavy_bytes == 0

@@ -9,8 +9,9 @@ from pykka import ActorDeadError, ThreadingFuture
 from pykka._envelope import Envelope
 from pykka.messages import _ActorStop
 
-from pancakes.kernel import mailbox as module
-from pancakes.kernel.mailbox import LATEST, Keep, Mailbox, queue, reliable
+from pancakes.kernel import shared_queue as module
+from pancakes.kernel.keep import LATEST, Keep, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Packet
 
 

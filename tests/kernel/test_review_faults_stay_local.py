@@ -6,8 +6,9 @@ from pancakes.control import Describe
 from pancakes.kernel.component import Call, Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.handlers import on
+from pancakes.kernel.keep import reliable
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Mailbox, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.net.mesh import Mesh
 from pancakes.net.outbox import PeerBusy

@@ -9,8 +9,10 @@ from msgspec import structs
 from pancakes.events import LogLine
 from pancakes.kernel import plan as plan_module
 from pancakes.kernel import stream as stream_module
+from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.dispatch import Dispatcher
-from pancakes.kernel.mailbox import ChannelQueue, Mailbox, queue
+from pancakes.kernel.keep import queue
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Packet
 
 

@@ -10,7 +10,8 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, rule
 
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.kernel.keep import queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import CORE_CHANNELS, Packet
 

@@ -8,7 +8,8 @@ import pytest
 
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import Mailbox, queue, reliable
+from pancakes.kernel.keep import queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet
 from pancakes.weight import LIGHT_BYTES

@@ -12,8 +12,8 @@ import pytest
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import Period, every, on
+from pancakes.kernel.keep import queue, reliable
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import queue, reliable
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.testing import no_thread_left
 

@@ -15,7 +15,8 @@ from torture.proxy import Proxy
 
 from pancakes.errors import MailboxFull
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.mailbox import LATEST, Keep, Mailbox, queue, reliable
+from pancakes.kernel.keep import LATEST, Keep, queue, reliable
+from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet
 

@@ -1,0 +1,37 @@
+"""How much may wait for a reader that is slow, and what then becomes of the rest."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+MOST_BYTES: Final = 16 * 1024 * 1024
+"""So many bytes of bodies wait under a subscription, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
+
+
+class Keep(msgspec.Struct, frozen=True):
+    """What a subscription does when its reader is slow, or the bodies that wait take more than `MOST_BYTES`.
+
+    Attributes:
+        limit: how many packets wait at the most.
+        reliable: whether a packet that finds no room is refused to its publisher; else the oldest falls
+            out and is counted.
+    """
+
+    limit: int
+    reliable: bool = False
+
+
+LATEST = Keep(1)
+"""Only the newest packet waits."""
+
+
+def queue(limit: int) -> Keep:
+    """Up to `limit` packets wait; then the oldest falls out, and is counted."""
+    return Keep(limit)
+
+
+def reliable(limit: int) -> Keep:
+    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and nobody gets the packet."""
+    return Keep(limit, reliable=True)
