@@ -28,7 +28,7 @@ from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
 from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
-from pancakes.packet import Packet, join
+from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
 from pancakes.service import ServiceSpec
 from pancakes.services.courier import Courier
@@ -146,6 +146,7 @@ class Agent:
             self.kernel.random_for("mesh"),
             self.kernel.host,
             on_packets=self._on_packets,
+            on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
             on_refused=self._stop_for,
@@ -311,9 +312,17 @@ class Agent:
     def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
 
+    def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
+        self.kernel.stream.undelivered += 1
+        self._refuse(peer, packet, reason)
+
     def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
-        reason, root = str(error), self._root
-        if isinstance(packet.body, CONTROLS) and root is not None:
+        self._refuse(peer, packet, str(error))
+
+    def _refuse(self, peer: str, packet: Packet, reason: str) -> None:
+        """Tells whoever sent a command that it found no way in; of other packets, that one was dropped."""
+        root = self._root
+        if body_class(packet.type) in CONTROLS and root is not None:
             root.call(lambda: root.refuse(packet, reason))
             return
         now_s = self.kernel.host.now()

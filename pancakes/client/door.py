@@ -50,6 +50,7 @@ class Door:
             random.Random(),
             clock,
             on_packets=self._on_packets,
+            on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
         )
@@ -154,6 +155,11 @@ class Door:
             else:
                 for listener in self._listeners:
                     listener(peer, packet)
+        self._changed()
+
+    def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
+        if packet.cause is not None and packet.cause[0] == self.name:
+            self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
         self._changed()
 
     def _on_peer_up(self, hello: Hello) -> None:

@@ -34,6 +34,7 @@ from pancakes.wire.link import (
     Up,
 )
 from pancakes.wire.messages import Goodbye, Hello, Identity
+from pancakes.wire.runs import Unfit
 
 MAX_HANDSHAKES: Final = 256
 """Most connections from others that have not yet come to be links; a whole fleet may come at once."""
@@ -64,6 +65,7 @@ class Mesh:
         host_clock: the clock of hand-shakes and heartbeats.
         on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
             destination, in their order.
+        on_unfit: takes (peer's name, packet, reason) of a packet whose body does not fit its type, and is None now.
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
@@ -84,6 +86,7 @@ class Mesh:
         source: random.Random,
         host_clock: Clock,
         on_packets: Callable[[str, list[Packet], int], None],
+        on_unfit: Callable[[str, Packet, str], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
         on_blob: Callable[[str, str, bytes], None] = lambda peer, kind, data: None,
@@ -100,6 +103,7 @@ class Mesh:
         self._random = source
         self._now = host_clock.now
         self._on_packets = on_packets
+        self._on_unfit = on_unfit
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._on_blob = on_blob
@@ -434,6 +438,9 @@ class Mesh:
             match action:
                 case Send(message):
                     session.send_link(message)
+                case Unfit(packet, reason):
+                    session.counters.packets_in += 1
+                    self._call(self._on_unfit, session.peer, packet, reason)
                 case ReceivedBlob(kind, data):
                     self._call(self._on_blob, session.peer, kind, data)
                 case Met(hello):

@@ -101,7 +101,7 @@ class _Local(threading.local):
 
 
 class Way:
-    """Where packets of one channel, type, source and destination go, until other links are up.
+    """Where packets of one channel, type, source, destination and fence go, until other links are up.
 
     Args:
         packet: one of them.
@@ -115,7 +115,7 @@ class Way:
         place: the name of the one agent, or `NEIGHBOURS`: ways of different places do not get in each other's way.
     """
 
-    __slots__ = ("_encode", "_local", "channel", "head", "place", "sessions")
+    __slots__ = ("_encode", "_fence", "_local", "channel", "head", "place", "sessions")
 
     def __init__(self, packet: Packet, sessions: tuple[Session, ...], local: _Local) -> None:
         self.channel = packet.channel
@@ -123,16 +123,17 @@ class Way:
         self.place = agent_of(packet.destination)
         self.sessions: tuple[Session, ...] | None = sessions
         self._encode = RowEncoder(self.head).encode
+        self._fence = packet.fence
         self._local = local
 
     def send(self, packet: Packet, retries: int = 0) -> int | None:
         """Sends a packet, one that was sent before where `retries` is 1; see `Mesh.send`.
 
         Returns:
-            To how many peers it was given; None: the way has ended, and nothing was done.
+            To how many peers it was given; None: the way has ended, or is not this packet's, and nothing was done.
         """
-        sessions = self.sessions
-        if sessions is None:
+        sessions, fence = self.sessions, packet.fence
+        if sessions is None or (fence is not self._fence and fence != self._fence):
             return None
         row = self._encode(packet)
         for session in sessions:
@@ -196,18 +197,19 @@ class Sending:
 
     def send(self, packet: Packet, retry: bool = False) -> int:
         """See `Mesh.send`."""
+        way = self._ways.get((packet.channel, packet.type, packet.source, packet.destination))
         while True:
-            way = self._ways.get((packet.channel, packet.type, packet.source, packet.destination))
-            given = (way or self._way(packet)).send(packet, int(retry))
+            given = way.send(packet, int(retry)) if way is not None else None
             if given is not None:
                 return given
+            way = self._new_way(packet)
 
     def way_of(self, packet: Packet) -> Callable[[Packet], int | None] | None:
         """See `Mesh.way_of`."""
         way = self._ways.get((packet.channel, packet.type, packet.source, packet.destination))
         return way.send if way is not None else None
 
-    def _way(self, packet: Packet) -> Way:
+    def _new_way(self, packet: Packet) -> Way:
         destination = packet.destination
         with self._lock:
             sessions = self.neighbours if destination == NEIGHBOURS else self._sessions_of(agent_of(destination))
@@ -215,7 +217,10 @@ class Sending:
                 way = Way(packet, sessions, self._local)
                 if len(self._ways) >= MOST_WAYS:
                     self._end_ways()
-                self._ways[packet.channel, packet.type, packet.source, destination] = way
+                key = (packet.channel, packet.type, packet.source, destination)
+                if key in self._ways:  # of a task that has moved, say, and speaks under another right now
+                    self._ways[key].sessions = None
+                self._ways[key] = way
                 return way
         raise self._lost(packet)
 

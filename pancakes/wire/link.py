@@ -33,7 +33,7 @@ from pancakes.wire.messages import (
     Refuse,
     Welcome,
 )
-from pancakes.wire.runs import Run, RunReader, foreign_version, messages_from_payload, packets_of
+from pancakes.wire.runs import Run, RunReader, Unfit, foreign_version, messages_from_payload, packets_of
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
@@ -141,7 +141,7 @@ class Over(msgspec.Struct, frozen=True):
     broken: bool = False
 
 
-Action = Send | Met | Up | Received | ReceivedBlob | Learnt | Over
+Action = Send | Met | Up | Received | Unfit | ReceivedBlob | Learnt | Over
 
 
 class Link:
@@ -228,7 +228,10 @@ class Link:
         try:
             for payload in self._reader.feed(data):
                 if self.state is _UP and (read := self._runs.read(payload)) is not None:
-                    actions.append(Received(*read))
+                    packets, unfit, size = read
+                    if packets:
+                        actions.append(Received(packets, size))
+                    actions.extend(unfit)
                     continue
                 self._payload(payload, now_s, actions)
                 if self.state is _OVER:
@@ -315,7 +318,10 @@ class Link:
             if isinstance(message, Run):
                 if self.state is not State.UP:
                     raise RemoteProtocolError("a packet came before the link was up")
-                actions.append(Received(packets_of(message), memoryview(message.rows).nbytes))
+                packets, unfit = packets_of(message)
+                if packets:
+                    actions.append(Received(packets, memoryview(message.rows).nbytes))
+                actions.extend(unfit)
                 if len(messages) == 1:
                     self._runs.remember(payload, message)
                 continue

@@ -11,7 +11,7 @@ import msgspec
 
 from pancakes.errors import LocalProtocolError
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1

@@ -206,6 +206,7 @@ class Agent:
         self._rig = rig
         self.name = name
         self.packets: list[Packet] = []
+        self.unfit: list[tuple[str, Packet, str]] = []
         self.ups: list[str] = []
         self.downs: list[tuple[str, str, float | None]] = []
         self.blobs: list[tuple[str, str, bytes]] = []
@@ -221,6 +222,7 @@ class Agent:
             random.Random(name),
             rig.clock,
             on_packets=lambda peer, packets, size: self._note_all(packets),
+            on_unfit=lambda *news: self._note(self.unfit, news),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
             on_blob=lambda *blob: self._note(self.blobs, blob),

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
 from pancakes.net.outbox import PeerBusy
 from pancakes.net.sending import MOST_WAYS, Sending
 from pancakes.net.session import BATCH_BYTES
-from pancakes.packet import NEIGHBOURS, Packet
+from pancakes.packet import NEIGHBOURS, Fence, Packet
 from pancakes.wire.framing import frame
 from pancakes.wire.runs import messages_from_payload, packets_of, run_of
 
@@ -34,7 +35,7 @@ class Peer:
         whole = frame([train.message() for train in trains])
         assert data in (b"", whole)
         messages = messages_from_payload(whole[4:])
-        self.sent.append([packet for run in messages for packet in packets_of(run)])
+        self.sent.append([packet for run in messages for packet in packets_of(run)[0]])
         self.retries += sum(train.retries for train in trains)
 
     def offer(self, channel, key, message):
@@ -47,7 +48,7 @@ class Peer:
     def taken(self):
         """What it was offered."""
         frames = [frame([run_of(it.head, [it.data])]) for it in self.offered]
-        return [packet for it in frames for run in messages_from_payload(it[4:]) for packet in packets_of(run)]
+        return [packet for it in frames for run in messages_from_payload(it[4:]) for packet in packets_of(run)[0]]
 
     def got(self):
         return [packet for batch in self.sent for packet in batch]
@@ -180,6 +181,23 @@ def test_a_way_takes_what_follows_until_other_links_are_up(sending, turn, peers)
     assert way(packet(3)) is None and sending.way_of(packet(3)) is None
     turn.end()
     assert len(peers["b"].got()) == 2
+
+
+def test_another_fence_is_another_way(sending, turn, peers):
+    def under(epoch, seq):
+        fence = Fence("a/T", (epoch, "a")) if epoch else None
+        return replace(packet(seq), fence=fence)
+
+    its = [under(1, 1), under(1, 2), under(2, 3), under(2, 4), under(0, 5), under(1, 6), under(1, 7)]
+    ways = []
+    for it in its:
+        sending.send(it)
+        ways.append(sending.way_of(it))
+    turn.end()
+    assert peers["b"].got() == its
+    assert ways[0] == ways[1] and ways[0](under(2, 8)) is None, "it is not of that right"
+    sending.change(peers, tuple(peers.values()))
+    assert all(way(it) is None for way, it in zip(ways, its, strict=True)), "those that were replaced have ended, too"
 
 
 def test_a_way_that_has_ended_keeps_no_session(sending, turn, peers):

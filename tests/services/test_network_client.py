@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import msgspec
 import pytest
 
-from pancakes.control import Start, Stop
+from pancakes.control import Configure, Start, Stop
 from pancakes.devices.types import Pose
-from pancakes.packet import SYSTEM
+from pancakes.packet import SYSTEM, packet_type
 from pancakes.testing import FleetInTest
 
 
@@ -57,3 +60,28 @@ def test_while_it_is_stopped_nothing_leaves(fleet):
     assert say(fleet, 3) == [1.0, 2.0] and a.kernel.stream.undelivered == before + 1
     assert a.ask(Start("network/NetworkClient")).ok
     assert say(fleet, 4) == [1.0, 2.0, 4.0]
+
+
+@packet_type("network client test level")
+class Level(msgspec.Struct, frozen=True):
+    """A number that may not be negative, which a publisher is not asked about."""
+
+    value: Annotated[int, msgspec.Meta(ge=0)]
+
+
+def test_what_does_not_fit_its_type_is_dropped_counted_and_told_and_the_link_stays(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    before = b.kernel.stream.undelivered
+    for value in (1, -1, 2):
+        a.publish(SYSTEM, Level(value), to="b")
+    fleet.run_for(0.1)
+    assert [packet.body.value for packet in b.probe.packets(Level)] == [1, 2]
+    assert b.kernel.stream.undelivered == before + 1
+    (line,) = [line for line in b.lines("warning") if "level" in line]
+    assert "a packet of a was dropped" in line and ">= 0" in line and "(from a/test/Probe)" in line
+    assert not b.events("peer_down")
+
+
+def test_a_command_that_does_not_fit_its_type_is_refused_with_the_reason(fleet):
+    reply = fleet.agents["a"].ask(Configure("network/Discovery", ["rate", 3]), to="b")
+    assert not reply.ok and "the type 'configure' has a bad body" in reply.reason and "$.settings" in reply.reason

@@ -1,0 +1,23 @@
+"""The connection of a program that is no agent: what it asks is answered, or it is told why not."""
+
+from __future__ import annotations
+
+from pancakes.client.door import Door
+from pancakes.control import Describe, Reply
+from pancakes.packet import SYSCTRL, Packet
+
+
+def test_an_answer_that_cannot_be_read_is_an_answer_and_costs_no_link(memory_rig):
+    agent = memory_rig.agent("a")
+    door = Door("cli", "default", memory_rig.transport("cli"), memory_rig.clock, lambda: None)
+    door.learn(agent.mesh.listen)
+    memory_rig.until(lambda: door.connected("a") and agent.knows("cli"))
+    bad, good = door.request("a", Describe()), door.request("a", Describe())
+    for number, ok in ((bad, "perhaps"), (good, True)):
+        reply = Packet(SYSCTRL, "reply", "a/root", "cli", 0.0, number, Reply(ok=ok), cause=("cli", number))
+        agent.mesh.send(reply)
+    memory_rig.until(lambda: door.answer(good))
+
+    assert door.answer(good) == Reply(ok=True)
+    assert "its answer cannot be read: a packet of the type 'reply' has a bad body" in door.answer(bad)
+    assert door.connected("a")
