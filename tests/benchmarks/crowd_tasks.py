@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 from benchmarks.mesh_tasks import BURST, Got, Load
 
 from pancakes.errors import MailboxFull
@@ -26,16 +27,14 @@ MOST_SENDERS = 8
 
 
 @packet_type("bench.here")
-@dataclass(frozen=True, slots=True)
-class Here:
+class Here(msgspec.Struct, frozen=True):
     """Says how many others the sender has heard of."""
 
     seen: int
 
 
 @packet_type("bench.now")
-@dataclass(frozen=True, slots=True)
-class Now:
+class Now(msgspec.Struct, frozen=True):
     """Everybody sees everybody: the senders begin."""
 
 

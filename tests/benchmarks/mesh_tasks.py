@@ -7,6 +7,8 @@ import os
 import time
 from dataclasses import dataclass
 
+import msgspec
+
 from pancakes.errors import MailboxFull
 from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on, queue
@@ -20,8 +22,7 @@ FAR = "far/client/Far"
 
 
 @packet_type("bench.ping")
-@dataclass(frozen=True, slots=True)
-class Ping:
+class Ping(msgspec.Struct, frozen=True):
     """Asks for a `Pong`."""
 
     number: int
@@ -29,8 +30,7 @@ class Ping:
 
 
 @packet_type("bench.pong")
-@dataclass(frozen=True, slots=True)
-class Pong:
+class Pong(msgspec.Struct, frozen=True):
     """Answers a `Ping`."""
 
     number: int
@@ -38,8 +38,7 @@ class Pong:
 
 
 @packet_type("bench.load")
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(msgspec.Struct, frozen=True):
     """One of many that go one way."""
 
     number: int
@@ -47,8 +46,7 @@ class Load:
 
 
 @packet_type("bench.got")
-@dataclass(frozen=True, slots=True)
-class Got:
+class Got(msgspec.Struct, frozen=True):
     """How many have arrived, and whether the last one was among them."""
 
     count: int
