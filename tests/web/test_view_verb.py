@@ -81,7 +81,7 @@ def test_a_demo_with_a_page_says_where_it_is_and_stays_after_its_end(rig: Rig):
 
 
 def test_a_live_demo_is_seen_from_its_beginning_to_its_end_and_not_how_its_agents_stop(rig: Rig):
-    arguments = ["encirclement", "--view", "--headless", "--speed", "5", "--duration", "12", "--configs", str(CONFIGS)]
+    arguments = ["encirclement", "--view", "--headless", "--speed", "5", "--duration", "30", "--configs", str(CONFIGS)]
     demo = rig.run("-u", "-m", "pancakes.cli.main", "demo", *arguments, whole=True)
     address = demo.hear("the page is at ").rpartition(" ")[2].rstrip("/")
     seen: dict[str, Any] = {}
@@ -96,7 +96,7 @@ def test_a_live_demo_is_seen_from_its_beginning_to_its_end_and_not_how_its_agent
     assert {"arena", "body/agent1", "battery/agent2", "rays/agent1/ir", "link/agent1/world"} <= set(seen)
     assert seen["task/agent1/client/ScanTarget"]["state"] == "running"
     assert "new_centre" in events and "service_stopped" not in events
-    assert 9.0 < news["m"] < 40.0  # a busy machine sees the end late, five times as fast
+    assert 25.0 < news["m"] < 75.0  # a busy machine sees the end late, five times as fast
 
 
 def test_options_that_make_no_sense_together_are_refused(rig: Rig):
