@@ -226,6 +226,8 @@ def _owner(cls: type) -> str:
 @cache
 def _fault_of_class(cls: type) -> str:
     if not has_fields(cls):
+        if issubclass(cls, msgspec.Struct):
+            return f"{_owner(cls)} has Settings that are no table: make their Struct without array_like, tag and rename"
         return f"{_owner(cls)} has Settings that are no dataclass: decorate them with @dataclass"
     declared = inspect.get_annotations(cls)
     if declared and dataclasses.is_dataclass(cls) and "__dataclass_fields__" not in cls.__dict__:

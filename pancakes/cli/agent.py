@@ -12,8 +12,9 @@ def main() -> None:
     options = usual(sys.argv[1:])
     if options is None:
         from pancakes.cli.agent_command import agent
+        from pancakes.cli.errors import sentences
 
-        agent()
+        sentences(agent)()
     else:
         from pancakes.cli.agent_process import run
 

@@ -7,9 +7,10 @@ import click
 from pancakes import __version__
 from pancakes.cli.agent_options import LOWEST_READY_FD, Options
 from pancakes.cli.agent_process import run
+from pancakes.cli.piped import Piped
 
 
-@click.command()
+@click.command(cls=Piped)
 @click.option("--config", "path", metavar="FILE", required=True, help="The agent's configuration, a TOML file.")
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says. Repeatable."

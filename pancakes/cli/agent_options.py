@@ -53,19 +53,26 @@ def usual(arguments: Sequence[str]) -> Options | None:
         if name not in texts or not value or (value.startswith("-") and not equals):
             return None
         texts[name].append(value)
-    parent_pid, ready_fd = _last_number(texts["--die-with-parent"]), _last_number(texts["--ready-fd"])
-    if not texts["--config"] or parent_pid == _NO_NUMBER or (ready_fd is not None and ready_fd < LOWEST_READY_FD):
+    try:
+        parent_pid, ready_fd = _last_number(texts["--die-with-parent"]), _last_number(texts["--ready-fd"])
+    except ValueError:
+        return None
+    if not texts["--config"] or (ready_fd is not None and ready_fd < LOWEST_READY_FD):
         return None
     return Options(texts["--config"][-1], tuple(texts["--set"]), parent_pid=parent_pid, ready_fd=ready_fd)
 
 
-_NO_NUMBER: Final = -1
 _MOST_DIGITS: Final = 18
 """A number of more digits is left to click, which has words also for those that Python does not read."""
 
 
 def _last_number(texts: Sequence[str]) -> int | None:
-    """Returns the last of some numbers; None where there are none, `_NO_NUMBER` where one of them is none."""
-    if not all(text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS for text in texts):
-        return _NO_NUMBER
+    """Returns the last of some numbers; None where there are none.
+
+    Raises:
+        ValueError: one of them is no number, or none that is read here.
+    """
+    for text in texts:
+        if not (text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS):
+            raise ValueError(f"{text!r} is no number of {_MOST_DIGITS} digits at most")
     return int(texts[-1]) if texts else None

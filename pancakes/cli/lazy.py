@@ -10,6 +10,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from pancakes.cli.piped import Piped
 from pancakes.suggestion import suggestion
 
 
@@ -26,7 +27,7 @@ class Later:
     help: str
 
 
-class LazyGroup(click.Group):
+class LazyGroup(Piped, click.Group):
     """A click group whose commands are imported late.
 
     Args:

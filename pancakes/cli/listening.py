@@ -6,7 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from pancakes.cli.streaming import say
+import click
+
+from pancakes.cli.names import ChannelName
+from pancakes.cli.streaming import say, until_ended
 from pancakes.client import Client
 from pancakes.client.following import Following, Heard
 from pancakes.errors import PancakesError, Unreachable
@@ -15,6 +18,37 @@ from pancakes.suggestion import suggestion
 
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
+
+types_option = click.option(
+    "--type", "types", metavar="TYPE", multiple=True, help="Only packets of this type. Repeatable."
+)
+"""The option `--type`; see `doubt_types`."""
+
+from_option = click.option(
+    "--from", "sources", metavar="ADDRESS", multiple=True, help="Only from this agent, service or task. Repeatable."
+)
+"""The option `--from`; see `from_any`."""
+
+
+@contextmanager
+def listening_to(
+    name: ChannelName, types: Sequence[str], at: Sequence[str], timeout_s: float
+) -> Iterator[tuple[Client, Following]]:
+    """Listens to a channel of an agent, until Ctrl-C at the latest.
+
+    Args:
+        name: the channel.
+        types: only packets of these types; none: all.
+        at: where to ask; see `Client`.
+        timeout_s: how long to wait for answers.
+    """
+    with (
+        until_ended(),
+        Client(at, timeout_s) as client,
+        Following(client, name.channel, types, True, (name.agent,), say) as following,
+        telling_losses(client, following),
+    ):
+        yield client, following
 
 
 def listen(

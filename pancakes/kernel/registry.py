@@ -98,10 +98,8 @@ class Registry:
             An empty string, or the reason why not.
         """
         with self._lock:
-            names = self._actuators(types)
-            reason = next((taken for name in names if (taken := self._taken(name, address))), "")
+            reason = self._claim(self._holders, address, types)
             if not reason:
-                self._holders.update(dict.fromkeys(names, address))
                 self._unreserve(address)
             return reason
 
@@ -115,11 +113,15 @@ class Registry:
             An empty string, or the reason why not.
         """
         with self._lock:
-            names = self._actuators(types)
-            reason = next((taken for name in names if (taken := self._taken(name, address))), "")
-            if not reason:
-                self._reserved.update(dict.fromkeys(names, address))
-            return reason
+            return self._claim(self._reserved, address, types)
+
+    def _claim(self, claims: dict[str, str], address: str, types: tuple[str, ...]) -> str:
+        """Notes a task for all actuators of these types, or says why that cannot be. Under the lock."""
+        names = self._actuators(types)
+        reason = next((taken for name in names if (taken := self._taken(name, address))), "")
+        if not reason:
+            claims.update(dict.fromkeys(names, address))
+        return reason
 
     def _actuators(self, types: tuple[str, ...]) -> list[str]:
         """Returns the names of the actuators of these types. Under the lock."""

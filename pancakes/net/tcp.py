@@ -240,18 +240,23 @@ class _Dial(_Socket):
             self._ready(WRITE)
 
     def _ready(self, _events: int) -> None:
-        assert self._sock is not None
-        error = self._sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        sock = self._sock
+        assert sock is not None
+        error = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         if error:
             self._next(_why(error))
             return
-        sock, self._sock = self._sock, None
-        self._transport.loop.forget(sock)
-        if sock.getsockname() == sock.getpeername():
+        try:
             # The kernel may give a dial to a free local port that very port, and join the socket to itself.
-            sock.close()
+            is_its_own_peer = sock.getsockname() == sock.getpeername()
+        except OSError as gone:  # it was there, and has gone again
+            self._next(_why(gone))
+            return
+        if is_its_own_peer:
             self._next("connection refused")
             return
+        self._sock = None
+        self._transport.loop.forget(sock)
         self._finish()
         _TcpConnection(self._transport, sock, self._address, self._handler).begin()
 

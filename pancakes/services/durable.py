@@ -39,6 +39,7 @@ from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
 from pancakes.services import adoption
 from pancakes.services.recorded import RecordedService
+from pancakes.services.snapshots import spec_of
 from pancakes.settings import make_settings
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervisor import STUCK_S
@@ -355,7 +356,7 @@ class DurableService(RecordedService):
             snapshot = Snapshot.decode(message.snapshot)
             if snapshot.task_id != message.task_id:
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
-            spec = self._spec_of(snapshot)
+            spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
         except (PancakesError, msgspec.ValidationError) as error:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any, ClassVar
 
-import msgspec
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 
 from pancakes.control import Stop
 from pancakes.errors import ControlRefused, PancakesError
@@ -25,16 +24,15 @@ from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.post import Letter
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
-from pancakes.migration.rule import MigrationRule
-from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
+from pancakes.migration.snapshot import Posted, Snapshot
 from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
 from pancakes.services.catalogue import Catalogue
 from pancakes.services.checkpoints import Checkpoints, plain_of
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
+from pancakes.services.snapshots import carried_of, settings_now, snapshot_of, spec_of
 from pancakes.slot import Request, Slot, TaskState
-from pancakes.supervision import RestartSpec
 from pancakes.task import Carried, Task, TaskSpec
 from pancakes.weight import in_brief
 
@@ -88,7 +86,7 @@ class RecordedService(Service):
             name = hand_off.record.task_id.name
             if name not in self._residents and hand_off.record.snapshot:
                 try:
-                    specs = (*specs, self._spec_of(Snapshot.decode(hand_off.record.snapshot)))
+                    specs = (*specs, spec_of(Snapshot.decode(hand_off.record.snapshot), self._catalogue))
                 except PancakesError as error:
                     self.log("error", f"{hand_off.record.task_id} rests in the journal and cannot be started: {error}")
         return specs
@@ -139,44 +137,9 @@ class RecordedService(Service):
         slot = self.slots.get(task_id.name)
         return slot if slot is not None and self.id_of(slot) == task_id else None
 
-    def _spec_of(self, snapshot: Snapshot) -> TaskSpec:
-        cls, version = self._catalogue.find(snapshot.type)
-        rule = msgspec.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
-        return TaskSpec(
-            name=snapshot.task_id.name,
-            cls=cls,
-            type=snapshot.type,
-            version=version,
-            settings=snapshot.configured,
-            start=False,
-            restart=msgspec.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
-            durability=snapshot.durability,
-            rule=rule,
-        )
-
     def _snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
-        spec = slot.spec
-        carried = carried or Carried(spec.settings, {})
-        now_s = self.now()
-        return Snapshot(
-            task_id=self.id_of(slot),
-            type=spec.type,
-            version=spec.version,
-            service=self.name,
-            requires=spec.cls.requires,
-            settings=dict(carried.settings),
-            configured=dict(spec.settings),
-            state=dict(carried.state),
-            timers=tuple(
-                TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
-            ),
-            posted=posted,
-            heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
-            sent={slot.address: self.kernel.seq_of(slot.address).value - 1},
-            restart=_plain_restart(spec.restart),
-            durability=spec.durability,
-            migrate=asdict(spec.rule) if spec.rule is not None else None,
-        ).encode()
+        sent = self.kernel.seq_of(slot.address).value - 1
+        return snapshot_of(slot, self.id_of(slot), self.name, carried, self.now(), sent, posted).encode()
 
     # Starting and ending ---------------------------------------------------------------------------------------
 
@@ -263,7 +226,7 @@ class RecordedService(Service):
         record = self.hand_off(self.id_of(slot)).record
         if slot.carried is not None or not record.snapshot:
             return super().carried_of(slot)
-        return _carried(Snapshot.decode(record.snapshot))
+        return carried_of(Snapshot.decode(record.snapshot))
 
     def drop_state(self, slot: Slot) -> None:
         # What it has heard it has heard: its sender may not know yet, and sends that again.
@@ -421,7 +384,16 @@ class RecordedService(Service):
 
     def _handled(self, slot: Slot, task: Task) -> None:
         """A task with `durability = "each"` has handled something, or any task was changed (in its own turn)."""
-        if task.actor_stopped.is_set() or task.actor_inbox.paused:
+        if not task.actor_stopped.is_set():
+            self._look(slot, task)
+
+    def checkpoint(self, slot: Slot, task: Task) -> None:
+        """Has a running task written down, if anything has changed."""
+        task.call(partial(self._look, slot, task))
+
+    def _look(self, slot: Slot, task: Task) -> None:
+        """Takes what a task carries, in the task's actor, and has it written down in this one."""
+        if task.actor_inbox.paused:
             return
         try:
             carried = task.carry()
@@ -429,21 +401,6 @@ class RecordedService(Service):
             self.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
         self.call(lambda: self._save(slot, task, carried))
-
-    def checkpoint(self, slot: Slot, task: Task) -> None:
-        """Has a running task written down, if anything has changed."""
-
-        def look() -> None:
-            if task.actor_inbox.paused:
-                return
-            try:
-                carried = task.carry()
-            except Exception as error:  # what a task keeps in its state may be anything
-                self.log("error", f"the state of {slot.address} cannot be written down: {error}")
-                return
-            self.call(lambda: self._save(slot, task, carried))
-
-        task.call(look)
 
     def _save(self, slot: Slot, task: Task, carried: Carried) -> None:
         if slot.task is not task or slot.state is not TaskState.RUNNING:
@@ -519,7 +476,7 @@ class RecordedService(Service):
         slot = self.slots.get(task_id.name)
         if slot is None:
             try:
-                slot = self.open_slot(self._spec_of(snapshot))
+                slot = self.open_slot(spec_of(snapshot, self._catalogue))
             except PancakesError as error:
                 self.log("error", f"{task_id} is ours, but cannot be started: {error}")
                 done()
@@ -530,7 +487,7 @@ class RecordedService(Service):
             return
         self._checkpoints.forget(task_id)
         self._owed.pop(task_id, None)
-        slot.carried = replace(_carried(snapshot), settings=self._settings_now(slot, snapshot))
+        slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
         slot.incarnation = effect.incarnation
         for seq in snapshot.sent.values():
@@ -567,32 +524,11 @@ class RecordedService(Service):
         # From here on the record is what counts, and this grows old.
         slot.carried = None
 
-    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> dict[str, Any]:
+    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
-        settings, before, now = dict(snapshot.settings), snapshot.configured, slot.spec.settings
-        if slot.name not in self._residents or before == now:
-            return settings
-        changed = [key for key in now if key not in before or before[key] != now[key]]
-        settings.update((key, now[key]) for key in changed)
-        removed = [key for key in before if key not in now]
-        for key in removed:
-            settings.pop(key, None)
-        if changed or removed:
-            names = ", ".join([*changed, *removed])
-            self.log("info", f"{slot.address} takes what has changed in its configuration: {names}")
+        if slot.name not in self._residents or snapshot.configured == slot.spec.settings:
+            return snapshot.settings
+        settings, names = settings_now(snapshot, slot.spec.settings)
+        if names:
+            self.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
         return settings
-
-
-@cache
-def _plain_restart(spec: RestartSpec) -> dict[str, Any]:
-    return asdict(spec)
-
-
-def _carried(snapshot: Snapshot) -> Carried:
-    """Returns what a task that begins from a snapshot carries."""
-    return Carried(
-        snapshot.settings,
-        snapshot.state,
-        {timer.name: timer.period_s for timer in snapshot.timers},
-        {stream: heard.upto for stream, heard in snapshot.heard.items()},
-    )

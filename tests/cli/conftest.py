@@ -12,6 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from live_output import LiveOutput
 from processes import Rig, Running
 
 
@@ -22,6 +23,20 @@ def rig(tmp_path: Path) -> Iterator[Rig]:
         yield rig
     finally:
         rig.close()
+
+
+@pytest.fixture
+def start(rig: Rig) -> Iterator[Callable[..., LiveOutput]]:
+    """Starts a command that goes on."""
+    running = []
+
+    def start(*arguments: str) -> LiveOutput:
+        running.append(LiveOutput(rig, *arguments))
+        return running[-1]
+
+    yield start
+    for it in running:
+        it.close()
 
 
 @pytest.fixture

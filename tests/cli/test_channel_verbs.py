@@ -1,7 +1,7 @@
 """`pancakes channel ...`: who is on the channels of agents that run, and the packets on them."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -40,20 +40,6 @@ Start = Callable[..., LiveOutput]
 def agent(rig: Rig) -> Running:
     rig.install("walk", "[pancakes.tasks]\nwalk.Walk = plugin_walk:Walk\nwalk.Watch = plugin_walk:Watch\n", SOURCE)
     return rig.ready("a", TASKS)
-
-
-@pytest.fixture
-def start(rig: Rig) -> Iterator[Start]:
-    """Starts a command that goes on."""
-    running = []
-
-    def start(*arguments: str) -> LiveOutput:
-        running.append(LiveOutput(rig, *arguments))
-        return running[-1]
-
-    yield start
-    for it in running:
-        it.close()
 
 
 def rows_of(rig: Rig, *arguments: str) -> list[dict[str, Any]]:

@@ -94,13 +94,19 @@ def checked(tmp_path: Path) -> tuple[str, ...]:
 
 
 LIST = ("pancakes.cli.main", "plugin", "list")
+HELP = (
+    ("pancakes.cli.main", "--help"),
+    ("pancakes.cli.main", "--version"),
+    ("pancakes.cli.main", "plugin", "list", "--help"),
+    ("pancakes.cli.agent", "--help"),
+)
 
 
 def test_who_reads_no_more_ends_a_verb_without_a_word(checked: tuple[str, ...]):
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        for verb in (LIST, (*LIST, "--format", "json"), checked):
+        for verb in (LIST, (*LIST, "--format", "json"), checked, *HELP):
             assert verb_into(writer, *verb) == (141, b""), verb
     finally:
         os.close(writer)
@@ -109,7 +115,7 @@ def test_who_reads_no_more_ends_a_verb_without_a_word(checked: tuple[str, ...]):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no device that is always full")
 def test_output_that_nothing_takes_ends_a_verb_with_one_sentence(checked: tuple[str, ...]):
     with open("/dev/full", "wb") as full:
-        for verb in (LIST, (*LIST, "--format", "json"), checked):
+        for verb in (LIST, (*LIST, "--format", "json"), checked, *HELP):
             said = b"cannot write the output: No space left on device\n"
             assert verb_into(full.fileno(), *verb) == (1, said), verb
 

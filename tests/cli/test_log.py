@@ -1,7 +1,7 @@
 """`pancakes log`: what agents have said and done, and what they say while it is looked."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -47,20 +47,6 @@ def agent(rig: Rig, talk: None) -> Running:
     agent = rig.ready("a", TALK)
     agent.hear("word 3")
     return agent
-
-
-@pytest.fixture
-def start(rig: Rig) -> Iterator[Start]:
-    """Starts a command that goes on."""
-    running = []
-
-    def start(*arguments: str) -> LiveOutput:
-        running.append(LiveOutput(rig, *arguments))
-        return running[-1]
-
-    yield start
-    for it in running:
-        it.close()
 
 
 def records(rig: Rig, *arguments: str) -> list[dict[str, Any]]:

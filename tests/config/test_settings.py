@@ -232,12 +232,14 @@ class TestStructures:
         for problem, start in zip(found, said, strict=True):
             assert problem.startswith(start)
 
-    def test_one_that_travels_as_a_list_cannot_be_settings(self):
-        class Row(Struct, array_like=True):
-            count: int = 0
+    @pytest.mark.parametrize("how", [{"array_like": True}, {"tag": True}, {"rename": "camel"}])
+    def test_one_that_is_no_table_of_its_fields_cannot_be_settings(self, how):
+        class Row(Struct, **how):
+            row_count: int = 0
 
-        (problem,) = check_settings(Row, {})
-        assert "no dataclass" in problem.text
+        assert problems({}, Row) == [
+            "Row has Settings that are no table: make their Struct without array_like, tag and rename"
+        ]
 
     def test_as_plain_values_each_field_is_there_down_to_the_innermost(self):
         class Spoke(Struct, omit_defaults=True):

@@ -19,17 +19,23 @@ AGENTS = ("world", "agent1", "agent2", "sensor")
 
 
 class LiveDemo:
-    """`pancakes demo encirclement --headless` in a process of its own; used in a `with` statement.
+    """`pancakes demo NAME --headless` in a process of its own; used in a `with` statement.
 
     Args:
         out: where its results go.
         arguments: what else to say on its command line.
+
+    Attributes:
+        name: the demo.
+        agents: those of them that were found, and what else `name_of` knows.
     """
+
+    name = "encirclement"
 
     def __init__(self, out: Path, *arguments: str) -> None:
         self.out = out
         self.lines: list[str] = []
-        command = [sys.executable, "-m", "pancakes.cli.main", "demo", "encirclement", "--headless", "--out", str(out)]
+        command = [sys.executable, "-m", "pancakes.cli.main", "demo", self.name, "--headless", "--out", str(out)]
         self.process = subprocess.Popen(
             [*command, *arguments],
             stdin=subprocess.DEVNULL,
@@ -57,21 +63,32 @@ class LiveDemo:
             seen = self._news.wait_for(lambda: any(text in line for line in self.lines), PATIENCE_S)
         assert seen, f"it never said {text!r}, only:\n{self.said}"
         self._find_agents()
-        assert sorted(self.agents) == sorted(AGENTS)
+        assert self.is_whole, list(self.agents)
 
     def wait_for_agents(self) -> None:
         """Waits until the processes of its agents are there, whatever they are doing."""
         deadline_s = time.monotonic() + PATIENCE_S
-        while len(self.agents) < len(AGENTS):
+        while not self.is_whole:
             assert self.process.poll() is None and time.monotonic() < deadline_s, self.said
             self._find_agents()
 
     def _find_agents(self) -> None:
         for child in psutil.Process(self.process.pid).children(recursive=True):
             with contextlib.suppress(psutil.Error):  # it may have ended, or not have become an agent yet
-                words = child.cmdline()
-                if "pancakes.cli.agent" in words and "--config" in words:
-                    self.agents[Path(words[words.index("--config") + 1]).stem] = child
+                name = self.name_of(child.cmdline())
+                if name:
+                    self.agents[name] = child
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of its agents were found."""
+        return sorted(self.agents) == sorted(AGENTS)
+
+    def name_of(self, words: list[str]) -> str:
+        """Returns the name of a process by its command line; an empty string: it is none of ours."""
+        if "pancakes.cli.agent" in words and "--config" in words:
+            return Path(words[words.index("--config") + 1]).stem
+        return ""
 
     def ends(self, within_s: float = PATIENCE_S) -> int:
         """Waits until the launcher has ended; returns its exit code."""
@@ -80,7 +97,7 @@ class LiveDemo:
         return code
 
     def left_after(self, within_s: float) -> list[str]:
-        """Returns the agents that still run after some seconds."""
+        """Returns which of its processes still run after some seconds."""
         deadline_s = time.monotonic() + within_s
         left = [name for name, process in self.agents.items() if _runs(process)]
         while left and time.monotonic() < deadline_s:

@@ -62,65 +62,67 @@ def test_a_guest_that_was_held_without_a_turn_is_reckoned_with_when_it_comes_aga
     rig.at_rest()
 
 
+class TwiceHeld:
+    """A guest, in a thread of its own, that stands still between its turns, and is then held in one.
+
+    Attributes:
+        seen: lets it have its turn.
+        holds: it is in that turn.
+        gate: lets the turn end.
+        visitor: the thread.
+    """
+
+    def __init__(self, rig, relieve=lambda: None):
+        self.seen, self.holds, self.gate, arrived = (threading.Event() for _ in range(4))
+        actor = rig.actor()
+
+        def visit():
+            guest = rig.visiting(relieve)
+            arrived.set()
+            assert self.seen.wait(PATIENCE_S)
+            # Not by way of `ready`, which would have a worker do it.
+            assert actor.actor_inbox.token.acquire(False)
+            actor.actor_inbox.control.append(lambda: (self.holds.set(), self.gate.wait(PATIENCE_S)))
+            rig.pool.work.append(actor.actor_inbox)
+            guest.turn()
+            guest.leave()
+
+        self.visitor = threading.Thread(target=visit)
+        self.visitor.start()
+        assert arrived.wait(PATIENCE_S)
+
+    def end(self):
+        self.gate.set()
+        self.visitor.join(PATIENCE_S)
+
+
 def test_a_guest_that_is_first_held_between_turns_and_then_in_one_is_relieved(rig):
     relieved = []
-    gate, holds = threading.Event(), threading.Event()
-    actor, seen = rig.actor(), threading.Event()
-
-    def visit():
-        guest = rig.visiting(lambda: relieved.append(1))
-        arrived.set()
-        assert seen.wait(PATIENCE_S)
-        # Not by way of `ready`, which would have a worker do it.
-        assert actor.actor_inbox.token.acquire(False)
-        actor.actor_inbox.control.append(lambda: (holds.set(), gate.wait(PATIENCE_S)))
-        rig.pool.work.append(actor.actor_inbox)
-        guest.turn()
-        guest.leave()
-
-    arrived = threading.Event()
-    visitor = threading.Thread(target=visit)
-    visitor.start()
-    assert arrived.wait(PATIENCE_S)
+    guest = TwiceHeld(rig, lambda: relieved.append(1))
     rig.see_held()
     assert rig.pool._active == 0
-    seen.set()
-    assert holds.wait(PATIENCE_S)
+    guest.seen.set()
+    assert guest.holds.wait(PATIENCE_S)
     rig.see_held()
     assert relieved == [1]
-    gate.set()
-    visitor.join(PATIENCE_S)
+    guest.end()
     rig.at_rest()
 
 
 def test_a_guest_that_is_not_reckoned_with_comes_back_though_the_watchdog_sees_another_turn(rig):
-    gate, arrived, seen, holds = (threading.Event() for _ in range(4))
-    actor = rig.actor()
-
-    def visit():
-        guest = rig.visiting()
-        arrived.set()
-        assert seen.wait(PATIENCE_S)
-        assert actor.actor_inbox.token.acquire(False)
-        actor.actor_inbox.control.append(lambda: (holds.set(), gate.wait(PATIENCE_S)))
-        rig.pool.work.append(actor.actor_inbox)
-        guest.turn()
-        guest.leave()
+    guest = TwiceHeld(rig)
+    rig.see_held()
+    hold = rig.pool._hold
 
     def too_late(shift):
-        seen.set()
-        assert holds.wait(PATIENCE_S)
+        guest.seen.set()
+        assert guest.holds.wait(PATIENCE_S)
         hold(shift)
 
-    visitor = threading.Thread(target=visit)
-    visitor.start()
-    assert arrived.wait(PATIENCE_S)
-    rig.see_held()
-    hold, rig.pool._hold = rig.pool._hold, too_late
+    rig.pool._hold = too_late
     rig.look()
     assert rig.pool._active == 0
-    gate.set()
-    visitor.join(PATIENCE_S)
+    guest.end()
     rig.at_rest()
 
 

@@ -162,7 +162,8 @@ def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
     stream.inject(packet(seq=4, to="*"))
     stream.publish(packet("ctrl", seq=5))
     stream.untap("system", heard.append)
-    assert [tapped.seq for tapped in heard] == [1, 2, 4] or stream.untap("system", heard.append)
+    stream.publish(packet(seq=6))
+    assert [tapped.seq for tapped in heard] == [1, 2, 4]
     with pytest.raises(UnknownChannel, match="a has no channel 'map'"):
         stream.tap("map", heard.append)
 
@@ -177,17 +178,6 @@ def test_a_tap_hears_the_types_that_it_wants_and_no_others():
     stream.untap("system", tap)
     stream.publish(Packet("system", "pose", "a/client/T", "", 0.0, 9, None))
     assert [tapped.seq for tapped in heard] == [0, 2, 3]
-
-
-def test_an_untapped_tap_hears_nothing_more():
-    stream = InformationStream("a")
-    heard = []
-    tap = heard.append
-    stream.tap("system", tap)
-    stream.publish(packet(seq=1))
-    stream.untap("system", tap)
-    stream.publish(packet(seq=2))
-    assert [tapped.seq for tapped in heard] == [1]
 
 
 def test_subscribers_are_listed_in_the_order_in_which_they_came():

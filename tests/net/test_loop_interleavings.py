@@ -1,4 +1,4 @@
-"""The network's thread by itself: what it runs, in which thread, and that it is one at a time."""
+"""The network's loop: in which thread it runs, that it is one at a time, and when it ends."""
 
 from __future__ import annotations
 
@@ -159,25 +159,6 @@ def test_a_thread_that_was_relieved_ends_and_another_goes_on(rig: Rig) -> None:
     assert second.threads[-1] is not before
 
 
-def test_a_thread_that_comes_back_before_another_has_taken_over_leaves_everything_open(rig: Rig) -> None:
-    """The watchdog has decided so, and starts the other thread a moment later."""
-    rig.lend()
-    bell = rig.bell()
-    bell.ring()
-    assert bell.heard.acquire(timeout=PATIENCE_S)
-    before = bell.threads[0]
-    gate = rig.busy()
-    rig.guests[0].during = lambda guest: setattr(guest, "stays", False)
-    bell.ring()
-    gate.set()
-    before.join(PATIENCE_S)
-    assert not before.is_alive()
-    rig.guests[0].relieve()
-    bell.ring()
-    for _ in range(2):
-        assert bell.heard.acquire(timeout=PATIENCE_S), "nobody serves the network any more"
-
-
 def test_what_fails_between_two_turns_ends_nothing(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.lend()
     bell = rig.bell()
@@ -188,18 +169,6 @@ def test_what_fails_between_two_turns_ends_nothing(rig: Rig, caplog: pytest.LogC
     assert bell.heard.acquire(timeout=PATIENCE_S)
     in_loop(rig.loop, lambda: None)
     assert "a handler of the network failed" in caplog.text
-
-
-def test_who_is_forgotten_by_one_that_is_served_before_it_is_not_served(rig: Rig) -> None:
-    first, second = rig.bell(), rig.bell()
-    first.hears, second.hears = second.forget, first.forget
-    gate = rig.busy()
-    first.ring()
-    second.ring()
-    gate.set()
-    in_loop(rig.loop, lambda: None)
-    in_loop(rig.loop, lambda: None)
-    assert len(first.threads) + len(second.threads) == 1
 
 
 def test_however_often_it_is_woken_while_it_is_busy_nobody_has_to_wait(rig: Rig) -> None:

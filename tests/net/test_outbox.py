@@ -195,8 +195,13 @@ def test_a_peer_that_comes_back_goes_on_with_its_counters_unless_too_many_have_c
     counters = CountersOfAll()
     stays, goes = counters.of("stays", ["stays"]), counters.of("goes", ["stays"])
     assert counters.of("goes", ["stays"]) is goes
-    for number in range(MOST_GONE + 1):
+    for number in range(MOST_GONE):
         counters.of(f"guest{number}", ["stays"])
+    assert counters.of("goes", ["stays"]) is goes
+    for number in range(MOST_GONE):
+        counters.of(f"another{number}", ["stays"])
+    assert "goes" in counters and "guest1" not in counters, "it came again after them"
+    counters.of("one more", ["stays"])
     assert counters.of("goes", ["stays"]) is not goes
     assert counters.of("stays", ["stays"]) is stays, "it never was away"
 

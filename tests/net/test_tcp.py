@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import socket
 import threading
 
@@ -82,6 +84,22 @@ def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
         for filler in fillers:
             filler.close()
     assert here.closed_for == [f"tcp://127.0.0.1:{port} did not answer within 0.1 s"]
+
+
+def test_a_dial_to_whom_has_gone_again_by_the_time_it_is_seen_fails_at_once(tcp_rig, monkeypatch):
+    class Left(socket.socket):
+        """A socket whose other end has reset the connection since it was said to be there."""
+
+        def getpeername(self):
+            raise OSError(errno.ENOTCONN, os.strerror(errno.ENOTCONN))
+
+    here, there = tcp_rig.ear(), tcp_rig.ear()
+    address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)
+    monkeypatch.setattr(socket, "socket", Left)
+    tcp_rig.transport("a").dial(address, here)
+    tcp_rig.until(lambda: here.closed_for)
+    assert "cannot be reached" in here.closed_for[0] and here.connection is None
+    tcp_rig.until(lambda: there.closed_for)  # its socket is not left open
 
 
 def test_closing_ends_the_thread_and_drops_what_was_put_off():

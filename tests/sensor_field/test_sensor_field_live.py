@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import signal
-import subprocess
-import sys
-import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 
 import psutil
 import pytest
+from live_demo import LiveDemo
 from pancakes_sensor_field.demos import AGENTS
 
-PATIENCE_S = 60.0
 LIMIT_S = 3.0
 TINY = "pancakes_sensor_field.tiny_node"
 EARLY = (
@@ -29,91 +22,21 @@ EARLY = (
 """The shed burns soon, and the gateway's battery falls below 50 % after some 25 s."""
 
 
-class LiveField:
-    """`pancakes demo sensor-field --headless` in a process of its own; used in a `with` statement."""
+class LiveField(LiveDemo):
+    """`pancakes demo sensor-field --headless`; the programs of its tiny nodes are named by their command lines."""
 
-    def __init__(self, out: Path, *arguments: str) -> None:
-        self.lines: list[str] = []
-        command = [sys.executable, "-m", "pancakes.cli.main", "demo", "sensor-field", "--headless", "--out", str(out)]
-        self.process = subprocess.Popen(
-            [*command, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )
-        self.found: dict[int, psutil.Process] = {}
-        self._news = threading.Condition()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
+    name = "sensor-field"
 
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._news:
-                self.lines.append(line.rstrip("\n"))
-                self._news.notify_all()
-
-    def wait_for(self, text: str) -> None:
-        """Waits until it has printed a line with `text`, and finds its agents and tiny nodes."""
-        with self._news:
-            seen = self._news.wait_for(lambda: any(text in line for line in self.lines), PATIENCE_S)
-        assert seen, f"it never said {text!r}, only:\n{self.said}"
-        words = []
-        for child in psutil.Process(self.process.pid).children(recursive=True):
-            with contextlib.suppress(psutil.Error):
-                words.append(" ".join(child.cmdline()))
-                self.found[child.pid] = child
-        assert sum(TINY in line for line in words) == 2, words
-        assert sum("pancakes.cli.agent" in line for line in words) == len(AGENTS), words
-
-    def ends(self) -> int:
-        code = self.process.wait(PATIENCE_S)
-        self._reader.join(PATIENCE_S)
-        return code
-
-    def left_after(self, within_s: float) -> list[int]:
-        """Returns which of the processes still run after some seconds."""
-        deadline_s = time.monotonic() + within_s
-        left = [process for process in self.found.values() if _runs(process)]
-        while left and time.monotonic() < deadline_s:
-            psutil.wait_procs(left, 0.05)
-            left = [process for process in left if _runs(process)]
-        return [process.pid for process in left]
+    def name_of(self, words: list[str]) -> str:
+        return " ".join(words) if TINY in words else super().name_of(words)
 
     @property
-    def said(self) -> str:
-        with self._news:
-            return "\n".join(self.lines)
+    def tiny(self) -> list[psutil.Process]:
+        return [process for name, process in self.agents.items() if TINY in name]
 
-    def __enter__(self) -> LiveField:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leaves nothing behind, also where a test failed."""
-        if self.process.poll() is None:
-            for child in psutil.Process(self.process.pid).children(recursive=True):
-                with contextlib.suppress(psutil.Error):
-                    child.kill()
-            self.process.kill()
-        for process in self.found.values():
-            if _runs(process):
-                process.kill()
-        self.process.wait()
-        self._reader.join(PATIENCE_S)
-        assert self.process.stdout is not None
-        self.process.stdout.close()
-
-
-def _runs(process: psutil.Process) -> bool:
-    try:
-        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+    @property
+    def is_whole(self) -> bool:
+        return len(self.tiny) == 2 and set(AGENTS) <= self.agents.keys()
 
 
 @pytest.fixture
@@ -158,9 +81,7 @@ def test_a_launcher_that_is_killed_leaves_neither_agents_nor_tiny_nodes(under_wa
 
 
 def test_a_field_that_is_killed_takes_its_tiny_nodes_along(under_way: LiveField) -> None:
-    tiny = [process for process in under_way.found.values() if TINY in " ".join(process.cmdline())]
-    (field,) = [process for process in under_way.found.values() if "field.toml" in " ".join(process.cmdline())]
-    field.kill()
-    _, left = psutil.wait_procs(tiny, LIMIT_S)
+    under_way.agents["field"].kill()
+    _, left = psutil.wait_procs(under_way.tiny, LIMIT_S)
     assert not left
     assert under_way.ends() == 1 and "the mission broke off: the agent field " in under_way.said

@@ -35,6 +35,16 @@ class Count(Task):
         raise RuntimeError("lost")
 
 
+class Tuned(Task):
+    """Has settings and does nothing."""
+
+    @dataclass
+    class Settings:
+        low: int = 0
+        middle: int = 0
+        high: int = 0
+
+
 class Still(Task):
     """Has no state; a pose makes it slower."""
 
@@ -92,6 +102,21 @@ def test_a_stopped_agent_goes_on_where_it_was(fleet):
     assert agent.task("Count").state.n == n
     fleet.run_for(2.0)
     assert agent.task("Count").state.n == n + 2 * 10
+
+
+def test_what_was_changed_in_the_file_meanwhile_goes_before_the_record_and_all_else_stays(fleet):
+    def start(settings):
+        return fleet.start("a", tasks={"Tuned": {"type": Tuned, "settings": settings}})
+
+    agent = start({"low": 1, "high": 1})
+    assert agent.ask(Configure("Tuned", {"low": 2, "high": 2, "middle": 2})).ok
+    fleet.stop("a")
+    agent = start({"low": 1, "high": 9, "middle": 5})
+    assert agent.task("Tuned").settings == Tuned.Settings(low=2, middle=5, high=9)
+    (said,) = [line for line in agent.lines("info") if "a/client/Tuned takes" in line]
+    assert said.endswith("what has changed in its configuration: high, middle")
+    fleet.stop("a")
+    assert start({"low": 1, "middle": 5}).task("Tuned").settings == Tuned.Settings(low=2, middle=5)
 
 
 def test_not_a_tick_is_lost_however_the_stop_falls_between_two_checkpoints():

@@ -8,12 +8,11 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.errors import sentences
-from pancakes.cli.listening import doubt_types, from_any, listen, telling_losses
+from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
-from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say, until_ended
-from pancakes.client import Client
-from pancakes.client.following import Following, Heard
+from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say
+from pancakes.client.following import Heard
 from pancakes.packet import body_class, body_to_plain, field_names
 from pancakes.suggestion import suggestion
 
@@ -25,10 +24,8 @@ HEADER: Final = "packet."
 
 @click.command()
 @a_channel
-@click.option("--type", "types", metavar="TYPE", multiple=True, help="Only packets of this type. Repeatable.")
-@click.option(
-    "--from", "sources", metavar="ADDRESS", multiple=True, help="Only from this agent, service or task. Repeatable."
-)
+@types_option
+@from_option
 @click.option(
     "--field",
     "fields",
@@ -69,10 +66,7 @@ def echo(
     doubt_types(types)
     _check_fields(types, fields)
     with (
-        until_ended(),
-        Client(at, timeout) as client,
-        Following(client, name.channel, types, True, (name.agent,), say) as following,
-        telling_losses(client, following),
+        listening_to(name, types, at, timeout) as (client, following),
         Printer(format_, bounded, paths.text if fields else text_of) as printer,
     ):
         for heard in listen(client, following, for_s, bounded):

@@ -12,7 +12,7 @@ import click
 
 from pancakes.cli.asking import order
 from pancakes.cli.errors import sentences
-from pancakes.cli.listening import from_any, listen, telling_losses
+from pancakes.cli.listening import from_any, from_option, listen, telling_losses
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.streaming import Printer, say, until_ended
@@ -51,9 +51,7 @@ class Pattern(click.ParamType):
     show_default=True,
     help="Only lines of this level and above; events count as info.",
 )
-@click.option(
-    "--from", "sources", metavar="ADDRESS", multiple=True, help="Only from this agent, service or task. Repeatable."
-)
+@from_option
 @click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")
 @click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
 @asks_agents

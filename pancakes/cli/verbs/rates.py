@@ -8,14 +8,12 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.errors import sentences
-from pancakes.cli.listening import doubt_types, from_any, listen, telling_losses
+from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json
-from pancakes.cli.streaming import count_option, for_option, one_line, say, until_ended
+from pancakes.cli.streaming import count_option, for_option, one_line, say
 from pancakes.cli.verbs.throughput import WINDOW, Throughput, size_of
-from pancakes.client import Client
-from pancakes.client.following import Following
 
 EVERY_S: Final = 1.0
 """How often there is a report."""
@@ -24,10 +22,8 @@ BW: Final = ("source", "type", "bytes_per_s", "min_bytes", "mean_bytes", "max_by
 
 _OPTIONS = (
     a_channel,
-    click.option("--type", "types", metavar="TYPE", multiple=True, help="Only packets of this type. Repeatable."),
-    click.option(
-        "--from", "sources", metavar="ADDRESS", multiple=True, help="Only from this agent, service or task. Repeatable."
-    ),
+    types_option,
+    from_option,
     click.option(
         "--window",
         metavar="N",
@@ -105,12 +101,7 @@ def _measure(
 ) -> None:
     bounded = count is not None or for_s is not None
     doubt_types(types)
-    with (
-        until_ended(),
-        Client(at, timeout) as client,
-        Following(client, name.channel, types, True, (name.agent,), say) as following,
-        telling_losses(client, following),
-    ):
+    with listening_to(name, types, at, timeout) as (client, following):
         began_s = reported_s = client.now()
         heard = Throughput(began_s, window, wall_time)
 

@@ -1,0 +1,45 @@
+"""What a postbox keeps of letters whose sender has gone: no more than so many."""
+
+from dataclasses import dataclass
+
+from pancakes.migration.post import Letter
+from pancakes.packet import packet_type
+from pancakes.services import postbox
+from pancakes.task import Task, on
+from pancakes.testing import FleetInTest
+
+
+@packet_type("test.command")
+@dataclass(frozen=True)
+class Command:
+    n: int
+
+
+class Sink(Task):
+    """Takes commands."""
+
+    @on("system", Command)
+    def take(self, packet):
+        pass
+
+
+def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_newest_are_not(monkeypatch):
+    monkeypatch.setattr(postbox, "MOST_KNOWN", 4)
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        client = agent.component("client")
+
+        def arrive(number):
+            # The second of its stream: the task waits for the first, and takes none of them.
+            letter = Letter("a/Sink", f"stream{number}", 2, 1, b"", "gone")
+            client.call(lambda: client.letter_arrived(letter, None))
+            fleet.run_for(0.01)
+
+        for number in range(20):
+            arrive(number)
+        assert len(client._postbox._failures) == 4
+        buried = agent.agent.kernel.letters.count
+        arrive(19)
+        assert agent.agent.kernel.letters.count == buried, "it is told of once"
+        arrive(0)
+        assert agent.agent.kernel.letters.count == buried + 1, "that it was told of is forgotten"
