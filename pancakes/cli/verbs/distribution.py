@@ -32,7 +32,19 @@ _RESERVED: Final = frozenset(
 )
 _IMPORTED: Final = frozenset(
     ("Annotated", "Chatter", "Configure", "HardWork", "Load", "Meta", "Migrate", "Packet", "PancakesError", "Path")
-    + ("Reschedule", "Restart", "Sensor", "Sequence", "Service", "Share", "Station", "Task", "TaskSpec", "Tick")
+    + (
+        "Reschedule",
+        "Restart",
+        "Sensor",
+        "Sequence",
+        "Service",
+        "Share",
+        "Station",
+        "Struct",
+        "Task",
+        "TaskSpec",
+        "Tick",
+    )
 )
 """What the templates import or define under names of their own."""
 _PURPOSES: Final = {
