@@ -19,7 +19,7 @@ from typing import Any
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
          "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
-         "bench.Noted": "benchmarks.lateness:Noted", "bench.Judge": "benchmarks.lateness:Judge",
+         "bench.Periodic": "benchmarks.lateness:Periodic", "bench.Judge": "benchmarks.lateness:Judge",
          "bench.Small": "benchmarks.many_tasks:Small",
          "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
 PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}

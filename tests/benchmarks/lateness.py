@@ -15,11 +15,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from benchmarks.agent_process import agent_process, offer_tasks, read_report
 from benchmarks.figure import Figure, Plan, alone, in_turns
-from benchmarks.local_agent import local_agent
 
 from pancakes.task import Task, Tick, every
 
@@ -36,27 +35,17 @@ SETTLE_S = 2.0
 
 
 class Periodic(Task):
-    """Notes how late it was ticked."""
+    """Notes how late it was ticked, where all of its like do."""
 
-    def on_start(self) -> None:
-        self.late_s: list[float] = []
+    all_late_s: ClassVar[list[float]] = []
 
     @every(hz=1)
     def tick(self, tick: Tick) -> None:
         """Takes one tick; those that it replaces, because they could not come in time, were later by their periods."""
         late_s = self.now() - tick.time_s
-        self.late_s.append(late_s)
+        self.all_late_s.append(late_s)
         for number in range(tick.missed):
-            self.late_s.append(late_s + (number + 1) * self.timers["tick"].period_s)
-
-
-class Noted(Periodic):
-    """One of many that note in one place how late they were ticked."""
-
-    all_late_s: ClassVar[list[float]] = []
-
-    def on_start(self) -> None:
-        self.late_s = self.all_late_s
+            self.all_late_s.append(late_s + (number + 1) * self.timers["tick"].period_s)
 
 
 class Busy(Task):
@@ -94,24 +83,22 @@ class Judge(Task):
 
     def begin(self) -> None:
         """Counts from now on."""
-        Noted.all_late_s.clear()
+        Periodic.all_late_s.clear()
         self.after_host(self.settings.duration_s, self.report)
 
     def report(self) -> None:
         """Tells what there is."""
-        os.write(self.settings.report_fd, (json.dumps({"late_s": Noted.all_late_s}) + "\n").encode())
+        os.write(self.settings.report_fd, (json.dumps({"late_s": Periodic.all_late_s}) + "\n").encode())
 
 
-_BUSY_CONFIG = """
+_CONFIG = """
 schema = 1
 [agent]
-name = "busy"
+name = "late"
 listen = "tcp://127.0.0.1:0"
 state_dir = "{directory}/state"
 [service.log]
 settings = {{ console = false }}
-[task.Busy]
-type = "bench.Busy"
 [task.Judge]
 type = "bench.Judge"
 settings = {{ report_fd = {report_fd}, settle_s = {settle_s}, duration_s = {duration_s} }}
@@ -124,39 +111,32 @@ def _percentiles_us(late_s: list[float]) -> list[float]:
     return [ordered[len(ordered) // 2] * 1e6, ordered[int(len(ordered) * 0.99)] * 1e6]
 
 
-def pancakes(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
-    """One run of ours. Returns the percentiles."""
-    tables = {f"Periodic{number}": f'type = "bench.Periodic"\nrate_hz = {rate_hz}' for number in range(tasks)}
-    with local_agent({"bench.Periodic": Periodic}, tables) as agent:
-        found: list[Any] = [agent.kernel.registry.get(f"bench/client/Periodic{number}") for number in range(tasks)]
-        time.sleep(SETTLE_S)
-        before = [len(task.late_s) for task in found]
-        time.sleep(duration_s)
-        late_s = [late for task, start in zip(found, before, strict=True) for late in task.late_s[start:]]
-    return _percentiles_us(_all_there(late_s, tasks, rate_hz, duration_s))
-
-
-def _all_there(late_s: list[float], tasks: int, rate_hz: float, duration_s: float) -> list[float]:
-    """Sees to it that nothing looks punctual because it never came: such a tick is as late as all this takes."""
-    expected = round(tasks * (rate_hz * duration_s - 1))
-    return [*late_s, *[duration_s] * (expected - len(late_s))]
-
-
-def beside_a_busy_task(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
-    """One run of ours, in a process of its own, beside a task that computes. Returns the percentiles in ms."""
+def pancakes(tasks: int, rate_hz: float, duration_s: float, more: str = "") -> list[float]:
+    """One run of ours, in a process of its own, with more tables in its configuration. Returns the percentiles."""
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         environment = offer_tasks(Path(name))
         numbers = {"report_fd": writer, "settle_s": SETTLE_S, "duration_s": duration_s}
-        tables = [f'[task.Noted{n}]\ntype = "bench.Noted"\nrate_hz = {rate_hz}' for n in range(tasks)]
-        config = "\n".join([_BUSY_CONFIG.format(directory=name, **numbers), *tables])
+        tables = [f'[task.Periodic{n}]\ntype = "bench.Periodic"\nrate_hz = {rate_hz}' for n in range(tasks)]
+        config = "\n".join([_CONFIG.format(directory=name, **numbers), *tables, more])
         with agent_process(config, Path(name), environment, pass_fds=(writer,)):
             os.close(writer)
             try:
                 late_s = read_report(reader)["late_s"]
             finally:
                 os.close(reader)
-    return [late_us / 1e3 for late_us in _percentiles_us(_all_there(late_s, tasks, rate_hz, duration_s))]
+    return _percentiles_us(_all_there(late_s, tasks, rate_hz, duration_s))
+
+
+def beside_a_busy_task(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
+    """One run of ours beside a task that computes. Returns the percentiles in ms."""
+    return [late_us / 1e3 for late_us in pancakes(tasks, rate_hz, duration_s, '[task.Busy]\ntype = "bench.Busy"\n')]
+
+
+def _all_there(late_s: list[float], tasks: int, rate_hz: float, duration_s: float) -> list[float]:
+    """Sees to it that nothing looks punctual because it never came: such a tick is as late as all this takes."""
+    expected = round(tasks * (rate_hz * duration_s - 1))
+    return [*late_s, *[duration_s] * (expected - len(late_s))]
 
 
 def bare_thread(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
