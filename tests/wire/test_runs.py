@@ -135,7 +135,9 @@ def _by_hand(value):
     return value.item() if hasattr(value, "item") else getattr(value, "value", value)
 
 
-@pytest.mark.parametrize("body", [{1, 2}, [{"a": {1: 2}}], [0] * 65_537, Open({1}), Open([object()]), Pose({1}, 0, object())])
+@pytest.mark.parametrize(
+    "body", [{1, 2}, [{"a": {1: 2}}], [0] * 65_537, Open({1}), Open([object()]), Pose({1}, 0, object())]
+)
 def test_what_does_not_travel_is_found_at_any_depth(body):
     for _ in range(2):
         with pytest.raises(LocalProtocolError, match="packet 7 of the type 'runs test open' from a/b/c cannot be sent"):
