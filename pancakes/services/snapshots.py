@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 import msgspec
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
@@ -84,6 +84,17 @@ def carried_of(snapshot: Snapshot) -> Carried:
         {timer.name: timer.period_s for timer in snapshot.timers},
         {stream: heard.upto for stream, heard in snapshot.heard.items()},
     )
+
+
+def begins_alike(one: bytes, other: bytes) -> bool:
+    """Returns whether a task that begins from either of two snapshots is the same."""
+    return bool(one and other) and _without_phases(one) == _without_phases(other)
+
+
+def _without_phases(encoded: bytes) -> tuple[Snapshot, Mapping[str, float]]:
+    # At which moment of a period it was taken is for a task that moves.
+    snapshot = Snapshot.decode(encoded)
+    return replace(snapshot, timers=()), carried_of(snapshot).periods_s
 
 
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

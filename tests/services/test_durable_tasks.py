@@ -146,6 +146,25 @@ def test_a_task_without_state_is_not_looked_at_again_and_again(fleet):
     assert task.times_written == 1
 
 
+def test_a_stop_writes_down_what_is_new_and_nothing_else(fleet):
+    agent = fleet.start("a", tasks={"Still": Still, "Count": Count})
+    fleet.run_for(5.53)
+    before = records(fleet)
+    agent.publish("system", Pose(0.0, 0.0, 0.0))
+    fleet.stop("a")
+    after = records(fleet)
+    assert after["Count"] != before["Count"], "it has counted"
+    assert after["Still"] != before["Still"], "it has become slower"
+
+    fleet.restart("a")
+    fleet.run_for(3.08)
+    before = records(fleet)
+    fleet.run_for(0.05)
+    fleet.stop("a")
+    assert records(fleet)["Still"] == before["Still"], "where in its period it stood is nothing new"
+    assert fleet.restart("a").task("Still").timers["tick"].rate_hz == 2.0
+
+
 def test_what_such_a_task_changes_by_itself_outlives_a_crash_all_the_same(fleet):
     agent = fleet.start("a", tasks={"Still": Still})
     fleet.run_for(20.5)
