@@ -222,8 +222,8 @@ class Follow(msgspec.Struct, frozen=True):
         channel: the channel.
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
-        most_hz: at most so many packets a second of host time of each source and type, for who only wants to see how
-            things stand; 0: all.
+        most_hz: at most so many packets a second of host time of each source and type, the newest of those that came,
+            for who only wants to see how things stand; they come together. 0: all, each at once.
     """
 
     channel: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -320,7 +321,7 @@ class Supervisor(Component):
     def schema_of_settings(self, slot: Slot) -> dict[str, Any]:
         """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""
         try:
-            return schema_of(self.settings_class(slot))
+            return _schema_of(self.settings_class(slot))
         except TypeError:
             return {}
 
@@ -526,3 +527,9 @@ class Supervisor(Component):
         """Brings the actuators that a task holds to their safe hold."""
         for device in self.kernel.registry.held_by(slot.address):
             self.publish(CTRL, Hold(reason), to=join(self.agent, "device", device))
+
+
+@lru_cache(maxsize=256)
+def _schema_of(cls: type) -> dict[str, Any]:
+    """As `schema_of`, which takes milliseconds, once for each class: pages ask again and again. Not to be changed."""
+    return schema_of(cls)

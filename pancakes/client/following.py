@@ -89,7 +89,7 @@ class Following:
         fleet: only agents of this fleet; empty: of any.
         say: takes a sentence about agents that go and come back.
         followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
-        most_hz: at most so many packets a second of each source and type; 0: all.
+        most_hz: at most so many packets a second of each source and type, the newest ones; 0: all.
 
     Attributes:
         channel: the channel.

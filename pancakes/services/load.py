@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from typing import Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from pancakes.kernel.component import Component
 from pancakes.kernel.task_timer import TaskTimer
+
+if TYPE_CHECKING:
+    import psutil
 
 
 class Load(msgspec.Struct, frozen=True):
@@ -39,11 +43,9 @@ def describe_process() -> dict[str, Any]:
     """Returns what this process is and has used so far, as plain values."""
     import platform
 
-    import psutil
-
     from pancakes import __version__
 
-    process = psutil.Process()
+    process = _process(os.getpid())
     return {
         "pid": process.pid,
         "version": __version__,
@@ -52,6 +54,14 @@ def describe_process() -> dict[str, Any]:
         "memory_mib": process.memory_info().rss / 2**20,
         "threads": process.num_threads(),
     }
+
+
+@lru_cache(maxsize=1)
+def _process(pid: int) -> psutil.Process:
+    # To make one takes a third of all that is asked of it, which a page asks once a second.
+    import psutil
+
+    return psutil.Process(pid)
 
 
 class LoadMeter:

@@ -204,7 +204,7 @@ class LogService(Service):
         if isinstance(body, History):
             self.reply(request, result=self._page(body))
         elif isinstance(body, Traces):
-            self.reply(request, result=self._begin_tracing().answer(body, request.by))
+            self._begin_tracing().answer(body, request.by, lambda told: self.reply(request, result=told))
         else:
             super().carry_out_command(body, slot, request)
 

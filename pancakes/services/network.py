@@ -7,47 +7,19 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, Struct
-from msgspec.structs import replace
 
 from pancakes.control import Follow, Stop, Unfollow
-from pancakes.devices.pace import Pace
-from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
+from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
 from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
 from pancakes.service import Service
+from pancakes.services.follower import Follower
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.slot import Request, Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
-
-MOST_PACES = 4096
-"""So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
-
-
-class Thinning:
-    """Lets through so many packets a second of each source and type, for a follower that wants no more.
-
-    Args:
-        most_hz: how many; 0: all.
-    """
-
-    def __init__(self, most_hz: float) -> None:
-        self._most_hz = most_hz
-        self._paces: dict[tuple[str, str], Pace] = {}
-
-    def leaves_out(self, packet: Packet, now: Callable[[], float]) -> bool:
-        """Returns whether a packet is one too many. In the publishers' threads: a source has one at a time."""
-        if not self._most_hz:
-            return False
-        key = (packet.source, packet.type)
-        pace = self._paces.get(key)
-        if pace is None:
-            if len(self._paces) >= MOST_PACES:
-                self._paces = {}
-            pace = self._paces[key] = Pace(self._most_hz)
-        return not pace.due(now())
 
 
 class NetworkClient(Task):
@@ -127,7 +99,7 @@ class NetworkService(Service):
         self._mesh = mesh
         self._hosting = hosting
         self._ledgers = ledgers
-        self._followers: dict[tuple[str, str], Callable[[Packet], None]] = {}
+        self._followers: dict[tuple[str, str], Follower] = {}
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         mesh = {"mesh": self._mesh}
@@ -144,8 +116,8 @@ class NetworkService(Service):
         self._mesh.wake()
 
     def on_stop(self) -> None:
-        for channel, follower in list(self._followers):
-            self._unfollow(channel, follower)
+        for channel, by in list(self._followers):
+            self._unfollow(channel, by)
         if not self.kernel.stopping:
             for_s = self.stopped_for_s
             self._mesh.sleep(for_s / self.kernel.mission.speed if for_s is not None else None)
@@ -153,8 +125,8 @@ class NetworkService(Service):
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         super().on_failure(exception_type, exception_value, traceback)
         # Its successor knows nothing of them, and whoever follows anew would get everything twice.
-        for channel, follower in list(self._followers):
-            self._unfollow(channel, follower)
+        for channel, by in list(self._followers):
+            self._unfollow(channel, by)
 
     def refuse_stop(self) -> str:
         networked = {device.type for device in self.kernel.registry.devices() if device.networked}
@@ -180,13 +152,13 @@ class NetworkService(Service):
 
     def followers(self, channel: str) -> list[str]:
         """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
-        return [follower for followed, follower in list(self._followers) if followed == channel]
+        return [by for followed, by in list(self._followers) if followed == channel]
 
     def peer_down(self, name: str) -> None:
         """Forgets what a peer followed that has gone. In this actor."""
-        for channel, follower in list(self._followers):
-            if agent_of(follower) == name:
-                self._unfollow(channel, follower)
+        for channel, by in list(self._followers):
+            if agent_of(by) == name:
+                self._unfollow(channel, by)
         migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
         if isinstance(migrator, TaskMigrator):
             migrator.call(lambda: migrator.peer_down(name))
@@ -201,10 +173,10 @@ class NetworkService(Service):
             super().carry_out_command(body, slot, request)
 
     def _follow(self, body: Follow, request: Request) -> None:
-        follower = request.by
-        if agent_of(follower) == self.agent:
-            raise ControlRefused(f"{follower} is on this agent: it can subscribe to {body.channel!r} itself")
-        destination = agent_of(follower)
+        by = request.by
+        if agent_of(by) == self.agent:
+            raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself")
+        destination = agent_of(by)
         role = next((hello.role for hello in self._mesh.connected() if hello.name == destination), "")
         if not role:
             # It has asked and gone, and nobody would ever end what it began.
@@ -214,30 +186,17 @@ class NetworkService(Service):
             raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
         if not 0 <= body.most_hz < math.inf:
             raise ControlRefused(f"most_hz is to be 0 (all) or more packets a second, not {body.most_hz}")
-        foreign, now = body.foreign, self.kernel.host.now
-        thinning = Thinning(body.most_hz)
-
-        def forward(packet: Packet) -> None:
-            # What came from elsewhere has been seen there; what follows itself would never end.
-            if not (foreign or agent_of(packet.source) == self.agent):
-                return
-            if thinning.leaves_out(packet, now):
-                return
-            try:
-                self._mesh.send(replace(packet, destination=destination), retry=True)
-            except PancakesError:
-                # A follower that is slow or gone misses something; the mesh counts it. To log it would never end.
-                pass
-
-        self._unfollow(body.channel, follower)
+        self._unfollow(body.channel, by)
+        follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
         try:
-            self.kernel.stream.tap(body.channel, forward, body.types)
+            self.kernel.stream.tap(body.channel, follower.take, body.types)
         except UnknownChannel as error:
             raise ControlRefused(str(error)) from None
-        self._followers[body.channel, follower] = forward
+        self._followers[body.channel, by] = follower
         self.reply(request)
 
-    def _unfollow(self, channel: str, follower: str) -> None:
-        forward = self._followers.pop((channel, follower), None)
-        if forward is not None:
-            self.kernel.stream.untap(channel, forward)
+    def _unfollow(self, channel: str, by: str) -> None:
+        follower = self._followers.pop((channel, by), None)
+        if follower is not None:
+            self.kernel.stream.untap(channel, follower.take)
+            follower.end()

@@ -286,12 +286,16 @@ class Root(Component):
         """Numbers a control packet and hands it on."""
         self._number += 1
         request = Request(packet.source, (packet.source, packet.seq), self._number)
+        self._attempt(request, lambda: self._resolve(packet.body, request))
+
+    def _attempt(self, request: Request, do: Callable[[], None]) -> None:
+        """Does what was asked for, and answers with the reason where that fails."""
         try:
-            self._resolve(packet.body, request)
+            do()
         except (PancakesError, ValueError) as error:
             self.reply(request, str(error))
         except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
-            text = f"what {packet.source} asked for failed: {describe(error)}"
+            text = f"what {request.by} asked for failed: {describe(error)}"
             self.log("error", text)
             self.reply(request, text)
 
@@ -332,7 +336,7 @@ class Root(Component):
             return
         target = body.target
         if isinstance(body, Describe) and not target:
-            self.reply(request, result=self.describe())
+            self._tell_description(request)
             return
         service, task = self.find(target)
         if isinstance(body, Adopt) and task:
@@ -501,8 +505,26 @@ class Root(Component):
 
     # Describing ------------------------------------------------------------------------------------------------
 
+    def _tell_description(self, request: Request) -> None:
+        """Answers `Describe` in three turns: pages ask it each second, and in one it would put off ticks by 1 ms."""
+        description: dict[str, Any] = {}
+
+        def tell_parts() -> None:
+            description.update(self._describe_parts())
+            self.call(lambda: self._attempt(request, tell_identity))
+
+        def tell_identity() -> None:
+            description.update(self._identity())
+            self.call(lambda: self.reply(request, result=description))
+
+        # What a packet's handler asks for is still done in its turn, what is asked for from there on in the next.
+        self.call(lambda: self._attempt(request, tell_parts))
+
     def describe(self) -> dict[str, Any]:
         """Returns what is to be known about the agent, as plain values."""
+        return {**self._describe_parts(), **self._identity()}
+
+    def _describe_parts(self) -> dict[str, Any]:
         return {
             "agent": self.agent,
             "ready": self.ready,
@@ -519,7 +541,6 @@ class Root(Component):
             ],
             "dead_letters": self.kernel.letters.count,
             "undelivered": self.kernel.stream.undelivered,
-            **self._identity(),
         }
 
     def describe_channels(self, channel: str) -> list[dict[str, Any]]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
+from operator import itemgetter
 from typing import Any, Final
 
 import msgspec
@@ -11,7 +12,7 @@ import msgspec
 from pancakes.clock import wall_ns
 from pancakes.control import Traces
 from pancakes.kernel.component import Component
-from pancakes.packet import LOG, SYSCTRL, Cause, Packet
+from pancakes.packet import CTRL, LOG, SYSCTRL, Cause, Packet
 from pancakes.recording.chains import LONGEST
 from pancakes.recording.commands import body_text, is_command
 
@@ -25,9 +26,19 @@ KEPT_NS: Final = 8_000_000_000
 MOST_KEPT: Final = 20_000
 MOST_ROWS: Final = 600
 """So many packets go into one answer."""
+STEP: Final = 100
+"""So many packets are taken or forgotten in one turn, which takes about 0.1 ms: so long a tick may have to wait, ..."""
+CHAINS_STEP: Final = 25
+"""... so many commands are followed back to what led to them, ..."""
+ROWS_STEP: Final = 25
+"""... and so many packets made rows of."""
 LARGE_BYTES: Final = 4096
 """What packets say is not kept of types whose packets are larger: images would fill the memory."""
 
+Told = Callable[[dict[str, Any] | None], None]
+"""Takes the answer to a question; None: it has none."""
+
+_TIME: Final = itemgetter(0)
 _SIZE: Final = msgspec.json.Encoder(enc_hook=lambda value: value.tolist() if hasattr(value, "tolist") else str(value))
 
 
@@ -54,45 +65,88 @@ class TracedPackets:
 
     def answer(self, asked: Traces, now_ns: int) -> dict[str, Any]:
         """Returns the answer to a question, see `Traces`. In one thread."""
-        self._take(now_ns)
+        steps = self.answering(asked, now_ns)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                answer: dict[str, Any] = end.value
+                return answer
+
+    def answering(self, asked: Traces, now_ns: int) -> Generator[None, None, dict[str, Any]]:
+        """Finds the answer in steps, which are short so that others may have a turn between them.
+
+        No other answer may be begun before its end. In one thread.
+
+        Returns:
+            The answer, see `Traces`.
+        """
+        yield from self._take(now_ns)
+        known = self._known
         given = [(time_ns, key) for time_ns, key in self._commands if time_ns > asked.since_ns]
         stride = max(1, -(-len(given) // max(1, asked.most)))
         chosen = given[::-1][::stride][::-1]  # the newest is always among them
-        rows: dict[Cause, None] = {}
+        seen: dict[Cause, tuple[int, Packet]] = {}
         left_out = len(given) - len(chosen)
-        for key in (*asked.packets, *(key for _, key in chosen)):
-            if len(rows) < MOST_ROWS:
-                rows.update(dict.fromkeys(self._chain(key)))
-            else:
+        for number, key in enumerate((*asked.packets, *(key for _, key in chosen))):
+            if number % CHAINS_STEP == CHAINS_STEP - 1:
+                yield
+            if len(seen) >= MOST_ROWS:
                 left_out += 1
-        seen = sorted((self._known[key] for key in rows), key=lambda it: it[0])
+                continue
+            chain: list[Cause] = []
+            found: Cause | None = key
+            # What is told already has been told with all that led to it.
+            while found is not None and found in known and found not in seen and len(chain) < LONGEST:
+                chain.append(found)
+                cause = known[found][1].cause
+                found = (cause[0], cause[1]) if cause is not None else None
+            for found in reversed(chain):
+                seen[found] = known[found]
+        rows: list[list[Any]] = []
+        for time_ns, packet in sorted(seen.values(), key=_TIME):
+            if len(rows) % ROWS_STEP == 0:
+                yield
+            rows.append(_row(time_ns, packet))
+        yield  # the answer itself still has to be sent
         return {
             "now_ns": now_ns,
             "until_ns": given[-1][0] if given else max(asked.since_ns, 0),
             "left_out": left_out,
-            "rows": [_row(time_ns, packet) for time_ns, packet in seen],
+            "rows": rows,
         }
 
-    def _take(self, now_ns: int) -> None:
+    def _take(self, now_ns: int) -> Iterator[None]:
         """Finds a place for what has come since the last time."""
+        waiting, known = self._waiting, self._known
         fresh: dict[str, Packet] = {}
-        for _ in range(len(self._waiting)):
+        for number in range(len(waiting)):
+            if number % STEP == STEP - 1:
+                yield
             try:
-                time_ns, packet = self._waiting.popleft()
+                it = waiting.popleft()
             except IndexError:  # an old one fell out just now
                 break
+            packet = it[1]
             key = (packet.source, packet.seq)
-            if key in self._known:
+            if key in known:
                 continue
-            self._known[key] = (time_ns, packet)
+            known[key] = it
             fresh[packet.type] = packet
-            if is_command(self._agent, packet):
-                self._commands.append((time_ns, key))
-        while self._known and (len(self._known) > MOST_KEPT or next(iter(self._known.values()))[0] < now_ns - KEPT_NS):
-            self._known.popitem(last=False)
-        while self._commands and self._commands[0][1] not in self._known:
+            if packet.channel == CTRL and is_command(self._agent, packet):
+                self._commands.append((it[0], key))
+        yield
+        count = 0
+        while known and (len(known) > MOST_KEPT or next(iter(known.values()))[0] < now_ns - KEPT_NS):
+            known.popitem(last=False)
+            count += 1
+            if count % STEP == 0:
+                yield
+        while self._commands and self._commands[0][1] not in known:
             self._commands.popleft()
+        yield
         self._weigh(fresh.values())
+        yield
 
     def _weigh(self, packets: Iterable[Packet]) -> None:
         """Finds out of which types packets are large."""
@@ -100,22 +154,14 @@ class TracedPackets:
         if not large <= self._large:
             self._large |= large
 
-    def _chain(self, key: Cause) -> Sequence[Cause]:
-        """Returns what led to a packet on this agent, as far as it is known, the first cause first."""
-        keys: list[Cause] = []
-        found: Cause | None = key
-        while found is not None and found in self._known and found not in keys and len(keys) < LONGEST:
-            keys.append(found)
-            cause = self._known[found][1].cause
-            found = (cause[0], cause[1]) if cause is not None else None
-        return keys[::-1]
-
 
 class Tracing:
     """Notes the packets of an agent for as long as somebody asks what led to its commands.
 
+    An answer takes some milliseconds of a busy agent, so it is found in several of the owner's turns.
+
     Args:
-        owner: the component in which questions are answered.
+        owner: the component in whose turns questions are answered.
     """
 
     def __init__(self, owner: Component) -> None:
@@ -124,29 +170,36 @@ class Tracing:
         self._taps: dict[str, Callable[[Packet], None]] = {}
         self._epoch_ns = 0
         self._asked_s: dict[str, float] = {}
+        self._questions: deque[tuple[Traces, Told]] = deque()
+        self._steps: Generator[None, None, dict[str, Any]] | None = None
 
-    def answer(self, asked: Traces, by: str) -> dict[str, Any] | None:
-        """Returns the answer to a question; the first one begins it all. In the owner's thread.
+    def answer(self, asked: Traces, by: str, told: Told) -> None:
+        """Answers a question; the first one begins it all. In the owner's turn.
 
         Args:
             asked: the question; with `most` 0 it is the last one, and has no answer.
             by: the address of who asks.
+            told: called with the answer, in this turn or a later one.
         """
         now_s = self._owner.kernel.host.now()
         if asked.most <= 0:
             self._asked_s.pop(by, None)
             if not self._asked_s:
                 self.end()
-            return None
+            told(None)
+            return
         if self._packets is None:
             self._begin(now_s)
         self._asked_s[by] = now_s
         self._tap_channels()
-        assert self._packets is not None
-        return self._packets.answer(asked, self._ns(now_s))
+        self._questions.append((asked, told))
+        if len(self._questions) == 1:
+            self._owner.call(self._go_on)
 
     def end(self) -> None:
-        """Notes nothing any more."""
+        """Notes nothing any more, and tells now what is still to be answered."""
+        while self._questions:
+            self._go_on(later=False)
         if self._packets is None:
             return
         self._packets = None
@@ -155,6 +208,22 @@ class Tracing:
             stream.untap(channel, tap)
         stream.untap_outgoing(self._tap)
         self._taps = {}
+
+    def _go_on(self, later: bool = True) -> None:
+        """Does one step for the question that came first; all others are done `later`."""
+        if self._packets is None or not self._questions:
+            return
+        asked, told = self._questions[0]
+        if self._steps is None:
+            self._steps = self._packets.answering(asked, self._ns(self._owner.kernel.host.now()))
+        try:
+            next(self._steps)
+        except StopIteration as end:
+            self._steps = None
+            self._questions.popleft()
+            told(end.value)
+        if later and self._questions:
+            self._owner.call(self._go_on)
 
     def _begin(self, now_s: float) -> None:
         kernel = self._owner.kernel
@@ -197,7 +266,10 @@ class Tracing:
 
 
 def _row(time_ns: int, packet: Packet) -> list[Any]:
-    said = "" if packet.body is None else body_text(packet.body)
+    try:
+        said = "" if packet.body is None else body_text(packet.body)
+    except Exception:  # what the author of a packet's type wrote may raise anything
+        said = "it cannot be shown"
     # A flat row of plain values: what is nested is looked through value by value before it travels.
     cause, number = packet.cause or ("", 0)
     return [time_ns, packet.channel, packet.type, packet.source, packet.seq, packet.stamp, cause, number, said]
@@ -206,5 +278,5 @@ def _row(time_ns: int, packet: Packet) -> list[Any]:
 def _size(body: Any) -> int:
     try:
         return len(_SIZE.encode(body))
-    except (TypeError, ValueError):
+    except Exception:  # as in `_row`
         return LARGE_BYTES + 1

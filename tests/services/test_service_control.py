@@ -284,8 +284,10 @@ def test_a_follower_may_ask_for_no_more_than_it_can_show(fleet):
         fleet.agents["b"].publish("system", Load(number / 20))
         fleet.agents["b"].publish("system", Pose(0.0, 0.0, 0.0))
         fleet.run_for(0.1)
+    fleet.run_for(0.1)
     assert_published(agent, Load, channel="system", source="b/test/Probe", times=5)
     assert_published(agent, Pose, channel="system", source="b/test/Probe", times=5)
+    assert [packet.body.cpu for packet in agent.probe.packets(Load)] == [0.0, 0.25, 0.5, 0.75, 0.95], "the newest ones"
     assert "most_hz is to be 0 (all) or more" in agent.ask(Follow("system", most_hz=-1.0), to="b").reason
 
 
@@ -295,6 +297,30 @@ def test_following_what_is_not_there_or_is_here_is_refused(fleet):
     fleet.connect()
     assert "b has no channel 'map'" in agent.ask(Follow("map"), to="b").reason
     assert "it can subscribe to 'system' itself" in agent.ask(Follow("system")).reason
+
+
+def test_an_agent_describes_itself_in_several_turns(fleet):
+    agent = fleet.start("a")
+    root = agent.component("kernel")
+    done = []
+    describe_parts, identity, reply = root._describe_parts, root._identity, root.reply
+    root._describe_parts = lambda: done.append("tasks") or describe_parts()
+    root._identity = lambda: done.append("identity") or identity()
+    root.reply = lambda *args, **others: done.append("reply") or reply(*args, **others)
+    root.after_turn = lambda: done.append("end")
+    described = agent.ask(Describe()).result
+    assert done == ["tasks", "end", "identity", "end", "reply", "end"]
+    root.after_turn = None
+    assert described == {**root.describe(), "mission_s": described["mission_s"]}
+
+
+def test_an_agent_of_which_something_cannot_be_told_says_so_and_goes_on(fleet):
+    agent = fleet.start("a")
+    root = agent.component("kernel")
+    identity, root._identity = root._identity, lambda: {}["rss"]
+    assert "what a/test/Probe asked for failed: KeyError: 'rss'" in agent.ask(Describe()).reason
+    root._identity = identity
+    assert agent.ask(Describe()).result["agent"] == "a"
 
 
 def test_control_from_another_agent_is_answered_there(fleet):

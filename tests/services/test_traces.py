@@ -3,7 +3,15 @@
 from pancakes.control import Traces
 from pancakes.devices.types import Load, Pose, Twist
 from pancakes.packet import Packet
-from pancakes.services.traces import LARGE_BYTES, LEASE_S, MOST_ROWS, TracedPackets
+from pancakes.services.traces import (
+    CHAINS_STEP,
+    LARGE_BYTES,
+    LEASE_S,
+    MOST_ROWS,
+    ROWS_STEP,
+    STEP,
+    TracedPackets,
+)
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -76,6 +84,19 @@ def test_what_large_packets_say_is_not_kept():
     assert command[8] != ""
 
 
+def test_a_packet_that_cannot_be_shown_does_not_keep_the_others_from_being_told():
+    class Broken:
+        def __str__(self):
+            raise RuntimeError("no words")
+
+    traced = TracedPackets("a")
+    heard(traced, 1, "a/device/odd", 1, "odd", body={"what": Broken()})
+    heard(traced, 2, "a/client/Scan", 1, "motors", ("a/device/odd", 1), "ctrl", Twist(0.1, 0.0))
+    odd, command = traced.answer(Traces(), 5 * MS)["rows"]
+    assert odd[8] == "it cannot be shown"
+    assert command[8] == "v_mps 0.1, omega_radps 0"
+
+
 class Read(Task):
     @every(hz=10)
     def read(self, tick):
@@ -117,10 +138,60 @@ def test_who_asks_no_more_may_say_so_and_others_still_get_answers():
         agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
         tracing = agent.component("log")._begin_tracing()
         fleet.run_for(0.5)
-        for by in ("page1", "page2"):
-            assert tracing.answer(Traces(), by)["rows"] == []
+
+        def ask(by):
+            told = []
+            tracing.answer(Traces(), by, told.append)
+            fleet.run_for(0.0)
+            (answer,) = told
+            return answer["rows"]
+
+        def ask_no_more(by):
+            told = []
+            tracing.answer(Traces(most=0), by, told.append)
+            assert told == [None]
+
+        assert ask("page1") == ask("page2") == []
         fleet.run_for(1.05)
-        assert tracing.answer(Traces(most=0), "page1") is None
-        assert len(tracing.answer(Traces(), "page2")["rows"]) >= 20
-        tracing.answer(Traces(most=0), "page2")
-        assert tracing.answer(Traces(), "page3")["rows"] == [], "it had ended"
+        ask_no_more("page1")
+        assert len(ask("page2")) >= 20
+        ask_no_more("page2")
+        assert ask("page3") == [], "it had ended"
+
+
+def test_an_answer_is_found_in_short_steps():
+    traced = TracedPackets("a")
+    for seq in range(1, STEP + 1):
+        reaction(traced, 4 * seq, seq)
+    steps = list(traced.answering(Traces(), 5000 * MS))
+    taken, chains, told = 4 * STEP, STEP, 3 * STEP
+    assert len(steps) >= taken // STEP + chains // CHAINS_STEP + told // ROWS_STEP
+
+
+def test_other_tasks_have_their_turns_while_an_answer_is_found():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        log = agent.component("log")
+        tracing = log._begin_tracing()
+        told, turns = [], []
+        tracing.answer(Traces(), "page", told.append)
+        fleet.run_for(1.0)
+        for number in range(4 * STEP):
+            agent.publish("system", Load(number / 1000))
+        tracing.answer(Traces(), "page", lambda answer: turns.append("answer"))
+        log.call(lambda: turns.append("another"))
+        fleet.run_for(0.0)
+        assert turns == ["another", "answer"]
+
+
+def test_who_waits_for_an_answer_gets_it_when_the_service_stops():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        tracing = agent.component("log")._begin_tracing()
+        told = []
+        tracing.answer(Traces(), "page", lambda answer: None)
+        fleet.run_for(2.0)
+        for _ in range(2):
+            tracing.answer(Traces(), "page", told.append)
+        tracing.end()
+        assert [len(answer["rows"]) >= 20 for answer in told] == [True, True]

@@ -1,0 +1,75 @@
+"""Who follows a channel gets each packet at once, or the newest of each source and type so many times a second."""
+
+import pytest
+
+from pancakes.control import Follow, Unfollow
+from pancakes.devices.types import Load, Pose
+from pancakes.services.follower import SOON_S
+from pancakes.testing import FleetInTest
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(1) as made:
+        made.start("b")
+        made.start("a")
+        made.connect()
+        yield made
+
+
+def loads(agent):
+    return [packet.body.cpu for packet in agent.probe.packets(Load)]
+
+
+def test_nothing_leaves_in_the_turn_of_the_publisher_and_all_that_waits_leaves_at_once(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system", most_hz=10.0), to="b").ok
+    frames = []
+    session = b.agent.mesh._up["a"]
+    send = session.send
+    session.send = lambda trains, data=b"": (frames.append(sum(len(it.rows) for it in trains)), send(trains, data))
+
+    b.publish("system", Load(0.1))
+    b.publish("system", Pose(0.0, 0.0, 0.0))
+    b.publish("system", Load(0.2))
+    assert frames == []
+    fleet.run_for(SOON_S + 0.001)
+    assert frames == [2], "one sending for both types"
+    assert loads(a) == [0.2]
+
+
+def test_the_last_of_what_was_published_arrives_also_where_nothing_follows(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system", most_hz=2.0), to="b").ok
+    for number in range(3):
+        b.publish("system", Load(number / 10))
+        fleet.run_for(0.1)
+    assert loads(a) == [0.0]
+    fleet.run_for(10.0)
+    assert loads(a) == [0.0, 0.2]
+
+
+@pytest.mark.parametrize("most_hz", [0.5, 10.0, 1000.0])
+def test_no_more_come_than_were_asked_for(fleet, most_hz):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system", most_hz=most_hz), to="b").ok
+    count = 400
+    for number in range(count):
+        b.publish("system", Load(number / count))
+        fleet.run_for(0.01)
+    fleet.run_for(5.0)
+    wanted = min(count, 0.01 * count * most_hz)
+    assert wanted <= len(loads(a)) <= wanted + 1
+    assert loads(a)[-1] == (count - 1) / count
+
+
+def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system", most_hz=0.1), to="b").ok
+    b.publish("system", Load(0.1))
+    fleet.run_for(0.1)
+    b.publish("system", Load(0.2))
+    assert a.ask(Unfollow("system"), to="b").ok
+    fleet.run_for(20.0)
+    assert loads(a) == [0.1]
+    assert b.component("network").followers("system") == []
