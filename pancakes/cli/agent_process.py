@@ -101,6 +101,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
 
     running = Agent(config, plugins)
     deafen = _listen_to_libraries(running)
+    interpreter.keep()
     running.on_fatal(orders.give_up)
     running.on_shutdown(lambda: orders.give_up(""))
     running.start()

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+from processes import Rig
+
 _SAY = "import gc, sys; print(sys.getswitchinterval(), *gc.get_threshold())"
 
 
@@ -16,6 +18,21 @@ def test_an_agents_process_gives_way_often_and_collects_rarely():
     prepared = said("from pancakes.cli import interpreter; interpreter.prepare()")
     assert float(prepared[0]) < float(usual[0]) / 5
     assert int(prepared[1]) > int(usual[1])
+
+
+def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_again(rig: Rig):
+    rig.install(
+        "looking",
+        "[pancakes.tasks]\ntest.Look = plugin_looking:Look\n",
+        "import gc\n"
+        "from pancakes.task import Task\n"
+        "class Look(Task):\n"
+        "    def on_start(self):\n"
+        "        self.log('info', f'{gc.get_freeze_count()} are kept, {len(gc.get_objects())} are left')\n",
+    )
+    words = rig.agent(rig.config("a", '[task.Look]\ntype = "test.Look"\n')).hear("are kept").split()
+    kept, left = (int(words[words.index(word) - 2]) for word in ("kept,", "left"))
+    assert kept > left > 0
 
 
 def test_who_only_imports_pancakes_keeps_what_python_has():
