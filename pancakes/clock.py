@@ -75,8 +75,10 @@ class MissionClock:
         return self._origin_s == math.inf
 
     def now(self) -> float:
-        elapsed_s = self._host_now() - self._origin_s
-        return elapsed_s * self.speed if elapsed_s > 0 else 0.0
+        # Not called in one: Python 3.11 takes what is called so for a method, and searches the class first each time.
+        host_now = self._host_now
+        elapsed_s = host_now() - self._origin_s
+        return elapsed_s * self.speed if elapsed_s > 0.0 else 0.0
 
     def begin(self, in_s: float = 0.0) -> None:
         """Lets the mission start in `in_s` seconds of host time. A mission that runs is left alone."""

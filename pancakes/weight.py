@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import enum
 import types
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from itertools import islice
+from operator import attrgetter
 from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -114,12 +115,14 @@ def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _sum_of_lengths(units: tuple[tuple[str, int], ...], rows: tuple[tuple[str, Weigher], ...] = ()) -> Weigher:
     """The usual case, and the cheapest: fields of text, bytes, or numbers or simple things in a row."""
+    of_each_unit = _values_by_unit(units)
 
     def weigh_lengths(body: Any) -> int:
         size = 0
         try:
-            for name, unit in units:
-                size += unit * len(getattr(body, name))
+            for unit, values in of_each_unit:
+                for value in values(body):
+                    size += unit * len(value)
             for name, weigh_row in rows:
                 size += weigh_row(getattr(body, name))
         except (AttributeError, TypeError):  # not of this class, or not what the class says
@@ -127,6 +130,21 @@ def _sum_of_lengths(units: tuple[tuple[str, int], ...], rows: tuple[tuple[str, W
         return size
 
     return weigh_lengths
+
+
+def _values_by_unit(units: Sequence[tuple[str, int]]) -> tuple[tuple[int, Callable[[Any], tuple[Any, ...]]], ...]:
+    """Returns for each unit what gets the fields that are weighed with it, all at once."""
+    names: dict[int, list[str]] = {}
+    for name, unit in units:
+        names.setdefault(unit, []).append(name)
+    return tuple((unit, _getter(its)) for unit, its in names.items())
+
+
+def _getter(names: Sequence[str]) -> Callable[[Any], tuple[Any, ...]]:
+    if len(names) > 1:
+        return attrgetter(*names)
+    (name,) = names
+    return lambda body: (getattr(body, name),)
 
 
 def _unit(hint: Any) -> int:
@@ -157,8 +175,11 @@ def _rows(hint: Any) -> Weigher | None:
 
     def weigh_row(items: Any) -> int:
         count = len(items)
-        some = items[:: -(-count // SAMPLE) or 1]
-        return sum(least + weigh_item(item) for item in some) * count // len(some) if some else 0
+        some = items if count <= SAMPLE else items[:: -(-count // SAMPLE)]
+        size = 0
+        for item in some:
+            size += least + weigh_item(item)
+        return size * count // len(some) if some else 0
 
     return weigh_row
 

@@ -35,6 +35,8 @@ READY_S = 30.0
 STOP_S = 1.2
 """How long a process has to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
+SLICE_S = 1.0
+"""So much virtual time runs without a look whether the mission was interrupted: some milliseconds."""
 NEWS_HZ = 1.0
 """In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
 RECORDING = "recording"
@@ -223,14 +225,14 @@ def run_virtual(
         if onlooker is not None:
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
-        if not _run_while(fleet, lambda: mission.phase == "connecting" and not interrupted.is_set(), READY_S, onlooker):
+        if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker):
             waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
             raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
         at_most_s = plan.duration_s * 2 + READY_S
-        _run_while(fleet, lambda: mission.phase != "over" and not interrupted.is_set(), at_most_s, onlooker)
+        _run_while(fleet, lambda: mission.phase != "over", at_most_s, interrupted, onlooker)
         if interrupted.is_set():
             _settle(mission)
         ended_s = HOST.now()
@@ -250,16 +252,26 @@ def run_virtual(
     }
 
 
-def _run_while(fleet: VirtualFleet, condition: Callable[[], bool], at_most_s: float, onlooker: Onlooker | None) -> bool:
-    """Runs while a condition holds, for at most some virtual time; returns whether it ceased to hold."""
-    if onlooker is None:
-        return fleet.run_while(condition, at_most_s)
+def _run_while(
+    fleet: VirtualFleet,
+    condition: Callable[[], bool],
+    at_most_s: float,
+    interrupted: threading.Event,
+    onlooker: Onlooker | None,
+) -> bool:
+    """Runs while a condition holds, for at most some virtual time.
+
+    Returns:
+        Whether it ceased to hold, or it was interrupted.
+    """
     until_s = fleet.now() + at_most_s
-    while fleet.now() < until_s:
-        if fleet.run_while(condition, min(onlooker.slice_s(), until_s - fleet.now())):
+    while fleet.now() < until_s and not interrupted.is_set():
+        slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
+        if fleet.run_while(condition, min(slice_s, until_s - fleet.now())):
             return True
-        onlooker.pace()
-    return False
+        if onlooker is not None:
+            onlooker.pace()
+    return interrupted.is_set()
 
 
 class Faults:

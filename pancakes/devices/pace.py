@@ -24,5 +24,6 @@ class Pace:
         if time_s < self._next_s - _EARLY * self._period_s:
             return False
         # A gap in what comes is not made up for afterwards.
-        self._next_s = max(self._next_s + self._period_s, time_s + (1.0 - _EARLY) * self._period_s)
+        next_s, gap_s = self._next_s + self._period_s, time_s + (1.0 - _EARLY) * self._period_s
+        self._next_s = next_s if next_s > gap_s else gap_s
         return True

@@ -22,17 +22,44 @@ _LOG: Final = logging.getLogger("pancakes.kernel")
 
 Deferred = list[Callable[[], None]]
 
-_THREAD = threading.local()
-"""What the turns that a thread gives have put off; a thread gives one turn at a time, of whatever dispatcher."""
+
+class Turns:
+    """The turns that one thread gives: one at a time, of whatever dispatcher.
+
+    Attributes:
+        given: whether it gives turns just now.
+        deferred: what they have put off.
+    """
+
+    __slots__ = ("deferred", "given")
+
+    def __init__(self) -> None:
+        self.given = False
+        self.deferred: Deferred = []
+
+
+class _Thread(threading.local):
+    """What each thread has for itself."""
+
+    def __init__(self) -> None:
+        self.turns = Turns()
+
+
+_THREAD: Final = _Thread()
 
 
 def defer(function: Callable[[], None]) -> None:
     """Runs `function` at the end of the turn that this thread gives now, or at once outside of a turn."""
-    deferred: Deferred | None = getattr(_THREAD, "deferred", None)
-    if deferred is None:
-        function()
+    turns = _THREAD.turns
+    if turns.given:
+        turns.deferred.append(function)
     else:
-        deferred.append(function)
+        function()
+
+
+def turns_of_thread() -> Turns:
+    """Returns the turns of the calling thread: for who begins and ends them with each moment, as virtual time does."""
+    return _THREAD.turns
 
 
 def begin_turns() -> Deferred:
@@ -41,14 +68,14 @@ def begin_turns() -> Deferred:
     Returns:
         What they put off, for `Dispatcher.give_turn`.
     """
-    deferred: Deferred = []
-    _THREAD.deferred = deferred
-    return deferred
+    turns = _THREAD.turns
+    turns.deferred, turns.given = [], True
+    return turns.deferred
 
 
 def end_turns() -> None:
     """Says that the calling thread gives no turns any more."""
-    _THREAD.deferred = None
+    _THREAD.turns.given = False
 
 
 class Dispatcher(ABC):

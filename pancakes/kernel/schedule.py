@@ -102,6 +102,6 @@ class Schedule:
                 number += missed
                 deadline_s = number * period_s
             out.append(Due(iter(tuple(entry.targets.values())), deadline_s, missed))
-            entry.number = number + 1
-            heapq.heapreplace(heap, (entry.deadline_s, next(self._order), entry))
+            entry.number = number = number + 1
+            heapq.heapreplace(heap, (number * period_s, next(self._order), entry))
         return out

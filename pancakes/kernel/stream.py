@@ -94,7 +94,8 @@ class Route(msgspec.Struct, frozen=True):
         Raises:
             MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
         """
-        if self.weigh is not None and (weight := self.weigh(packet.body)) > LIGHT_BYTES:
+        weigh = self.weigh
+        if weigh is not None and (weight := weigh(packet.body)) > LIGHT_BYTES:
             self._give_heavy(packet, weight)
             return
         # All reliable readers are asked before anybody is given the packet: a retry must not double it.

@@ -85,7 +85,9 @@ class TaskTimer:
         self.pending = False
         if self.mailbox.paused:
             return
-        lateness_s = self._kernel.now() - deadline_s
+        kernel, handler = self._kernel, self._handler
+        now = kernel.now
+        lateness_s = now() - deadline_s
         if lateness_s < 0.0:
             lateness_s = 0.0
         self.ticks += 1
@@ -94,6 +96,6 @@ class TaskTimer:
         self.lateness_sum_s += lateness_s
         if lateness_s > self.lateness_max_s:
             self.lateness_max_s = lateness_s
-        for heard in self._kernel.lateness_heard:
+        for heard in kernel.lateness_heard:
             heard(self, lateness_s)
-        self._handler(self.component, Tick(deadline_s, missed, lateness_s))
+        handler(self.component, Tick(deadline_s, missed, lateness_s))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 import random
+from collections import deque
 from collections.abc import Callable
 from itertools import count
 
@@ -12,11 +13,15 @@ import msgspec
 
 from pancakes.clock import VirtualClock
 from pancakes.errors import PancakesError
-from pancakes.kernel.dispatch import Dispatcher, begin_turns, end_turns
+from pancakes.kernel.dispatch import Dispatcher, Turns, turns_of_thread
 from pancakes.kernel.mailbox import Mailbox
 
 MOST_TURNS = 1_000_000
 """More turns than this at one moment of virtual time are an endless loop."""
+SOON_S = 0.001
+"""What is to be called so soon comes most often in the order of its times, and then needs no heap, which takes three
+times as long. Two thirds of a mission's calls are such: what travels between agents that hear each other well.
+"""
 
 
 class VirtualCall(msgspec.Struct):
@@ -31,6 +36,10 @@ class VirtualCall(msgspec.Struct):
     def cancel(self) -> None:
         """Makes sure that the call does not happen."""
         self.function = None
+
+
+_Entry = tuple[float, int, VirtualCall]
+"""When, the how many-th of all, and what; never two with the same number."""
 
 
 class VirtualDispatcher(Dispatcher):
@@ -51,7 +60,9 @@ class VirtualDispatcher(Dispatcher):
         self._now = self.clock.now
         self._random = random.Random(f"dispatch/{seed}")
         self._work: list[Mailbox] = []
-        self._calls: list[tuple[float, int, VirtualCall]] = []
+        # What is to be called: in a heap; and what comes next in a row, if it came in the order of its times.
+        self._calls: list[_Entry] = []
+        self._row: deque[_Entry] = deque()
         self._numbers = count()
 
     def ready(self, mailbox: Mailbox) -> None:
@@ -60,15 +71,41 @@ class VirtualDispatcher(Dispatcher):
     def call_at(self, time_s: float, function: Callable[[], None]) -> VirtualCall:
         """Runs `function` when the clock reaches `time_s`; at the present time if that has passed."""
         call = VirtualCall(function)
-        now_s = self._now()
-        heapq.heappush(self._calls, (time_s if time_s > now_s else now_s, next(self._numbers), call))
+        now, row = self._now, self._row
+        now_s = now()
+        if time_s < now_s:
+            time_s = now_s
+        if time_s - now_s <= SOON_S and not (row and time_s < row[-1][0]):
+            row.append((time_s, next(self._numbers), call))
+        else:
+            heapq.heappush(self._calls, (time_s, next(self._numbers), call))
         return call
+
+    def _take(self, until_s: float) -> _Entry | None:
+        """Takes out what is called next; None where that is later than `until_s`, or nothing."""
+        calls, row = self._calls, self._row
+        while True:
+            if row and not (calls and calls[0] < row[0]):
+                if row[0][0] > until_s:
+                    return None
+                entry = row.popleft()
+            elif calls:
+                if calls[0][0] > until_s:
+                    return None
+                entry = heapq.heappop(calls)
+            else:
+                return None
+            if entry[2].function is not None:
+                return entry
 
     def next_s(self) -> float:
         """Returns when something happens next by itself; infinity where nothing ever will."""
-        while self._calls and self._calls[0][2].function is None:
-            heapq.heappop(self._calls)
-        return self._calls[0][0] if self._calls else math.inf
+        calls, row = self._calls, self._row
+        while calls and calls[0][2].function is None:
+            heapq.heappop(calls)
+        while row and row[0][2].function is None:
+            row.popleft()
+        return min(calls[0][0] if calls else math.inf, row[0][0] if row else math.inf)
 
     def settle(self) -> None:
         """Lets everybody work until nobody has anything to do at the present time.
@@ -76,13 +113,16 @@ class VirtualDispatcher(Dispatcher):
         Raises:
             PancakesError: that never ends: somebody tells himself something again and again.
         """
-        work, random, give_turn = self._work, self._random.random, self.give_turn
-        turns = 0
-        deferred = begin_turns()
+        self._settle(turns_of_thread())
+
+    def _settle(self, turns: Turns) -> None:
+        work, draw, give_turn, deferred = self._work, self._random.random, self.give_turn, turns.deferred
+        given = 0
+        turns.given = True
         try:
             while work:
-                turns += 1
-                if turns > MOST_TURNS:
+                given += 1
+                if given > MOST_TURNS:
                     component = work[-1].component
                     who = component.address if component is not None else "a task between restarts"
                     raise PancakesError(
@@ -90,11 +130,11 @@ class VirtualDispatcher(Dispatcher):
                         f" after {MOST_TURNS} turns {who} still has work"
                     )
                 if len(work) > 1:
-                    index = int(random() * len(work))
+                    index = int(draw() * len(work))
                     work[index], work[-1] = work[-1], work[index]
                 give_turn(work.pop(), deferred)
         finally:
-            end_turns()
+            turns.given = False
 
     def step(self) -> bool:
         """Lets everybody work, then moves to the next time at which something happens.
@@ -103,17 +143,15 @@ class VirtualDispatcher(Dispatcher):
             False where nothing will ever happen again by itself.
         """
         self.settle()
-        time_s = self.next_s()
-        if time_s == math.inf:
+        entry = self._take(math.inf)
+        if entry is None:
             return False
+        time_s, _, call = entry
         self.clock.advance_to(time_s)
-        self._take_next()
+        function = call.function
+        assert function is not None  # what was called off is not taken
+        function()
         return True
-
-    def _take_next(self) -> None:
-        function = heapq.heappop(self._calls)[2].function
-        if function is not None:
-            function()
 
     def run_until(self, time_s: float) -> None:
         """Runs everything that happens up to and at `time_s`, and leaves the clock there."""
@@ -125,23 +163,22 @@ class VirtualDispatcher(Dispatcher):
         Returns:
             Whether the condition ceased to hold; False where the time ran out first.
         """
-        work, calls, clock, settle = self._work, self._calls, self.clock, self.settle
+        work, take, clock, settle = self._work, self._take, self.clock, self._settle
+        turns = turns_of_thread()
         now_s = clock.now()
-        settle()
+        settle(turns)
         while condition():
-            # As `step`, but without calls: this is done a few hundred times for each second of a mission.
-            while calls and calls[0][2].function is None:
-                heapq.heappop(calls)
-            time_s = calls[0][0] if calls else math.inf
-            if time_s > until_s:
-                clock.advance_to(max(until_s, clock.now()))
+            entry = take(until_s)
+            if entry is None:
+                clock.advance_to(max(until_s, now_s))
                 return False
+            time_s, _, call = entry
             if time_s > now_s:
                 clock.advance_to(time_s)
                 now_s = time_s
-            function = heapq.heappop(calls)[2].function
+            function = call.function
             assert function is not None
             function()
             if work:
-                settle()
+                settle(turns)
         return True

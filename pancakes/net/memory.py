@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -301,6 +302,8 @@ class _End(Connection):
         self._arrival_s = 0.0  # of what was sent last
         self.coming: list[bytes] = []  # what comes in at one time, at once: as it may in a stream
         self.coming_s = -1.0
+        self.on_the_way: deque[list[bytes]] = deque()  # the order is kept, so what was sent first arrives next
+        self.arrive = self._arrived  # bound once, not for each
 
     def begin(self, handler: Handler) -> None:
         self._handler = handler
@@ -309,33 +312,39 @@ class _End(Connection):
     def send(self, data: bytes) -> int:
         if self._closing or not data:
             return self._unsent
-        quality = self._pipe.quality()
+        network = self._network
+        # Where nothing is said of any two agents, which is the usual case, without a call.
+        quality = self._pipe.quality() if network.qualities else network.default
+        now = network.now
         if quality.bytes_per_s == math.inf:
-            self._send_part(data, self._network.now(), quality)
+            self._send_part(data, now(), quality)
             return self._unsent
         # A slow stream trickles: the other side hears something all the time, not everything at the end.
         part_bytes = max(1, int(quality.bytes_per_s * _TRICKLE_S))
         self._unsent += len(data)
         for start in range(0, len(data), part_bytes):
             part = data[start : start + part_bytes]
-            self._free_s = max(self._free_s, self._network.now()) + len(part) / quality.bytes_per_s
-            self._network.call_at(self._free_s, partial(self._left, len(part)))
+            self._free_s = max(self._free_s, now()) + len(part) / quality.bytes_per_s
+            network.call_at(self._free_s, partial(self._left, len(part)))
             self._send_part(part, self._free_s, quality)
         return self._unsent
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
-        arrival_s = left_s + (self._network.travel_s(quality) if quality.jitter_s else quality.latency_s)
+        network = self._network
+        arrival_s = left_s + (network.travel_s(quality) if quality.jitter_s else quality.latency_s)
         if arrival_s < self._arrival_s:
             arrival_s = self._arrival_s
         self._arrival_s = arrival_s
-        if (self._network.partitions or self._pipe.cut) and self._pipe.is_cut():
+        if (network.partitions or self._pipe.cut) and self._pipe.is_cut():
             return
         other = self.other
         if arrival_s == other.coming_s:
             other.coming.append(data)
             return
         other.coming, other.coming_s = [data], arrival_s
-        self._network.call_at(arrival_s, partial(other.arrived, other.coming))
+        other.on_the_way.append(other.coming)
+        call_at = network.call_at
+        call_at(arrival_s, other.arrive)
 
     def unsent(self) -> int:
         return self._unsent
@@ -354,7 +363,8 @@ class _End(Connection):
         self._closing = True
         self._network.call_at(self._network.now(), lambda: self._finish(reason))
 
-    def arrived(self, parts: list[bytes]) -> None:
+    def _arrived(self) -> None:
+        parts = self.on_the_way.popleft()
         if parts is self.coming:
             self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
         if self._closing or ((self._network.partitions or self._pipe.cut) and self._pipe.is_cut()):

@@ -277,7 +277,8 @@ class Session:
         counters.bytes_out += length
         self.counted += counted
         if link is not None:
-            link.sent_s = self._now()
+            now = self._now
+            link.sent_s = now()
         if unsent:
             self.congested = True
 

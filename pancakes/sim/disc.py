@@ -86,16 +86,19 @@ class Disc:
     @property
     def v_mps(self) -> float:
         """Its true speed along its heading."""
-        return self.speed_along(self.theta_rad)
-
-    def speed_along(self, theta_rad: float) -> float:
-        """Returns its true speed in a direction."""
-        return self.vx_mps * math.cos(theta_rad) + self.vy_mps * math.sin(theta_rad)
+        return self.course()[1]
 
     @property
     def omega_radps(self) -> float:
         """Its true turning rate."""
-        return 0.0 if self._walk is not None else self.turning_radps
+        return self.course()[2]
+
+    def course(self) -> tuple[float, float, float]:
+        """Returns its heading, its true speed along that, and its true turning rate: all of them for one call."""
+        walks = self._walk is not None
+        theta_rad = math.pi - (math.pi - (self._looks_rad if walks else self.angle_rad)) % math.tau
+        v_mps = self.vx_mps * math.cos(theta_rad) + self.vy_mps * math.sin(theta_rad)
+        return theta_rad, v_mps, 0.0 if walks else self.turning_radps
 
     def asked_for(self) -> tuple[float, float, float, float]:
         """Returns its forward speed, its turning rate, and its velocity along the axes, as asked for."""
@@ -110,7 +113,8 @@ class Disc:
         self.x_m, self.y_m, self.angle_rad = x_m, y_m, angle_rad
         self.vx_mps, self.vy_mps, self.turning_radps = vx_mps, vy_mps, turning_radps
         asked_mps = math.hypot(*self._walk) if self._walk is not None else abs(self._forward_mps)
-        self.top_mps = max(asked_mps, math.hypot(vx_mps, vy_mps))
+        true_mps = math.hypot(vx_mps, vy_mps)
+        self.top_mps = asked_mps if asked_mps > true_mps else true_mps
 
     def coast(self, steps: int, dt_s: float) -> None:
         """Moves by so many steps of `dt_s`, where it meets nothing."""

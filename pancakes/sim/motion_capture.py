@@ -55,7 +55,7 @@ class MotionCapture(Task):
     def on_start(self) -> None:
         self._pace = Pace(self.settings.send_hz)
         self._missing_told = False
-        self._normal = normals(self.random).__next__
+        self._normal = normals(self.random)
 
     def on_settings(self) -> None:
         self._pace = Pace(self.settings.send_hz)

@@ -11,7 +11,9 @@ import math
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
+
+import msgspec
 
 from pancakes.sim.quantities import NotNegative, Positive
 
@@ -61,7 +63,7 @@ class MoverSettings:
             raise ValueError(f"min_speed_mps = {self.min_speed_mps} exceeds max_speed_mps = {self.max_speed_mps}")
 
 
-class Obstacle(NamedTuple):
+class Obstacle(msgspec.Struct, frozen=True, gc=False):
     """A disc that the mover keeps away from.
 
     Attributes:

@@ -70,7 +70,8 @@ class Fan:
         if not near and not walled:
             return [math.inf] * len(self._looks)
         theta_rad = disc.theta_rad
-        cos, sin = math.cos(theta_rad), math.sin(theta_rad)
+        cos, sin, sqrt = math.cos(theta_rad), math.sin(theta_rad), math.sqrt
+        max_range_m = self._max_range_m
         found = []
         for look in self._looks:
             # Turned as the body is.
@@ -85,13 +86,22 @@ class Fan:
                     if walled:
                         if along_x:
                             way_m = right_m / along_x if along_x > 0.0 else -left_m / along_x
-                            nearest_m = way_m if way_m < nearest_m else nearest_m
+                            if way_m < nearest_m:
+                                nearest_m = way_m
                         if along_y:
                             way_m = top_m / along_y if along_y > 0.0 else -bottom_m / along_y
-                            nearest_m = way_m if way_m < nearest_m else nearest_m
+                            if way_m < nearest_m:
+                                nearest_m = way_m
+                    # To the edge of each disc, whose centre lies at (dx_m, dy_m) from the ray's beginning. Not a
+                    # function: this is done a hundred times for each second of a mission.
                     for dx_m, dy_m, radius_m in seen:
-                        nearest_m = min(nearest_m, _edge_m(dx_m, dy_m, radius_m, along_x, along_y))
-            found.append(max(nearest_m, 0.0) if nearest_m <= self._max_range_m else math.inf)
+                        along_m = dx_m * along_x + dy_m * along_y
+                        square = along_m * along_m - dx_m * dx_m - dy_m * dy_m + radius_m * radius_m
+                        if square >= 0.0:
+                            way_m = along_m - sqrt(square)
+                            if -_INSET_M <= way_m < nearest_m:
+                                nearest_m = way_m
+            found.append(math.inf if nearest_m > max_range_m else nearest_m if nearest_m > 0.0 else 0.0)
         return found
 
     def _in_cone(
@@ -124,13 +134,3 @@ def _spread(bearing_rad: float, cone_rad: float, rays: int) -> list[tuple[float,
     if rays == 1:
         return [_along(bearing_rad)]
     return [_along(bearing_rad + (ray / (rays - 1) - 0.5) * cone_rad) for ray in range(rays)]
-
-
-def _edge_m(dx_m: float, dy_m: float, radius_m: float, along_x: float, along_y: float) -> float:
-    """Returns the way along a ray to the edge of a disc whose centre lies at (dx_m, dy_m) from its beginning."""
-    along_m = dx_m * along_x + dy_m * along_y
-    square = along_m * along_m - dx_m * dx_m - dy_m * dy_m + radius_m * radius_m
-    if square < 0.0:
-        return math.inf
-    way_m = along_m - math.sqrt(square)
-    return way_m if way_m >= -_INSET_M else math.inf

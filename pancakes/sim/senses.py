@@ -63,7 +63,7 @@ class Senses:
     def __init__(self, arena: Arena, noise: NoiseSettings, random: random.Random) -> None:
         self._arena = arena
         self._noise = noise
-        self._normal = normals(random).__next__
+        self._normal = normals(random)
         self._rings: dict[tuple[str, str], _Ring] = {}  # by the kind of robot and the kind of ring
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
@@ -95,12 +95,12 @@ class Senses:
             PancakesError: robots of this kind have none.
         """
         ring = self._rings.get((robot.model.name, "sonar")) or self._sonar_ring(robot)
-        limit_m = ring.limit_m
+        limit_m, sonar_m, normal = ring.limit_m, self._noise.sonar_m, self._normal
         ranges_m = []
         for distance_m in self._arena.ranges(robot.disc, ring.fan):
-            if math.isfinite(distance_m):
-                distance_m += self._noise.sonar_m * self._normal()
-            ranges_m.append(min(max(distance_m, 0.0), limit_m))
+            if distance_m < math.inf:
+                distance_m += sonar_m * normal()
+            ranges_m.append(0.0 if distance_m < 0.0 else distance_m if distance_m < limit_m else limit_m)
         return Sonar(ring.bearings_rad, tuple(ranges_m), limit_m)
 
     def _infrared_ring(self, robot: Robot) -> _Ring:

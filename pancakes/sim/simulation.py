@@ -66,7 +66,7 @@ class Simulation:
         self._settings = settings
         # One source for each purpose: the mover's way must not depend on how often a sensor was asked.
         self._start_random = _branch(random)
-        self._wheel_normal = normals(_branch(random)).__next__
+        self._wheel_normal = normals(_branch(random))
         self._walk_random = _branch(random)
         self._arena = Arena(settings.arena.width_m, settings.arena.height_m)
         self._senses = Senses(self._arena, settings.noise, _branch(random))
@@ -315,6 +315,5 @@ def _obstacle(disc: Disc, distance_m: float) -> Obstacle:
 def _body_state(
     disc: Disc, kind: str, battery_v: float | None = None, driven_by: str = "", spent: Spent | None = None
 ) -> BodyState:
-    theta_rad = disc.theta_rad
-    v_mps, omega_radps = disc.speed_along(theta_rad), disc.omega_radps
+    theta_rad, v_mps, omega_radps = disc.course()
     return BodyState(disc.name, kind, disc.x_m, disc.y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by, spent)

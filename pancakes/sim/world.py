@@ -104,13 +104,13 @@ class World(Task):
 
     def _answer(self, request: Request) -> Reply | None:
         simulation = self._simulation
+        if type(request) is Sample:  # before the others: most of all are
+            if request.packets_sent is not None:
+                simulation.packets_sent(request.body, request.packets_sent)
+            if request.listening is not None:
+                simulation.listens(request.body, request.listening)
+            return Reading(request.device, request.type, simulation.sample(request.body, request.type))
         match request:
-            case Sample():
-                if request.packets_sent is not None:
-                    simulation.packets_sent(request.body, request.packets_sent)
-                if request.listening is not None:
-                    simulation.listens(request.body, request.listening)
-                return Reading(request.device, request.type, simulation.sample(request.body, request.type))
             case Drive():
                 wheels = Wheels(request.left_mps, request.right_mps)
                 simulation.drive(request.body, wheels, request.ttl_s, request.source)

@@ -20,6 +20,8 @@ PIECE_BYTES: Final = 64 * 1024
 """Length of the pieces of a blob, all but the last."""
 MAX_BLOB_BYTES: Final = 16 * 1024 * 1024
 """Longest blob."""
+FEW_BYTES: Final = 2048
+"""What comes in at a time is copied, where it is no more than that, instead of looked at through a view."""
 MAX_OPEN_BLOBS: Final = 4
 """How many unfinished blobs one side of a link may have at a time."""
 
@@ -75,18 +77,21 @@ class FrameReader:
         self._missing = 0  # bytes without which `_rest` holds no whole frame
         self._chunks: list[bytes] = []
 
-    def feed(self, data: bytes) -> list[memoryview]:
+    def feed(self, data: bytes) -> list[bytes | memoryview]:
         """Takes bytes that came in.
 
         Returns:
-            The payloads that are now complete, in order: views of what was joined anyway, not copied once more.
+            The payloads that are now complete, in order: views of what was joined anyway, not copied once more; of
+            few bytes, copies, because those are quicker to make, to cut and to compare than views.
 
         Raises:
             RemoteProtocolError: a length of 0 or above the limit was announced. Nothing was kept for it; the
                 reader is of no more use.
         """
-        if not self._rest and len(data) > 4 and _LENGTH.unpack_from(data)[0] == len(data) - 4 <= MAX_PAYLOAD_BYTES:
-            return [memoryview(data)[4:]]  # one whole frame, as most of an idle link
+        length = len(data)
+        if not self._rest and length > 4 and _LENGTH.unpack_from(data)[0] == length - 4 <= MAX_PAYLOAD_BYTES:
+            # One whole frame, as most of an idle link.
+            return [data[4:] if length <= FEW_BYTES else memoryview(data)[4:]]
         if self._missing > len(data):  # a long frame arrives in many pieces: join them once, not each time
             self._chunks.append(data)
             self._missing -= len(data)
@@ -94,9 +99,9 @@ class FrameReader:
         if self._chunks or self._rest:
             data = b"".join((self._rest, *self._chunks, data))
             self._chunks.clear()
-        payloads: list[memoryview] = []
-        view = memoryview(data)
+        payloads: list[bytes | memoryview] = []
         position, end = 0, len(data)
+        view = data if end <= FEW_BYTES else memoryview(data)
         self._missing = 0
         while end - position >= 4:
             (length,) = _LENGTH.unpack_from(data, position)

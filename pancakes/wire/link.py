@@ -166,6 +166,7 @@ class Link:
         self._own = own
         self._times = times
         self._gone_s = times.gone_s
+        self._measure_s = times.measure_s
         self._quiet_s = times.heartbeat_s  # so long this side is silent before it sends a ping
         self._opened_s = now_s
         self._heard_s = now_s
@@ -185,9 +186,13 @@ class Link:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do, if nothing comes in before."""
-        if self.state is State.OVER:
+        if self.state is _OVER:
             return float("inf")
-        return min(self.sent_s + self._quiet_s, self._pinged_s + self._times.measure_s, self._end_s())
+        # With comparisons: `min` takes five times as long, and each link is asked some ten times a second.
+        due_s, measure_s, end_s = self.sent_s + self._quiet_s, self._pinged_s + self._measure_s, self._end_s()
+        if measure_s < due_s:
+            due_s = measure_s
+        return end_s if end_s < due_s else due_s
 
     def _set_quiet(self) -> None:
         """Decides how long this side is silent before it sends a ping.
@@ -270,10 +275,11 @@ class Link:
     def _end_s(self) -> float:
         """Returns when the link ends if nothing comes in."""
         end_s = self._heard_s + self._gone_s
-        if self.state is State.GREETING:
-            end_s = self._opened_s + self._times.hello_s
-        elif self.state is State.MET:
-            end_s = min(end_s, self._no_welcome_s())
+        if self.state is not _UP:
+            if self.state is State.GREETING:
+                end_s = self._opened_s + self._times.hello_s
+            elif self.state is State.MET:
+                end_s = min(end_s, self._no_welcome_s())
         excused_s = self._excused_s + self._times.heartbeat_s
         return end_s if end_s > excused_s else excused_s
 
@@ -305,7 +311,7 @@ class Link:
         self.state = State.OVER
         return [Over(reason, refused, refusing, goodbye, broken)]
 
-    def _payload(self, payload: memoryview, now_s: float, actions: list[Action]) -> None:
+    def _payload(self, payload: bytes | memoryview, now_s: float, actions: list[Action]) -> None:
         try:
             messages = messages_from_payload(payload)
         except RemoteProtocolError:
@@ -326,7 +332,7 @@ class Link:
                     self._runs.remember(payload, message)
                 continue
             actions.extend(self._message(message, now_s))
-            if self.state is State.OVER:
+            if self.state is _OVER:
                 return
 
     def _other_version(self, theirs: object, now_s: float) -> list[Action]:
@@ -349,6 +355,11 @@ class Link:
         return [Met(hello)]
 
     def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
+        if type(message) is Ping:  # first, because these two are most of all, and to match takes ten times as long
+            return [self._send(Pong(message.token), now_s)]
+        if type(message) is Pong:
+            self._pong(message.token, now_s)
+            return []
         match message:
             case Hello():
                 return self._hello(message, now_s)
@@ -358,11 +369,6 @@ class Link:
                 until = "" if for_s is None else f" for {for_s:g} s"
                 reason = f"{self._who()} sleeps{until}" if why == "sleep" else f"{self._who()} stopped"
                 return self._over(reason, goodbye=message)
-            case Ping(token):
-                return [self._send(Pong(token), now_s)]
-            case Pong(token):
-                self._pong(token, now_s)
-                return []
         if self.state is State.GREETING:
             raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
         if isinstance(message, Welcome):

@@ -203,7 +203,7 @@ class RunReader:
         self._start = b""
         self._head: Run | None = None
 
-    def read(self, payload: memoryview) -> tuple[list[Packet], Sequence[Unfit], int] | None:
+    def read(self, payload: bytes | memoryview) -> tuple[list[Packet], Sequence[Unfit], int] | None:
         """Returns the packets of such a frame as `packets_of` does, and the bytes that they took; None of any other.
 
         Raises:
@@ -215,7 +215,7 @@ class RunReader:
         rows = payload[len(start) :]
         return *_packets(head, rows), len(rows)
 
-    def remember(self, payload: memoryview, run: Run) -> None:
+    def remember(self, payload: bytes | memoryview, run: Run) -> None:
         """Notes the head of the only run of a payload that was not such a frame."""
         self._start = bytes(payload[: len(payload) - memoryview(run.rows).nbytes])
         # Without its rows, which would keep the memory of all that was read with them.
@@ -231,7 +231,7 @@ def packets_of(run: Run) -> tuple[list[Packet], Sequence[Unfit]]:
     return _packets(run, run.rows)
 
 
-def _packets(head: Run, encoded: memoryview | msgspec.Raw) -> tuple[list[Packet], Sequence[Unfit]]:
+def _packets(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list[Packet], Sequence[Unfit]]:
     channel, kind, source, destination, fence = head.channel, head.kind, head.source, head.destination, head.fence
     cls = body_class(kind)
     decoder = _DECODERS[cls] if cls in _DECODERS else _decoder(cls)
@@ -244,14 +244,14 @@ def _packets(head: Run, encoded: memoryview | msgspec.Raw) -> tuple[list[Packet]
     ], ()
 
 
-def _checked_rows(head: Run, encoded: memoryview | msgspec.Raw) -> list[_Row]:
+def _checked_rows(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> list[_Row]:
     """Decodes rows whose bodies may hold anything: with a look at each part of them."""
     rows = msgspec.convert(unpacked(encoded), _SOME_ROWS)
     kind, source = head.kind, head.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]
 
 
-def _one_by_one(head: Run, encoded: memoryview | msgspec.Raw) -> tuple[list[Packet], list[Unfit]]:
+def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list[Packet], list[Unfit]]:
     """Decodes rows of which one at least has something wrong with it."""
     kind, source = head.kind, head.source
     try:

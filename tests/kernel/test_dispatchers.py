@@ -1,5 +1,6 @@
 """The dispatchers: who runs where, and that nobody stops the rest."""
 
+import random
 import threading
 
 import pytest
@@ -218,6 +219,33 @@ def test_a_call_for_a_time_that_has_passed_comes_now():
     dispatcher.call_at(2.0, lambda: times.append("never")).cancel()
     dispatcher.run_until(6.0)
     assert times == [5.0]
+
+
+def test_calls_come_in_the_order_of_their_times_and_those_of_one_time_as_they_were_asked_for():
+    dispatcher, source = VirtualDispatcher(1), random.Random(7)
+    asked, came = [], []
+
+    def ask(depth):
+        # Some far away, most so soon that they need no heap, many for one and the same time.
+        delay_s = source.choice((0.0, 0.0005, 0.0005, 0.0008, 0.0015, 0.5))
+        time_s, number = round(dispatcher.clock.now() + delay_s, 4), len(asked)
+        call = dispatcher.call_at(time_s, lambda: come(time_s, number, depth))
+        if source.random() < 0.2:
+            call.cancel()
+        asked.append((time_s, number, call.function is not None))
+
+    def come(time_s, number, depth):
+        assert dispatcher.clock.now() == time_s
+        came.append((time_s, number))
+        if depth:
+            ask(depth - 1)
+            ask(depth - 1)
+
+    for _ in range(30):
+        ask(6)
+    dispatcher.run_until(10.0)
+    assert len(came) > 200
+    assert came == sorted((time_s, number) for time_s, number, wanted in asked if wanted)
 
 
 def test_a_virtual_clock_never_goes_back():
