@@ -40,6 +40,7 @@ from pancakes.control import (
 )
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component, describe
+from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.service import WAITING, Service, ServiceSpec
 from pancakes.services.network import NetworkService
@@ -425,14 +426,9 @@ class Root(Component):
             place.supervision.forget()
             place.keep_state = body.keep_state
             self._tell_asked("restart", name, request)
-            network = name == NETWORK
-            if network:
-                # The answer has to leave before the way out is closed, and who is told goodbye shall dial again soon.
-                self.reply(request)
-                if place.service is not None:
-                    place.service.stopped_for_s = 0.0
-            answer = self._occupy(place, request, answered=network)
-            self.halt(place, lambda: self.launch(place, answer), request)
+            if name == NETWORK and place.service is not None:
+                place.service.stopped_for_s = 0.0  # who is told goodbye shall dial again soon
+            self._halt_as_asked(place, request, lambda answer: self.launch(place, answer))
 
     def _begin_command(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         try:
@@ -475,14 +471,23 @@ class Root(Component):
             return
         place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
-        network = place.spec.name == NETWORK
-        if network:
-            # The answer has to leave before the way out is closed.
-            self.reply(request)
-        answer = self._occupy(place, request, answered=network)
-        self.halt(place, lambda: answer(""), request)
+        self._halt_as_asked(place, request, lambda answer: answer(""))
         if body.for_s is not None:
             place.alarm = self.after(body.for_s, lambda: self._wake(place))
+
+    def _halt_as_asked(
+        self, place: ServicePlace, request: Request, then: Callable[[Callable[[str], None]], None]
+    ) -> None:
+        """Stops a service for who asked for it; `then` is called with what answers."""
+        if place.spec.name != NETWORK:
+            answer = self._occupy(place, request)
+            self.halt(place, lambda: then(answer), request)
+            return
+        # The answer has to leave before the way out is closed. It leaves at the end of this turn, and the service may
+        # have its own turn before that, in another thread.
+        self.reply(request)
+        answered = self._occupy(place, request, answered=True)
+        defer(lambda: self.halt(place, lambda: then(answered), request))
 
     def _wake(self, place: ServicePlace) -> None:
         if place.state is ServiceState.STOPPED and not self._closing:

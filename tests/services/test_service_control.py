@@ -337,6 +337,28 @@ def test_control_from_another_agent_is_answered_there(fleet):
     fleet.connect()
 
 
+@pytest.mark.parametrize("command", [Stop("network", for_s=2.0), Restart("network")])
+def test_the_answer_has_left_before_anybody_can_close_the_way_out(fleet, monkeypatch, command):
+    """The network service may have its turn, in another thread, before the root's has ended."""
+    agent, _ = fleet.start("a"), fleet.start("b")
+    fleet.connect()
+    root = agent.component("kernel")
+    halt, left = root.halt, []
+
+    def sent():
+        return agent.agent.mesh.describe()["peers"][0]["packets_out"]
+
+    def halt_and_look(*arguments):
+        left.append(sent())
+        halt(*arguments)
+
+    monkeypatch.setattr(root, "halt", halt_and_look)
+    asked = fleet.agents["b"].publish(SYSCTRL, command, to="a")
+    before = sent()
+    assert fleet.agents["b"].reply_to(asked).ok
+    assert left == [before + 1]
+
+
 def test_the_network_does_not_sleep_while_a_task_needs_what_comes_from_elsewhere(fleet):
     class Follower(Task):
         requires = ("pose",)
