@@ -223,7 +223,7 @@ class Follow(msgspec.Struct, frozen=True):
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
         most_hz: at most so many packets a second of host time of each source and type, the newest of those that came,
-            for who only wants to see how things stand; they come together. 0: all, each at once.
+            for who only wants to see how things stand; they come together. 0.001 or more; 0: all, each at once.
     """
 
     channel: str

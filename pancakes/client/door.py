@@ -12,7 +12,7 @@ from pancakes.control import Reply
 from pancakes.errors import PancakesError
 from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
-from pancakes.packet import SYSCTRL, Packet, type_name
+from pancakes.packet import SYSCTRL, Packet, body_class, type_name
 from pancakes.wire.messages import Hello, Identity
 
 Answer = Reply | str
@@ -20,6 +20,10 @@ Answer = Reply | str
 
 Listener = Callable[[str, Packet], None]
 """Takes (agent, packet) of what an agent sent that answers none of our requests. In the transport's thread."""
+
+
+Unread = Callable[[str, Packet, str], None]
+"""Takes (agent, packet without its body, reason) of what an agent sent and nobody can read here. Likewise."""
 
 
 class Door:
@@ -40,7 +44,7 @@ class Door:
         self._seq = 0
         self._asked: dict[int, str] = {}
         self._answers: dict[int, Answer] = {}
-        self._listeners: tuple[Listener, ...] = ()
+        self._listeners: tuple[tuple[Listener, Unread], ...] = ()
         self._links: dict[str, int] = {}
         self._mesh = Mesh(
             Identity(name, str(uuid.uuid4()), 0, fleet, "client"),
@@ -65,9 +69,9 @@ class Door:
         self._mesh.learn(tuple(addresses))
         self._mesh.redial()
 
-    def listen(self, listener: Listener) -> None:
+    def listen(self, listener: Listener, unread: Unread) -> None:
         """Hands on what agents send of themselves, such as what is followed."""
-        self._listeners = (*self._listeners, listener)
+        self._listeners = (*self._listeners, (listener, unread))
 
     def agents(self) -> list[Hello]:
         """Returns what the connected agents said about themselves, by name; other clients are none."""
@@ -153,13 +157,16 @@ class Door:
             if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
                 self._settle(packet.cause[1], packet.body)
             else:
-                for listener in self._listeners:
+                for listener, _ in self._listeners:
                     listener(peer, packet)
         self._changed()
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
-        if packet.cause is not None and packet.cause[0] == self.name:
+        if body_class(packet.type) is Reply and packet.cause is not None and packet.cause[0] == self.name:
             self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
+        else:
+            for _, unread in self._listeners:
+                unread(peer, packet, reason)
         self._changed()
 
     def _on_peer_up(self, hello: Hello) -> None:

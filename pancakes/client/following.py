@@ -23,6 +23,8 @@ ANSWER_S: Final = 3.0
 """When an agent is asked again that did not answer: it may have been starting when it was asked."""
 QUIET_S: Final = 5.0
 """After so long without a packet an agent is asked again, as its Network Service may have failed and forgotten us."""
+MOST_UNREAD: Final = 20
+"""Of so many types at most it is said that their packets cannot be read."""
 MOST_WAITING: Final = 100_000
 """So many packets wait for a terminal that is slow, of large ones fewer; after that the oldest fall out."""
 
@@ -87,7 +89,7 @@ class Following:
         foreign: whether packets count that came to the channel from other agents.
         agents: the agents' names; none: all, those too that come later.
         fleet: only agents of this fleet; empty: of any.
-        say: takes a sentence about agents that go and come back.
+        say: takes a sentence about agents that go and come back, and about packets that cannot be read here.
         followed_anew: called with the name of an agent that is followed again, or only now, in `next`.
         most_hz: at most so many packets a second of each source and type, the newest ones; 0: all.
 
@@ -119,6 +121,8 @@ class Following:
         self._say = say
         self._followed: dict[tuple[str, str], _Followed] = {}
         self._waiting: Backlog[Heard] = Backlog(MOST_WAITING)
+        self._unread: dict[str, str] = {}  # the reasons, by type
+        self._unread_said = 0
         self._listened: list[Door] = []
         self._searched_s = client.now()
         self._tended_s = -math.inf
@@ -198,7 +202,7 @@ class Following:
                     continue
                 if door not in self._listened:
                     self._listened.append(door)
-                    door.listen(partial(self._hear, door.fleet))
+                    door.listen(partial(self._hear, door.fleet), partial(self._leave_out, door.fleet))
                 self._followed[key] = _Followed(door, hello.name)
                 new.append(self._followed[key])
         return new
@@ -211,6 +215,10 @@ class Following:
         if now_s - self._tended_s < LOOK_S:
             return
         self._tended_s = now_s
+        unread = list(self._unread.values())
+        for reason in unread[self._unread_said :]:
+            self._say(f"some packets cannot be read here: {reason}")
+        self._unread_said = len(unread)
         for it in self._meet():
             it.lapsed = it.away = True
         for it in self._followed.values():
@@ -271,3 +279,12 @@ class Following:
             return
         it.heard_s = self._client.now()
         self._waiting.put(packet, Heard(agent, packet, it.heard_s))
+
+    def _leave_out(self, fleet: str, agent: str, packet: Packet, reason: str) -> None:
+        """Notes the first packet of a type that cannot be read. In the transport's thread."""
+        it = self._followed.get((fleet, agent))
+        if it is None or packet.channel != self.channel:
+            return
+        it.heard_s = self._client.now()
+        if len(self._unread) < MOST_UNREAD:
+            self._unread.setdefault(packet.type, reason)

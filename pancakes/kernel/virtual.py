@@ -77,7 +77,7 @@ class VirtualDispatcher(Dispatcher):
             time_s = now_s
         if time_s - now_s <= SOON_S and not (row and time_s < row[-1][0]):
             row.append((time_s, next(self._numbers), call))
-        else:
+        elif time_s < math.inf:  # else it never comes
             heapq.heappush(self._calls, (time_s, next(self._numbers), call))
         return call
 

@@ -18,6 +18,8 @@ SOON_S: Final = 0.0075
 what comes meanwhile. Nearly all ticks come at multiples of 5 ms: what is sent between two of them puts off none."""
 SOON_SHARE: Final = 0.25
 """The same as a share of the time between two sendings, where that is less."""
+LEAST_HZ: Final = 0.001
+"""Nobody may ask for less: so long the next sending is kept in mind also for who has gone meanwhile."""
 MOST_KEPT: Final = 4096
 """So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
 
@@ -35,7 +37,7 @@ class Follower:
         mesh: the way to the follower.
         agent: the follower's agent.
         foreign: whether packets of other agents count.
-        most_hz: at most so many packets a second of each source and type; 0: all.
+        most_hz: at most so many packets a second of each source and type, `LEAST_HZ` or more; 0: all.
     """
 
     def __init__(self, owner: Component, mesh: Mesh, agent: str, foreign: bool = False, most_hz: float = 0.0) -> None:
@@ -61,6 +63,7 @@ class Follower:
         newest = self._newest
         if len(newest) >= MOST_KEPT and key not in newest:
             return
+        newest.pop(key, None)  # so that a source's packets leave in the order in which it published them
         newest[key] = packet
         self._begin()
 

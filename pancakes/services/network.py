@@ -14,7 +14,7 @@ from pancakes.kernel.handlers import Tick, every
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
 from pancakes.service import Service
-from pancakes.services.follower import Follower
+from pancakes.services.follower import LEAST_HZ, Follower
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.slot import Request, Slot
@@ -184,8 +184,8 @@ class NetworkService(Service):
         if body.foreign and role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.
             raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
-        if not 0 <= body.most_hz < math.inf:
-            raise ControlRefused(f"most_hz is to be 0 (all) or more packets a second, not {body.most_hz}")
+        if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
+            raise ControlRefused(f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}")
         self._unfollow(body.channel, by)
         follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
         try:

@@ -249,7 +249,7 @@ class RecordedService(Service):
         if self.closing and not told_to_stop:
             # Nobody asked for an end of the task itself: it goes on when its service comes back. Each record costs a
             # wait for the disk, and of a thousand tasks most have nothing new in it.
-            if snapshot and not begins_alike(snapshot, hand_off.record.snapshot):
+            if snapshot and not (hand_off.idle and begins_alike(snapshot, hand_off.record.snapshot)):
                 hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
             return
         wanted = Wanted.FAILED if slot.state is TaskState.FAILED else Wanted.STOPPED

@@ -91,10 +91,11 @@ def begins_alike(one: bytes, other: bytes) -> bool:
     return bool(one and other) and _without_phases(one) == _without_phases(other)
 
 
-def _without_phases(encoded: bytes) -> tuple[Snapshot, Mapping[str, float]]:
-    # At which moment of a period it was taken is for a task that moves.
+def _without_phases(encoded: bytes) -> bytes:
+    # At which moment of a period it was taken is for a task that moves. As bytes: to Python 1, 1.0 and True are equal,
+    # and no NaN is equal to itself.
     snapshot = Snapshot.decode(encoded)
-    return replace(snapshot, timers=()), carried_of(snapshot).periods_s
+    return replace(snapshot, timers=tuple(replace(timer, due_in_s=0.0) for timer in snapshot.timers)).encode()
 
 
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

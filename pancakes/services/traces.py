@@ -11,6 +11,7 @@ import msgspec
 
 from pancakes.clock import wall_ns
 from pancakes.control import Traces
+from pancakes.errors import ControlRefused
 from pancakes.kernel.component import Component
 from pancakes.packet import CTRL, LOG, SYSCTRL, Cause, Packet
 from pancakes.recording.chains import LONGEST
@@ -32,6 +33,8 @@ CHAINS_STEP: Final = 25
 """... so many commands are followed back to what led to them, ..."""
 ROWS_STEP: Final = 25
 """... and so many packets made rows of."""
+MOST_QUESTIONS: Final = 64
+"""So many wait for their answers; who asks faster than they are found is refused."""
 LARGE_BYTES: Final = 4096
 """What packets say is not kept of types whose packets are larger: images would fill the memory."""
 
@@ -180,6 +183,9 @@ class Tracing:
             asked: the question; with `most` 0 it is the last one, and has no answer.
             by: the address of who asks.
             told: called with the answer, in this turn or a later one.
+
+        Raises:
+            ControlRefused: too many questions wait already.
         """
         now_s = self._owner.kernel.host.now()
         if asked.most <= 0:
@@ -188,6 +194,8 @@ class Tracing:
                 self.end()
             told(None)
             return
+        if len(self._questions) >= MOST_QUESTIONS:
+            raise ControlRefused(f"{MOST_QUESTIONS} questions for what led to commands wait for their answers already")
         if self._packets is None:
             self._begin(now_s)
         self._asked_s[by] = now_s

@@ -29,11 +29,15 @@ from pancakes.wire.messages import HELLO_NUMBER, LinkMessage
 
 MAX_ROWS: Final = 65_535
 """Most packets in a run."""
+LONGEST_REASON: Final = 1000
+"""Of what is wrong with a body no more characters are told: the sentence may quote what a peer made up."""
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
 
 _ENCODE: Final = msgspec.msgpack.Encoder().encode
 _HEAD_LENGTH: Final = 7
 _FRAME_OF_ONE: Final = struct.Struct(">IB")  # a frame's length, and the head of its array of one message
+_BAD_BODY: Final = (WireError, OverflowError, UnicodeError, TypeError, ValueError, AttributeError, RecursionError)
+"""What a body raises that cannot travel: the last two one without one of its fields, and one that holds itself."""
 _ARRAYS: Final = tuple(bytes((0x90 | count,)) for count in range(16))  # the heads of short arrays
 
 
@@ -132,7 +136,7 @@ class RowEncoder:
                 row = _ENCODE((packet.stamp, packet.seq, packet.cause, encodable(body)))
             if len(row) > self._most:
                 raise LocalProtocolError(f"it takes {_ROOM - self._most + len(row)} bytes, and a frame holds {_ROOM}")
-        except (WireError, OverflowError, UnicodeError, TypeError, ValueError) as error:
+        except _BAD_BODY as error:
             raise unsendable(packet, error) from None
         return row
 
@@ -264,8 +268,14 @@ def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[l
         try:
             packets.append(msgspec.structs.replace(packet, body=received_body(kind, unpacked(raw), source)))
         except RemoteProtocolError as error:
-            unfit.append(Unfit(packet, str(error)))
+            unfit.append(Unfit(packet, _reason(error, kind, source)))
     return packets, unfit
+
+
+def _reason(error: RemoteProtocolError, kind: str, source: str) -> str:
+    """Returns a sentence that names the packets whose body has this fault."""
+    text = str(error)[:LONGEST_REASON]
+    return text if text.endswith(f"(from {source})") else f"a packet of the type {kind!r} from {source}: {text}"
 
 
 def _decoder(cls: type | None) -> _Rows | None:

@@ -3,10 +3,13 @@
 from collections.abc import Callable
 
 import pytest
+from msgspec import Struct
 from processes import Rig, Running
 
+from pancakes import packet
 from pancakes.client import Client
 from pancakes.client.door import Door
+from pancakes.client.following import Following
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import Unreachable
 
@@ -32,6 +35,23 @@ def test_a_refusal_is_a_reply_with_its_reason(agent: Running):
 
     assert not reply.ok
     assert reply.reason == "a has no task or service 'lode', did you mean 'load'?"
+
+
+def test_who_follows_what_cannot_be_read_here_is_told_so_once(agent: Running, monkeypatch: pytest.MonkeyPatch):
+    class OfAnotherVersion(Struct, frozen=True):
+        temperature: str
+
+    monkeypatch.setitem(packet._CLASSES, "load", OfAnotherVersion)
+    said: list[str] = []
+    with Client(timeout_s=10.0) as client, Following(client, "system", agents=("a",), say=said.append) as following:
+        assert client.request("a", Reschedule("load", rate_hz=50.0)).ok
+        end_s = client.now() + 10.0
+        while not said and client.now() < end_s:
+            assert following.next(client.now() + 0.1) is None
+        following.next(client.now() + 0.5)
+        assert following.away() == []
+    (sentence,) = said
+    assert "cannot be read here" in sentence and "type 'load'" in sentence and "`temperature`" in sentence
 
 
 def test_an_agent_that_dies_is_not_waited_for(

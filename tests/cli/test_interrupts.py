@@ -26,6 +26,16 @@ sys.exit(7 if ended.wait(10) else 1)
     assert outcome(source) == 7
 
 
+def test_a_signal_that_does_not_wake_the_main_thread_is_heard():
+    """As one that comes in the moment before it sleeps, which cannot be hit on purpose."""
+    source = """
+ended = event_at(signal.SIGINT)
+threading.Timer(0.2, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGINT)).start()
+sys.exit(7 if ended.wait(10) else 1)
+"""
+    assert outcome(source) == 7
+
+
 def test_the_second_signal_ends_the_process_where_that_is_wanted():
     source = """
 ended = event_at(signal.SIGINT, signal.SIGTERM, again=9)

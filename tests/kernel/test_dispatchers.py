@@ -1,5 +1,6 @@
 """The dispatchers: who runs where, and that nobody stops the rest."""
 
+import math
 import random
 import threading
 
@@ -219,6 +220,16 @@ def test_a_call_for_a_time_that_has_passed_comes_now():
     dispatcher.call_at(2.0, lambda: times.append("never")).cancel()
     dispatcher.run_until(6.0)
     assert times == [5.0]
+
+
+def test_a_call_for_the_end_of_all_time_never_comes():
+    dispatcher = VirtualDispatcher(1)
+    called = []
+    dispatcher.call_at(math.inf, lambda: called.append("never")).cancel()
+    dispatcher.call_at(math.inf, lambda: called.append("never"))
+    assert dispatcher.next_s() == math.inf
+    assert not dispatcher.step()
+    assert (called, dispatcher.clock.now()) == ([], 0.0)
 
 
 def test_calls_come_in_the_order_of_their_times_and_those_of_one_time_as_they_were_asked_for():

@@ -1,6 +1,7 @@
 """Tasks that outlive their agent: what the journal keeps over a stop, a crash, and an operator's word."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 
@@ -43,6 +44,14 @@ class Tuned(Task):
         low: int = 0
         middle: int = 0
         high: int = 0
+
+
+class Switch(Task):
+    """Has a state that others change, and says nothing."""
+
+    @dataclass
+    class State:
+        on: Any = False
 
 
 class Still(Task):
@@ -163,6 +172,28 @@ def test_a_stop_writes_down_what_is_new_and_nothing_else(fleet):
     fleet.stop("a")
     assert records(fleet)["Still"] == before["Still"], "where in its period it stood is nothing new"
     assert fleet.restart("a").task("Still").timers["tick"].rate_hz == 2.0
+
+
+def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_written(fleet):
+    """What lies on the disk is the state that it ends with, and what is on the way there is not."""
+    agent = fleet.start("a", tasks={"Switch": Switch})
+    fleet.run_for(2.5)
+    (hand_off,) = agent.component("client").hand_offs.values()
+    agent.task("Switch").state.on = True
+    assert fleet.run_until(lambda: not hand_off.idle)
+    agent.task("Switch").state.on = False
+    fleet.stop("a")
+    assert fleet.restart("a").task("Switch").state.on is False
+
+
+@pytest.mark.parametrize(("before", "after"), [(1, True), (1, 1.0), (0.0, -0.0), ({"a": [2]}, {"a": [2.0]})])
+def test_values_that_only_look_alike_are_new(fleet, before, after):
+    agent = fleet.start("a", tasks={"Switch": Switch})
+    agent.task("Switch").state.on = before
+    fleet.run_for(2.5)
+    agent.task("Switch").state.on = after
+    fleet.stop("a")
+    assert repr(fleet.restart("a").task("Switch").state.on) == repr(after)
 
 
 def test_what_such_a_task_changes_by_itself_outlives_a_crash_all_the_same(fleet):

@@ -1,10 +1,12 @@
 """Who follows a channel gets each packet at once, or the newest of each source and type so many times a second."""
 
+import math
+
 import pytest
 
 from pancakes.control import Follow, Unfollow
 from pancakes.devices.types import Load, Pose
-from pancakes.services.follower import SOON_S
+from pancakes.services.follower import LEAST_HZ, SOON_S
 from pancakes.testing import FleetInTest
 
 
@@ -36,6 +38,8 @@ def test_nothing_leaves_in_the_turn_of_the_publisher_and_all_that_waits_leaves_a
     fleet.run_for(SOON_S + 0.001)
     assert frames == [2], "one sending for both types"
     assert loads(a) == [0.2]
+    came = [packet.seq for packet in a.probe.packets() if packet.type in ("load", "pose")]
+    assert came == sorted(came), "in the order in which they were published"
 
 
 def test_the_last_of_what_was_published_arrives_also_where_nothing_follows(fleet):
@@ -61,6 +65,16 @@ def test_no_more_come_than_were_asked_for(fleet, most_hz):
     wanted = min(count, 0.01 * count * most_hz)
     assert wanted <= len(loads(a)) <= wanted + 1
     assert loads(a)[-1] == (count - 1) / count
+
+
+@pytest.mark.parametrize("most_hz", [5e-324, LEAST_HZ / 2, -1.0, math.inf, math.nan])
+def test_a_rate_that_is_none_is_refused_and_nobody_who_publishes_suffers(fleet, most_hz):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    reply = a.ask(Follow("system", most_hz=most_hz), to="b")
+    assert not reply.ok and "most_hz is to be 0 (all), or 0.001 or more a second" in reply.reason
+    b.publish("system", Load(0.1))
+    fleet.run_for(1.0)
+    assert loads(a) == []
 
 
 def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):

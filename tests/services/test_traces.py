@@ -1,12 +1,13 @@
 """What led to commands: an agent notes it for as long as somebody asks, and tells what was seen on it."""
 
-from pancakes.control import Traces
+from pancakes.control import Reply, Traces
 from pancakes.devices.types import Load, Pose, Twist
 from pancakes.packet import Packet
 from pancakes.services.traces import (
     CHAINS_STEP,
     LARGE_BYTES,
     LEASE_S,
+    MOST_QUESTIONS,
     MOST_ROWS,
     ROWS_STEP,
     STEP,
@@ -182,6 +183,18 @@ def test_other_tasks_have_their_turns_while_an_answer_is_found():
         log.call(lambda: turns.append("another"))
         fleet.run_for(0.0)
         assert turns == ["another", "answer"]
+
+
+def test_who_asks_faster_than_answers_are_found_is_refused():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        asked = [agent.publish("sysctrl", Traces(), to="a").seq for _ in range(2 * MOST_QUESTIONS)]
+        fleet.run_for(1.0)
+        replies = {packet.cause[1]: packet.body for packet in agent.probe.packets(Reply)}
+        assert sorted(replies) == asked
+        refused = [reply.reason for reply in replies.values() if not reply.ok]
+        assert refused and all(f"{MOST_QUESTIONS} questions" in reason for reason in refused)
+        assert agent.ask(Traces()).ok
 
 
 def test_who_waits_for_an_answer_gets_it_when_the_service_stops():

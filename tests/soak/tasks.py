@@ -159,7 +159,8 @@ class Sweeper(Task):
     def sweep(self, tick: Tick) -> None:
         """Collects it."""
         gc.collect()
-        self._lost.append([bytes(PIECE_BYTES - 33) for _ in range(self.settings.leak_bytes // PIECE_BYTES)])
+        if self.settings.leak_bytes:
+            self._lost.append([bytes(PIECE_BYTES - 33) for _ in range(self.settings.leak_bytes // PIECE_BYTES)])
         self.event("soak_swept", pieces=sys.getallocatedblocks())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import random
 import re
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from pancakes.wire.closed import is_closed
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.wire.messages import HELLO_NUMBER, Ping
 from pancakes.wire.runs import (
+    LONGEST_REASON,
     RowEncoder,
     Run,
     RunReader,
@@ -75,6 +77,16 @@ class Strict:
     def __post_init__(self):
         if self.number == 13:
             raise RuntimeError("unlucky")
+
+
+@packet_type("runs test talks")
+@dataclass(frozen=True)
+class Talks:
+    number: str = ""
+
+    def __post_init__(self):
+        if self.number:
+            raise ValueError(f"{self.number!r} is not what it takes")
 
 
 @packet_type("runs test odd")
@@ -142,6 +154,18 @@ def test_what_does_not_travel_is_found_at_any_depth(body):
     for _ in range(2):
         with pytest.raises(LocalProtocolError, match="packet 7 of the type 'runs test open' from a/b/c cannot be sent"):
             RowEncoder(b"").encode(packet(body, "runs test open"))
+
+
+def test_a_body_that_holds_itself_or_lacks_a_field_does_not_travel():
+    @dataclass
+    class Unfinished:
+        number: int = field(init=False)
+
+    endless: list[Any] = []
+    endless.append(endless)
+    for body in (Pose(endless, 0.0, 0.0), Unfinished()):
+        with pytest.raises(LocalProtocolError, match="packet 7 of the type 'pose' from a/b/c cannot be sent"):
+            RowEncoder(b"").encode(packet(body, "pose"))
 
 
 def test_packets_of_one_encoder_may_differ_in_all_but_their_head():
@@ -283,6 +307,22 @@ def test_a_bad_body_costs_its_packet_alone_and_is_told_with_its_type_its_field_a
     first, last, unfit = read(raw(good, bad, good, head=["c", "pose", "s/x", "", None]))[0]
     assert first == last == Packet("c", "pose", "s/x", "", 1.5, 1, Pose(1.0, 0.0, 0.0))
     assert re.search(r"type 'pose' .*x_m.* \(from s/x\)", unfit.reason) and unfit.packet.seq == 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("pose", {"x_m": {1: 2}}),
+        ("pose", {"x_m": msgpack.ExtType(5, b"")}),
+        ("runs test open", {"anything": {1: 2}}),
+        ("no such type", [functools.reduce(lambda inner, _: [inner], range(40), [])]),
+        ("runs test talks", {"number": "very " * 20_000}),  # a fault that is told with what came
+    ],
+)
+def test_whatever_is_wrong_with_a_body_is_told_in_a_sentence_that_names_it_and_is_not_long(kind, body):
+    ((unfit,),) = read(raw([1.5, 1, None, body], head=["c", kind, "s/x", "", None]))
+    assert f"type {kind!r}" in unfit.reason and "s/x" in unfit.reason
+    assert len(unfit.reason) <= LONGEST_REASON + 100
 
 
 def test_a_type_that_holds_itself_is_not_followed_for_ever():
