@@ -60,10 +60,13 @@ class FileJournal(Journal):
         return sorted(path.name for path in self.directory.glob(f"*{SUFFIX}"))
 
     def _place(self, name: str) -> str:
-        return str(self.directory / name)
+        # Not by pathlib, which has Python keep each part of each path in one table for all: of names that come once,
+        # as those of accounts of moves do, the table grew, and was made anew again and again, up to 1 MiB.
+        return os.path.join(self.directory, name)
 
     def _load(self, name: str) -> bytes:
-        return (self.directory / name).read_bytes()
+        with open(self._place(name), "rb") as file:
+            return file.read()
 
     def _replace(self, contents: dict[str, bytes]) -> None:
         if self._lock is None:
@@ -72,14 +75,13 @@ class FileJournal(Journal):
             for name, data in contents.items():
                 self._write_temporary(name, data)
             for name in contents:
-                os.replace(self.directory / (name + _TEMPORARY), self.directory / name)
+                os.replace(self._place(name + _TEMPORARY), self._place(name))
             _sync_directory(self.directory)
         except OSError as error:
             raise JournalError(f"the journal in {self.directory} cannot be written: {error.strerror}") from None
 
     def _write_temporary(self, name: str, data: bytes) -> None:
-        path = self.directory / (name + _TEMPORARY)
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
+        handle = os.open(self._place(name + _TEMPORARY), os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600)
         with os.fdopen(handle, "wb") as file:
             file.write(data)
             file.flush()
@@ -88,10 +90,10 @@ class FileJournal(Journal):
     def _rename_bad(self, name: str) -> str:
         bad = name + BAD
         number = 1
-        while (self.directory / bad).exists():
+        while os.path.exists(self._place(bad)):
             number += 1
             bad = f"{name}.{number}{BAD}"
-        os.rename(self.directory / name, self.directory / bad)
+        os.rename(self._place(name), self._place(bad))
         _sync_directory(self.directory)
         return bad
 

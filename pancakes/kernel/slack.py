@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 
 
 def wake_on_time() -> None:
@@ -14,6 +13,7 @@ def wake_on_time() -> None:
     """
     try:
         # A thread may write its own; any value below the smallest step of the clock means "none".
-        Path(f"/proc/{threading.get_native_id()}/timerslack_ns").write_text("1")
+        with open(f"/proc/{threading.get_native_id()}/timerslack_ns", "w") as slack:
+            slack.write("1")
     except OSError:
         pass
