@@ -100,7 +100,11 @@ class Client:
         self._clock = MonotonicClock()
         self._plugins = Plugins()
         self._transports: dict[str, Transport] = {}
-        self._condition = threading.Condition(threading.RLock())
+        self._lock = threading.RLock()
+        # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
+        # leaves its lock in disorder, and whoever then leaves in good order waits for ever (2 of 700 times).
+        self._no_news = threading.Lock()
+        self._no_news.acquire()
         self._doors: dict[tuple[str, str], Door] = {}
         self._leads: list[Lead] = []
         self._at = tuple(at)
@@ -120,7 +124,7 @@ class Client:
 
     def close(self) -> None:
         """Leaves all fleets."""
-        with self._condition:
+        with self._lock:
             doors = list(self._doors.values())
         for door in doors:
             door.close()
@@ -198,7 +202,7 @@ class Client:
 
     def doors(self) -> list[Door]:
         """Returns the doors of the fleets that are known by now."""
-        with self._condition:
+        with self._lock:
             return list(self._doors.values())
 
     def look_again(self) -> None:
@@ -208,7 +212,7 @@ class Client:
             PancakesError: the runtime directory cannot be used.
         """
         running = [] if self._at else [Lead(it.listen, it.fleet, it.name) for it in entries() if it.role != "client"]
-        with self._condition:
+        with self._lock:
             known = {(lead.fleet, lead.name, lead.address) for lead in self._leads}
             new = [lead for lead in running if (lead.fleet, lead.name, lead.address) not in known]
             moved = {(lead.fleet, lead.name) for lead in new}
@@ -234,9 +238,9 @@ class Client:
             return
 
         def told(what: Hello | str) -> None:
-            with self._condition:
+            with self._lock:
                 self._met(lead, scheme, transport, what)
-                self._condition.notify_all()
+            self._changed()
 
         Greeting(transport, lead.address, self._clock, told)
 
@@ -289,7 +293,7 @@ class Client:
             )
 
         answers, silent = self._ask_all(self._until_s(timeout_s), enough, body, wanted)
-        with self._condition:
+        with self._lock:
             if wanted:
                 for name in wanted:
                     self._must_be_one(name, [fleet for fleet, other in answers if other == name])
@@ -365,7 +369,7 @@ class Client:
             return enough(answers) or all(why for _, why in silent())
 
         self._wait(until_s, done)
-        with self._condition:
+        with self._lock:
             for door, number in asked.values():
                 door.forget(number)
             return answers, list(silent())
@@ -379,10 +383,10 @@ class Client:
         def there() -> bool:
             return self._is_there(agent, {door.fleet for door in doors()})
 
-        with self._condition:
+        with self._lock:
             known = there()
         answers, silent = ({}, []) if known else self._ask_all(until_s, lambda answers: there())
-        with self._condition:
+        with self._lock:
             found = doors()
         self._must_be_one(agent, [door.fleet for door in found])
         if found:
@@ -417,16 +421,21 @@ class Client:
 
     def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:
         """Waits until the condition holds, or the time is up."""
-        with self._condition:
-            while not condition():
-                left_s = until_s - self._clock.now()
-                if left_s <= 0:
+        while True:
+            with self._lock:
+                if condition():
                     return
-                self._condition.wait(min(left_s, LOOK_S))
+            left_s = until_s - self._clock.now()
+            if left_s <= 0:
+                return
+            self._no_news.acquire(timeout=min(left_s, LOOK_S))
 
     def _changed(self) -> None:
-        with self._condition:
-            self._condition.notify_all()
+        """There is news. In the transports' threads."""
+        try:
+            self._no_news.release()
+        except RuntimeError:  # there is some already
+            pass
 
     def _until_s(self, timeout_s: float | None) -> float:
         return self._clock.now() + (self.timeout_s if timeout_s is None else timeout_s)

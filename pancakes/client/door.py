@@ -69,7 +69,7 @@ class Door:
         self._mesh.learn(tuple(addresses))
         self._mesh.redial()
 
-    def listen(self, listener: Listener, unread: Unread) -> None:
+    def listen(self, listener: Listener, unread: Unread = lambda agent, packet, reason: None) -> None:
         """Hands on what agents send of themselves, such as what is followed."""
         self._listeners = (*self._listeners, (listener, unread))
 

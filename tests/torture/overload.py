@@ -22,6 +22,10 @@ LATE_S: Final = 0.05
 """So late may a tick be, or the reply to a control packet, in 99 of 100 cases; the last depends on the machine."""
 BEHIND_S: Final = 5.0
 """After so long at half of the bearable rate a reader has caught up: 512 packets may wait for it, and the link's."""
+JUST_COME: Final = 300
+"""Where fewer lie between publisher and reader, none of them has waited since the overload."""
+LAST_PER_S: Final = 40
+"""So many packets a second come at the end."""
 
 
 class Case(NamedTuple):
@@ -131,9 +135,12 @@ def overload(directory: Path, case: Case, for_s: float) -> Seen:
             fleet.client.wait(fleet.client.now() + for_s, lambda: False)
             ended_s = time.monotonic()
         fleet.configure("a", "Flood", per_s=case.bearable_per_s / 2)
-        behind_s = fleet.wait(lambda: _caught_up(fleet, reading, case.reader), "catching up")
+        behind_s = fleet.wait(lambda: _behind(fleet, reading, case.reader) < JUST_COME, "catching up")
+        # The last ones come one by one: who has to wait for a core may have no room yet for more.
+        fleet.configure("a", "Flood", per_s=LAST_PER_S)
+        fleet.wait(lambda: _behind(fleet, reading, case.reader) < LAST_PER_S / 2, "only a few to wait")
         fleet.configure("a", "Flood", per_s=0.0)
-        fleet.wait(lambda: _at_the_end(fleet, reading, case.reader), "the last packet")
+        fleet.wait(lambda: not _behind(fleet, reading, case.reader), "the last packet")
         late_s = [
             late_s
             for name in tasks
@@ -200,12 +207,8 @@ def _dropped(fleet: LoadedFleet, reading: str, reader: str) -> dict[str, int]:
     return dropped
 
 
-def _caught_up(fleet: LoadedFleet, reading: str, reader: str) -> bool:
-    """Whether nothing waits for the reader but what has just come."""
-    published, read = fleet.last("a", "Flood"), fleet.last(reading, reader)
-    return bool(published["published"] - read["last"] < 300)
-
-
-def _at_the_end(fleet: LoadedFleet, reading: str, reader: str) -> bool:
-    published, read = fleet.last("a", "Flood"), fleet.last(reading, reader)
-    return bool(published["published"] == read["last"])
+def _behind(fleet: LoadedFleet, reading: str, reader: str) -> int:
+    """Returns how many packets lie between the newest that was published and the newest that was read."""
+    published: int = fleet.last("a", "Flood")["published"]
+    last: int = fleet.last(reading, reader)["last"]
+    return published - last
