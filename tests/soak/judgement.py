@@ -14,8 +14,8 @@ GROWTH_MIB = 2.0
 """In a shorter span than `LONG_S` memory may grow by so much in all: the system gives and takes it by pages, and what
 is bounded (accounts of moves, the senders that a task has heard) is still being filled.
 """
-LONG_S = 3000.0
-"""A span that is long enough for a slope: an hour without its first ten minutes."""
+LONG_S = 2940.0
+"""A span that is long enough for a slope: an hour without its first ten minutes, and without some samples' seconds."""
 MORE_PIECES = 6000
 """So many more pieces of memory may be in use at rest: half of it for what is bounded and still being filled."""
 FEWEST_SAMPLES = 10
