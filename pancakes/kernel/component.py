@@ -152,6 +152,10 @@ class Component(pykka.Actor):
             self.__random = self.kernel.random_for(self.address)
         return self.__random
 
+    @random.setter
+    def random(self, source: random.Random) -> None:
+        self.__random = source
+
     def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
         """Publishes a packet.
 

@@ -1,6 +1,7 @@
 """What an actor may rely on: its turns, its two lanes, its timers, its end, and its successor."""
 
 import math
+import random
 from dataclasses import dataclass
 
 import pytest
@@ -348,6 +349,12 @@ def test_what_was_put_off_comes_in_the_actor_and_never_after_its_end(rig):
     diary.stop()
     rig.run_until(9.0)
     assert diary.diary == ["start", "after", "after host", "stop"]
+
+
+def test_a_test_may_give_an_actor_random_numbers_of_its_own_choice():
+    component = Rig().spawn(Component, "x")
+    component.random = random.Random(7)
+    assert component.random.random() == random.Random(7).random()
 
 
 def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
