@@ -26,6 +26,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
+from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
@@ -123,7 +124,7 @@ class Agent:
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
         if virtual is None:
-            transport.lend_thread(self.kernel.guest)
+            transport.lend_thread(self.kernel.guest, self._network_setting("busy_poll_s", BUSY_POLL_S))
         store: RecordStore
         if virtual is not None:
             store = VirtualStore(journal, transport.call_later)
@@ -366,10 +367,12 @@ class Agent:
         return transport
 
     def _link_times(self) -> LinkTimes:
-        # The mesh is there before the service, and outlives it.
+        return LinkTimes(heartbeat_s=self._network_setting("heartbeat_s", LinkTimes().heartbeat_s))
+
+    def _network_setting(self, name: str, default: float) -> float:
+        # Transport and mesh are there before the service, and outlive it.
         network = self.config.services.get("network")
-        known = LinkTimes()
-        return LinkTimes(heartbeat_s=network.settings.get("heartbeat_s", known.heartbeat_s)) if network else known
+        return float(network.settings.get(name, default)) if network is not None else default
 
     def _services(self) -> list[ServiceSpec]:
         by_service: dict[str, list[TaskSpec]] = {}

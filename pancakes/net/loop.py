@@ -15,8 +15,8 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
-from pancakes.kernel.inbox import LONGEST_S
 from pancakes.kernel.pool import GUEST_S, Guest
+from pancakes.net.busy_poll import BusyPoll
 from pancakes.net.readiness import READ, readiness
 
 READING_S: Final = 0.0002
@@ -47,11 +47,15 @@ class Loop:
     Args:
         clock: the host clock.
         name: name of the thread.
+
+    Attributes:
+        busy_poll: how it waits.
     """
 
     def __init__(self, clock: Clock, name: str) -> None:
         self._now = clock.now
         self._readiness = readiness()
+        self.busy_poll = BusyPoll(self._readiness.poll, clock.now, 0.0)
         self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files
         self._forgotten: dict[int, None] = {}  # since the sockets were asked for that are served now
         self._lock = threading.Lock()
@@ -70,9 +74,10 @@ class Loop:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def lend(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
-        """Lets the loop's thread give turns as a guest from now on; `make_guest` is called with what relieves it."""
+    def lend(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
+        """Lets the loop's thread give turns as a guest from now on; see `Transport.lend_thread`."""
         self._make_guest = make_guest
+        self.busy_poll.spin_s = busy_poll_s
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Timer:
         """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.
@@ -154,12 +159,11 @@ class Loop:
     def _serve(self) -> bool:
         """Does all that is to be done, until the end or until another thread takes over; returns whether one does."""
         guest: Guest | None = None
-        timers, now, poll = self._timers, self._now, self._readiness.poll
+        timers, now, wait = self._timers, self._now, self.busy_poll.wait
         while not self._ended:
             self._forgotten.clear()
             # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
-            wait_s = max(0.0, min(timers[0][0] - now(), LONGEST_S)) if timers else None
-            ready = poll(wait_s)
+            ready = wait(timers[0][0] if timers else None)
             if guest is None and self._make_guest is not None:
                 guest = self._make_guest(self._take_over)
             # All sockets come before any timer, so that after a pause of this process (a debugger, SIGSTOP) what

@@ -117,8 +117,8 @@ class TcpTransport(Transport):
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
 
-    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
-        self.loop.lend(make_guest)
+    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
+        self.loop.lend(make_guest, busy_poll_s)
 
     def close(self) -> None:
         self.loop.stop(self._close_all)

@@ -95,13 +95,15 @@ class Transport(ABC):
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
 
-    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest]) -> None:
+    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
         """Lets this transport's thread give the turns of those to whom it has brought something.
 
         A transport that has no thread of its own, or would rather not, need not do anything.
 
         Args:
             make_guest: makes the thread a guest of the kernel's pool; called with what relieves the thread.
+            busy_poll_s: so long it may stay awake for the next packet where one comes after the other, in seconds of
+                host time; 0: never.
         """
 
     @abstractmethod

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 from pancakes.control import Follow, Stop, Unfollow
 from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
 from pancakes.kernel.handlers import Tick, every
+from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
 from pancakes.service import Service
@@ -87,11 +88,15 @@ class NetworkService(Service):
             discovery_hz: beacons for each second of mission time.
             heartbeat_s: a sign of life is sent where nothing else was for so long, in seconds of host time; a peer that
                 is silent for four times as long is gone.
+            busy_poll_s: so long the network's thread stays awake for the next packet where one comes after the other
+                within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
+                saves power.
             insecure: whether it may listen where other machines can reach it, although links are not encrypted.
         """
 
         discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
         heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
+        busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
 
     def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:
