@@ -74,6 +74,7 @@ SHAPES = {shape.name: shape for shape in (EIGHT_TO_ONE, ALL_TO_ALL, ALL_TO_EACH)
 
 _TASK = """
 [channel.bench]
+[channel.load]
 [task.Member]
 type = "bench.Member"
 settings = {{ {settings} }}

@@ -62,6 +62,7 @@ class Member(Task):
     def on_start(self) -> None:
         settings = self.settings
         self.data = bytes(settings.size)
+        self.packets = settings.packets
         self.seen = {self.agent: 1}
         self.is_running = self.is_done = False
         self.sent = 0
@@ -99,33 +100,43 @@ class Member(Task):
         self.reschedule(0)
         self.began_s = time.monotonic()
         self.began_cpu_s = time.process_time()
-        self.flood()
+        if self.to_send:
+            self.flood()
 
     def flood(self) -> None:
         """Publishes a burst, if there is room in the windows."""
-        to, data = self.settings.to, self.data
+        to, data, publish = self.settings.to, self.data, self.publish
         room = (self.slowest + CROWD_WINDOW) * len(to) - self.sent
-        try:
-            for _ in range(min(BURST, self.to_send - self.sent, room)):
-                number, place = divmod(self.sent, len(to))
-                self.publish("bench", Load(number, data), to=to[place])
-                self.sent += 1
-        except MailboxFull:
-            self.after_host(0.001, self.flood)
-            return
+        last = self.sent + min(BURST, self.to_send - self.sent, room)
+        number, place = divmod(self.sent, len(to))
+        while self.sent < last:
+            try:
+                publish("load", Load(number, data), to=to[place])
+            except MailboxFull:
+                self.after_host(0.001, self.flood)
+                return
+            self.sent += 1
+            place += 1
+            if place == len(to):
+                number, place = number + 1, 0
         if self.sent < self.to_send and room > BURST:
             self.call(self.flood)
 
-    @on("bench", Load, keep=queue(2 * MOST_SENDERS * CROWD_WINDOW))
+    @on("load", Load, keep=queue(2 * MOST_SENDERS * CROWD_WINDOW))
     def take(self, packet: Packet) -> None:
-        """Counts one packet of another member, and acknowledges what it has of it."""
-        source, number = packet.source, packet.body.number
+        """Counts one packet of another member."""
+        source, count = packet.source, packet.body.number + 1
         expected = self.next[source]
-        self.lost += number - expected
-        self.next[source] = number + 1
-        is_last = number + 1 == self.settings.packets
-        if is_last or (number + 1) // ACKNOWLEDGED > expected // ACKNOWLEDGED:
-            self.publish("bench", Got(number + 1), to=source)
+        self.next[source] = count
+        if count != expected + 1 or not count % ACKNOWLEDGED or count == self.packets:
+            self.acknowledge(source, expected, count)
+
+    def acknowledge(self, source: str, expected: int, count: int) -> None:
+        """Tells another member that it has `count` of its packets, where so many more have come, or one was lost."""
+        self.lost += count - 1 - expected
+        is_last = count == self.packets
+        if is_last or count // ACKNOWLEDGED > expected // ACKNOWLEDGED:
+            self.publish("bench", Got(count), to=source)
         if is_last:
             self.unfinished -= 1
             self.finish()

@@ -44,8 +44,9 @@ class Periodic(Task):
         """Takes one tick; those that it replaces, because they could not come in time, were later by their periods."""
         late_s = self.now() - tick.time_s
         self.all_late_s.append(late_s)
-        for number in range(tick.missed):
-            self.all_late_s.append(late_s + (number + 1) * self.timers["tick"].period_s)
+        if tick.missed:
+            period_s = self.timers["tick"].period_s
+            self.all_late_s.extend(late_s + (number + 1) * period_s for number in range(tick.missed))
 
 
 class Busy(Task):

@@ -53,26 +53,31 @@ class Got(msgspec.Struct, frozen=True):
     is_all: bool = False
 
 
+def window_of(size: int) -> int:
+    """Returns how many packets of so many bytes of data may be on their way."""
+    return min(WINDOW, WINDOW_BYTES // size)
+
+
 class Far(Task):
     """Answers each ping, and counts what comes one way."""
 
     def on_start(self) -> None:
         self.count = 0
+        self.acknowledged_at = 1
 
     @on("bench", Ping)
     def answer(self, packet: Packet) -> None:
         """Sends a ping back."""
-        self.count = 0
         self.publish("bench", Pong(packet.body.number, packet.body.data), to=packet.source)
 
-    @on("bench", Load, keep=queue(2 * WINDOW))
+    @on("load", Load, keep=queue(2 * WINDOW))
     def take(self, packet: Packet) -> None:
         """Counts one packet."""
-        self.count += 1
-        is_last = packet.body.number < 0
-        window = min(WINDOW, WINDOW_BYTES // len(packet.body.data))
-        if is_last or self.count % (window // 4) == 0:
-            self.publish("bench", Got(self.count, is_last), to=packet.source)
+        self.count = count = self.count + 1
+        body = packet.body
+        if count == self.acknowledged_at or body.number < 0:
+            self.acknowledged_at = count + window_of(len(body.data)) // 4
+            self.publish("bench", Got(count, body.number < 0), to=packet.source)
 
 
 class Near(Task):
@@ -91,7 +96,7 @@ class Near(Task):
         self.asked_s = 0.0
         self.is_answered = False
         self.sent = self.got = 0
-        self.window = min(WINDOW, WINDOW_BYTES // self.settings.size)
+        self.window = window_of(self.settings.size)
 
     @every(hz=20)
     def knock(self, tick: Tick) -> None:
@@ -119,16 +124,17 @@ class Near(Task):
 
     def flood(self) -> None:
         """Publishes a burst, if there is room in the window."""
+        publish, data = self.publish, self.data
         packets = self.settings.packets
-        burst = min(BURST, packets - self.sent, self.window - (self.sent - self.got))
-        try:
-            for _ in range(burst):
-                number = self.sent if self.sent + 1 < packets else -1
-                self.publish("bench", Load(number, self.data), to=FAR)
-                self.sent += 1
-        except MailboxFull:
-            self.after_host(0.001, self.flood)
-            return
+        room = min(BURST, packets - self.sent, self.window - (self.sent - self.got))
+        for number in range(self.sent, self.sent + room):
+            try:
+                publish("load", Load(number if number + 1 < packets else -1, data), to=FAR)
+            except MailboxFull:
+                self.sent = number
+                self.after_host(0.001, self.flood)
+                return
+        self.sent += room
         if self.sent < packets and self.sent - self.got < self.window:
             self.call(self.flood)
 

@@ -34,6 +34,7 @@ SKIPPED = 10
 
 _TASK = """
 [channel.bench]
+[channel.load]
 [task.{task}]
 type = "bench.{task}"
 settings = {{ {settings} }}
