@@ -17,7 +17,7 @@ MOST_HZ = 10_000.0
 """No timer ticks faster: one that did would leave its agent time for nothing else."""
 
 
-class Tick(msgspec.Struct, frozen=True):
+class Tick(msgspec.Struct, frozen=True, gc=False):
     """What a time-driven method is given.
 
     Attributes:

@@ -12,13 +12,19 @@ if TYPE_CHECKING:
 
 
 class TaskTimer:
-    """One time-driven method of one component: what stands between the timer's thread and the actor."""
+    """One time-driven method of one component: what stands between the timer's thread and the actor.
+
+    Attributes:
+        deadline_s: the deadline of the tick that is pending, in mission time.
+        missed: how many ticks before it never came.
+        pending: whether a tick waits to be run.
+    """
 
     __slots__ = (
-        "_deadline_s",
         "_handler",
         "_kernel",
         "component",
+        "deadline_s",
         "lateness_max_s",
         "lateness_sum_s",
         "mailbox",
@@ -38,7 +44,7 @@ class TaskTimer:
         self._handler: Callable[[Component, Tick], None] = getattr(type(component), method)
         self._kernel = component.kernel
         self.mailbox = component.actor_inbox
-        self._deadline_s = 0.0
+        self.deadline_s = 0.0
         self.pending = False
         self.missed = 0
         self.missed_total = 0
@@ -67,7 +73,7 @@ class TaskTimer:
         # In this order: a turn may run the waiting tick meanwhile, and must not be given this one twice.
         if self.pending:
             self.missed += 1 + missed
-            self._deadline_s = deadline_s
+            self.deadline_s = deadline_s
             return
         self.arm(deadline_s, missed)
         self.mailbox.put(self)
@@ -75,12 +81,12 @@ class TaskTimer:
     def arm(self, deadline_s: float, missed: int) -> None:
         """Gives it the deadline that `run` is for; where no tick is pending, and one is then."""
         self.missed += missed
-        self._deadline_s = deadline_s
+        self.deadline_s = deadline_s
         self.pending = True
 
     def run(self) -> None:
         """Calls the method (the component's turn)."""
-        deadline_s = self._deadline_s
+        deadline_s = self.deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
         if self.mailbox.paused:
@@ -96,6 +102,7 @@ class TaskTimer:
         self.lateness_sum_s += lateness_s
         if lateness_s > self.lateness_max_s:
             self.lateness_max_s = lateness_s
-        for heard in kernel.lateness_heard:
-            heard(self, lateness_s)
+        if kernel.lateness_heard:
+            for heard in kernel.lateness_heard:
+                heard(self, lateness_s)
         handler(self.component, Tick(deadline_s, missed, lateness_s))

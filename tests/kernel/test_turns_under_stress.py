@@ -128,12 +128,12 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
         now = False
 
         @property
-        def _deadline_s(self):
-            return self.deadline_s
+        def deadline_s(self):
+            return self.kept_s
 
-        @_deadline_s.setter
-        def _deadline_s(self, deadline_s):
-            self.deadline_s = deadline_s
+        @deadline_s.setter
+        def deadline_s(self, deadline_s):
+            self.kept_s = deadline_s
             if self.now:
                 self.now = False
                 self.run()
