@@ -436,58 +436,80 @@ class Component(pykka.Actor):
     def __handle_data(self, mailbox: Mailbox, slice_s: float | None) -> None:
         waiting = mailbox.waiting
         number = len(waiting)
-        while number > 0:
-            number -= 1
-            queue = waiting.pop(0)
-            queue.listed = False
-            goes_on = self.__work_off(mailbox, queue, slice_s)
-            if queue.items and not queue.listed:
-                queue.listed = True
-                waiting.append(queue)
-            if not goes_on:
-                return
-
-    def __work_off(self, mailbox: Mailbox, queue: ChannelQueue, slice_s: float | None) -> bool:
-        """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
-        control = mailbox.control
-        handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
-        take = queue.take
-        left = len(queue.items)
-        # A turn of one packet, which most are, never asks for the time.
-        until_s = self.kernel.host.now() + slice_s if slice_s is not None and left > 1 else None
-        look, step = left - 1, 1
         try:
-            while left > 0:
-                left -= 1
-                try:
-                    packet = take()
-                except IndexError:  # somebody else has emptied it
-                    return True
-                queue.handled += 1
-                if queue.heavy:
-                    queue.lighten(packet)
-                self.__in_hand = packet
-                for handler in handlers[packet.type]:
-                    handler(self, packet)
-                if control:
-                    self.__in_hand = None
-                    self.__handle_control(control)
-                    if self.actor_stopped.on:
-                        return False
-                if mailbox.paused:
-                    return False
-                if left == look and until_s is not None and left:
-                    if self.kernel.host.now() > until_s:
-                        return False
-                    look -= step
-                    step = min(2 * step, SLICE_CHECK)
-            return True
+            while number > 0:
+                number -= 1
+                queue = waiting.pop(0)
+                queue.listed = False
+                handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
+                if len(queue.items) == 1:
+                    # Most turns are of one packet, and share no time with others: 0.75 µs in all, by `__work_off` 0.81.
+                    goes_on = self.__handle_one(mailbox, queue, handlers)
+                else:
+                    goes_on = self.__work_off(mailbox, queue, handlers, slice_s)
+                if queue.items and not queue.listed:
+                    queue.listed = True
+                    waiting.append(queue)
+                if not goes_on:
+                    return
         except BaseException:
             if self.__in_hand is not None:  # else it was a tick or a call between two packets
                 self.kernel.letters.failed(self.address, queue, self.__in_hand)
             raise
         finally:
             self.__in_hand = None
+
+    def __handle_one(self, mailbox: Mailbox, queue: ChannelQueue, handlers: Handlers) -> bool:
+        """Handles one packet of a queue, if there still is one. Returns whether the turn may go on."""
+        try:
+            packet = queue.take()
+        except IndexError:  # somebody else has emptied it
+            return True
+        queue.handled += 1
+        if queue.heavy:
+            queue.lighten(packet)
+        self.__in_hand = packet
+        for handler in handlers[packet.type]:
+            handler(self, packet)
+        if mailbox.control:
+            self.__in_hand = None
+            self.__handle_control(mailbox.control)
+            if self.actor_stopped.on:
+                return False
+        return not mailbox.paused
+
+    def __work_off(self, mailbox: Mailbox, queue: ChannelQueue, handlers: Handlers, slice_s: float | None) -> bool:
+        """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
+        # Not by `__handle_one`: a call for each packet would take a fifth more.
+        control, take = mailbox.control, queue.take
+        left = len(queue.items)
+        until_s = self.kernel.host.now() + slice_s if slice_s is not None else None
+        look, step = left - 1, 1
+        while left > 0:
+            left -= 1
+            try:
+                packet = take()
+            except IndexError:
+                return True
+            queue.handled += 1
+            if queue.heavy:
+                queue.lighten(packet)
+            self.__in_hand = packet
+            for handler in handlers[packet.type]:
+                handler(self, packet)
+            if control:
+                self.__in_hand = None
+                self.__handle_control(control)
+                if self.actor_stopped.on:
+                    return False
+            if mailbox.paused:
+                return False
+            if left == look and until_s is not None and left:
+                if self.kernel.host.now() > until_s:
+                    return False
+                look -= step
+                step = min(2 * step, SLICE_CHECK)
+        return True
 
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
