@@ -193,7 +193,7 @@ class Guest:
                 timer.fire(deadline_s, missed)
             else:
                 # As `timer.arm`, without the call.
-                timer.missed = missed
+                timer.missed += missed
                 timer.deadline_s = deadline_s
                 timer.pending = True
                 shift.turns += 1

@@ -1,9 +1,9 @@
 """How a thread waits for packets: asleep, or awake for a moment where the next ones come at once (busy polling).
 
 To sleep and to be woken costs more than a packet: the processor halts, and finds its caches cold when it goes on. Two
-tasks that answer each other across two processes take 150 µs for a round trip where both sides sleep in between, and
-40 where they stay awake. What comes at longer intervals than `spin_s` is waited for asleep: it costs a radio's and a
-battery's owner nothing.
+tasks that answer each other across two processes take 150 µs for a round trip, and 77 µs of processor time a side,
+where both sides sleep in between; where they stay awake, 43 and 45. What comes at longer intervals than `spin_s` is
+waited for asleep, so that a battery pays for no more than that.
 """
 
 from __future__ import annotations

@@ -82,6 +82,14 @@ def test_each_gets_its_tick_in_the_guest_s_thread(kernel, burst):
     assert [task.done for task in tasks] == [[(0.5, 2), (0.5, 0)]] * 3
 
 
+def test_a_tick_that_was_missed_while_the_one_before_was_taken_is_counted(kernel, burst):
+    """The timer's thread found that one pending still, and the turn did not see any more that it was replaced."""
+    (task,) = spawned(kernel, "A")
+    task.timers["tick"].missed = 1
+    burst(task, missed=2)
+    assert task.done == [(0.5, 3)]
+
+
 def test_lateness_is_heard_of_each(kernel, burst):
     heard = []
     kernel.hear_lateness(lambda timer, lateness_s: heard.append(timer.component.name))
