@@ -16,9 +16,10 @@ from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.guest import Guest
 from pancakes.kernel.letters import DeadLetters
 from pancakes.kernel.pinned import PinnedDispatcher
-from pancakes.kernel.pool import Guest, PoolDispatcher
+from pancakes.kernel.pool import PoolDispatcher
 from pancakes.kernel.registry import Registry
 from pancakes.kernel.stream import InformationStream
 from pancakes.kernel.task_timer import TaskTimer

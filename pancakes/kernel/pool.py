@@ -13,24 +13,14 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
-from pancakes.kernel.dispatch import Deferred, Dispatcher, begin_turns, end_turns
+from pancakes.kernel.dispatch import Dispatcher, begin_turns
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.task_timer import TaskTimer
+from pancakes.kernel.shift import SLICE_S, Shift
 
-SLICE_S = 0.002
-"""A turn ends after this time even if more waits, so that others get theirs. Beside a task that always has more to do,
-a control packet's reply takes two or three turns: 6.4 ms (p50) with this, and 18 with 5 ms.
-"""
-GUEST_S = 0.002
-"""A guest, who has duties of his own, should not work longer."""
-TICKS_CHECK = 4
-"""After how many ticks, at the most, a guest looks whether his time is up: after 1, 2, 3, 4, and each 4 more; and after
-each turn that is no tick.
-"""
 WATCH_S = 0.02
 """How often the watchdog looks."""
 MOST_PASSED_S = 2 * WATCH_S
@@ -47,52 +37,13 @@ STOP_S = 0.3
 _LOG: Final = logging.getLogger("pancakes.kernel")
 
 
-class _Shift:
-    """Somebody who gives the pool's turns, and what the watchdog knows about him.
-
-    Attributes:
-        mailbox: whose turn he gives now.
-        turns: how many he has given.
-        relieve: for a guest: lets somebody else see to his own duties.
-        relieved: whether that has been done.
-        here: whether he is at work, or called to it; under the pool's lock.
-        held: whether he is not reckoned with though he is here, because he does not get on.
-        seen: the number of the turn at which the watchdog saw him last.
-        seen_s: for how long, in seconds, it has seen him at that one.
-        named: whether it has said who holds him in that turn.
-    """
-
-    __slots__ = ("held", "here", "mailbox", "named", "relieve", "relieved", "seen", "seen_s", "turns")
-
-    def __init__(self, relieve: Callable[[], None] | None = None) -> None:
-        self.mailbox: Mailbox | None = None
-        self.turns = 0
-        self.relieve = relieve
-        self.relieved = False
-        self.here = False
-        self.held = False
-        self.seen = -1
-        self.seen_s = 0.0
-        self.named = False
-
-    def see(self, passed_s: float) -> float:
-        """Returns for how long the watchdog has seen him at one and the same turn; `passed_s` since it looked last."""
-        if self.turns != self.seen:
-            self.seen = self.turns
-            self.seen_s = 0.0
-            self.named = False
-        else:
-            self.seen_s += passed_s
-        return self.seen_s
-
-
 class _Worker(threading.Thread):
     """One thread of the pool."""
 
     def __init__(self, pool: PoolDispatcher, number: int) -> None:
         super().__init__(name=f"{pool.name}-pool-{number}", daemon=True)
         self.pool = pool
-        self.shift = _Shift()
+        self.shift = Shift()
         # Held while the worker lies down; a Semaphore would run a page of Python for each wake-up.
         self.wake = threading.Lock()
         self.wake.acquire()
@@ -117,132 +68,6 @@ class _Worker(threading.Thread):
                 pool.come_back(shift)
 
 
-class Guest:
-    """A thread that is not the pool's, but may give turns while nobody else does: without a hop to a worker.
-
-    Its loop:
-
-        while guest.stays:
-            ...                          # wait
-            here = guest.arrive()
-            ...                          # what readies components; if `here`, they wait for `turn` or `work`
-            if here:
-                guest.leave()
-
-    Args:
-        pool: whose guest it is.
-        relieve: called by the watchdog, in its thread, where a handler holds this thread: another thread has to take
-            the loop over, with a guest of its own. The held one finds `stays` false when it comes back.
-    """
-
-    def __init__(self, pool: PoolDispatcher, relieve: Callable[[], None]) -> None:
-        self._pool = pool
-        self._shift = _Shift(relieve)
-        self._deferred: Deferred = []
-
-    @property
-    def stays(self) -> bool:
-        """Whether this thread goes on with its loop; another one does where not."""
-        return not self._shift.relieved
-
-    def arrive(self) -> bool:
-        """Takes the work over, if nobody is at work, until `leave`."""
-        if not self._pool.welcome(self._shift):
-            return False
-        self._deferred = begin_turns()
-        return True
-
-    def turn(self) -> bool:
-        """Gives a turn to whoever has waited longest, if anybody waits. Returns whether this thread still `stays`."""
-        pool = self._pool
-        try:
-            mailbox = pool.work.popleft()
-        except IndexError:
-            return True
-        if self._deferred:  # by what this thread did between turns; a turn may take long
-            pool.run_deferred(self._deferred, None)
-        shift = self._shift
-        shift.turns += 1
-        shift.mailbox = mailbox
-        pool.give_turn(mailbox, self._deferred, SLICE_S)
-        shift.mailbox = None
-        if shift.held:
-            pool.come_back(shift)
-        return not shift.relieved
-
-    def tick(self, timers: Iterator[TaskTimer], deadline_s: float, missed: int, until_s: float) -> bool:
-        """Ticks those who are left in `timers`, one after the other with its turn, until `until_s` (host time).
-
-        Who has nothing else to do takes the tick at once and not by way of its mailbox: half of the calls, and less to
-        fetch from memory for each of a thousand tasks that were at rest. After each tick whoever has waited longest
-        gets a turn, too.
-
-        Returns:
-            Whether this thread still `stays`. If so, what is left in `timers` is late, and to be ticked without turns.
-        """
-        pool, shift, deferred = self._pool, self._shift, self._deferred
-        work, now, give_turn = pool.work, pool.clock.now, pool.give_turn
-        if deferred:
-            pool.run_deferred(deferred, None)
-        if now() >= until_s:
-            return True
-        look = step = 1
-        for timer in timers:
-            mailbox = timer.mailbox
-            if mailbox.dispatch is not pool or timer.pending or not mailbox.token.acquire(False):
-                timer.fire(deadline_s, missed)
-            else:
-                # As `timer.arm`, without the call.
-                timer.missed += missed
-                timer.deadline_s = deadline_s
-                timer.pending = True
-                shift.turns += 1
-                shift.mailbox = mailbox
-                give_turn(mailbox, deferred, SLICE_S, timer)
-                shift.mailbox = None
-                if shift.held:
-                    pool.come_back(shift)
-                    if shift.relieved:
-                        return False
-            look -= 1
-            if work:
-                if not self.turn():
-                    return False
-                look = 0
-            if look <= 0:
-                if now() >= until_s:
-                    return True
-                if step < TICKS_CHECK:
-                    step += 1
-                look = step
-        return True
-
-    def work(self, until_s: float) -> None:
-        """Gives the turns that wait, but none after `until_s` (host time)."""
-        # As `turn`, which a call for each turn would be the slower by.
-        pool, shift, deferred = self._pool, self._shift, self._deferred
-        work, now, give_turn = pool.work, pool.clock.now, pool.give_turn
-        if deferred:
-            pool.run_deferred(deferred, None)
-        while work and now() < until_s:
-            try:
-                mailbox = work.popleft()
-            except IndexError:
-                return
-            shift.turns += 1
-            shift.mailbox = mailbox
-            give_turn(mailbox, deferred, SLICE_S)
-            shift.mailbox = None
-            if shift.held:
-                pool.come_back(shift)
-
-    def leave(self) -> None:
-        """Leaves what is still to be done to a worker."""
-        end_turns()
-        self._pool.run_deferred(self._deferred, None)
-        self._pool.farewell(self._shift)
-
-
 class PoolDispatcher(Dispatcher):
     """Runs components on a few shared threads.
 
@@ -261,7 +86,7 @@ class PoolDispatcher(Dispatcher):
         self._lock = threading.Lock()
         self._idle: list[_Worker] = []
         self._workers: list[_Worker] = []
-        self._guests: list[_Shift] = []
+        self._guests: list[Shift] = []
         self._numbers = 0
         self._active = 0
         self._visits = 0
@@ -327,7 +152,7 @@ class PoolDispatcher(Dispatcher):
             return True
         return False
 
-    def welcome(self, guest: _Shift) -> bool:
+    def welcome(self, guest: Shift) -> bool:
         """Lets a guest do the work, if nobody does it now."""
         if self._active:
             return False
@@ -340,7 +165,7 @@ class PoolDispatcher(Dispatcher):
             self._watch_again()
             return True
 
-    def farewell(self, guest: _Shift) -> None:
+    def farewell(self, guest: Shift) -> None:
         """Lets a guest go; a worker does what he has left."""
         with self._lock:
             self._guests.remove(guest)
@@ -348,13 +173,13 @@ class PoolDispatcher(Dispatcher):
         if self.work:
             self._lend()
 
-    def _begin(self, shift: _Shift) -> None:
+    def _begin(self, shift: Shift) -> None:
         """Reckons with somebody from now on. Under the lock."""
         self._active += 1
         shift.here = True
         shift.turns += 1  # what comes before his first turn is not seen as part of the last one
 
-    def _end(self, shift: _Shift) -> None:
+    def _end(self, shift: Shift) -> None:
         """Reckons with somebody no more. Under the lock."""
         shift.here = False
         if shift.held:
@@ -362,7 +187,7 @@ class PoolDispatcher(Dispatcher):
         else:
             self._active -= 1
 
-    def come_back(self, shift: _Shift) -> None:
+    def come_back(self, shift: Shift) -> None:
         """Reckons with somebody again whose turn has ended. In his thread; nobody else takes the mark away."""
         with self._lock:
             shift.held = False
@@ -422,7 +247,7 @@ class PoolDispatcher(Dispatcher):
             self._lend()
         return turns
 
-    def _hold(self, shift: _Shift) -> None:
+    def _hold(self, shift: Shift) -> None:
         """Reckons without somebody who does not get on; a guest whose turn does not end is to be relieved.
 
         Whoever is here may be held by what he does before a turn, too, or where the system gives him no core. Whoever

@@ -13,8 +13,9 @@ from typing import Any, Final, Protocol
 import pykka
 
 from pancakes.clock import Clock, MissionClock
+from pancakes.kernel.guest import GUEST_S, Guest
 from pancakes.kernel.inbox import Inbox
-from pancakes.kernel.pool import GUEST_S, Guest, PoolDispatcher
+from pancakes.kernel.pool import PoolDispatcher
 from pancakes.kernel.schedule import Due, Schedule
 from pancakes.kernel.slack import wake_on_time
 from pancakes.kernel.virtual import VirtualCall, VirtualDispatcher

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
-from pancakes.kernel.pool import GUEST_S, Guest
+from pancakes.kernel.guest import GUEST_S, Guest
 from pancakes.net.busy_poll import BusyPoll
 from pancakes.net.readiness import READ, readiness
 

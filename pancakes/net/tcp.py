@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import PancakesError
-from pancakes.kernel.pool import Guest
+from pancakes.kernel.guest import Guest
 from pancakes.net.buffers import bound_buffers
 from pancakes.net.loop import Loop
 from pancakes.net.readiness import READ, WRITE

@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
-from pancakes.kernel.pool import Guest
+from pancakes.kernel.guest import Guest
 
 
 class Connection(ABC):

@@ -4,9 +4,10 @@ import threading
 
 import pytest
 
+from pancakes.kernel.guest import Guest
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.pool import WATCH_S, Guest, PoolDispatcher
+from pancakes.kernel.pool import WATCH_S, PoolDispatcher
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0

@@ -6,9 +6,10 @@ from pancakes.clock import MonotonicClock
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
+from pancakes.kernel.guest import Guest
 from pancakes.kernel.handlers import every, on
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.pool import DOZE_LOOKS, WATCH_S, Guest, PoolDispatcher
+from pancakes.kernel.pool import DOZE_LOOKS, WATCH_S, PoolDispatcher
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0

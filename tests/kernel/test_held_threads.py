@@ -3,7 +3,8 @@
 import threading
 
 from pancakes.kernel import pool as pool_module
-from pancakes.kernel.pool import WATCH_S, _Shift
+from pancakes.kernel.pool import WATCH_S
+from pancakes.kernel.shift import Shift
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
@@ -216,7 +217,7 @@ def test_a_guest_that_has_got_on_just_now_leaves_after_its_next_turn_at_the_late
 def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
     """It has laid its mailbox down, but not yet looked whether it stays."""
 
-    class Seen(_Shift):
+    class Seen(Shift):
         """Lets the guest end its turn while the watchdog looks whether it is in one."""
 
         hook = staticmethod(lambda: None)

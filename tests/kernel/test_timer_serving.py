@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from pancakes.clock import MissionClock, MonotonicClock
-from pancakes.kernel.pool import GUEST_S
+from pancakes.kernel.guest import GUEST_S
 from pancakes.kernel.timer import ONE_BY_ONE_S, Timer
 from pancakes.testing import no_thread_left
 

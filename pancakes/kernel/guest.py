@@ -1,0 +1,151 @@
+"""A thread of somebody else's that gives the pool's turns while nobody else does, which saves the hop to a worker.
+
+It is the way of nearly every tick and of every packet from another agent, so what `turn` says in a few lines stands in
+`work` and `tick` once more. Measured: a turn of one packet takes 0.68 µs by `work`, and 0.79 by `turn`; a tick takes
+0.77 µs by `tick`, and 1.03 by way of its task's mailbox.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from pancakes.kernel.dispatch import Deferred, begin_turns, end_turns
+from pancakes.kernel.shift import SLICE_S, Shift
+from pancakes.kernel.task_timer import TaskTimer
+
+if TYPE_CHECKING:
+    from pancakes.kernel.pool import PoolDispatcher
+
+GUEST_S = 0.002
+"""A guest, who has duties of his own, should not work longer."""
+TICKS_CHECK = 4
+"""After how many ticks, at the most, a guest looks whether his time is up: after 1, 2, 3, 4, and each 4 more; and after
+each turn that is no tick.
+"""
+
+
+class Guest:
+    """A thread that is not the pool's, but may give turns while nobody else does: without a hop to a worker.
+
+    Its loop:
+
+        while guest.stays:
+            ...                          # wait
+            here = guest.arrive()
+            ...                          # what readies components; if `here`, they wait for `turn` or `work`
+            if here:
+                guest.leave()
+
+    Args:
+        pool: whose guest it is.
+        relieve: called by the watchdog, in its thread, where a handler holds this thread: another thread has to take
+            the loop over, with a guest of its own. The held one finds `stays` false when it comes back.
+    """
+
+    def __init__(self, pool: PoolDispatcher, relieve: Callable[[], None]) -> None:
+        self._pool = pool
+        self._shift = Shift(relieve)
+        self._deferred: Deferred = []
+
+    @property
+    def stays(self) -> bool:
+        """Whether this thread goes on with its loop; another one does where not."""
+        return not self._shift.relieved
+
+    def arrive(self) -> bool:
+        """Takes the work over, if nobody is at work, until `leave`."""
+        if not self._pool.welcome(self._shift):
+            return False
+        self._deferred = begin_turns()
+        return True
+
+    def turn(self) -> bool:
+        """Gives a turn to whoever has waited longest, if anybody waits. Returns whether this thread still `stays`."""
+        pool = self._pool
+        try:
+            mailbox = pool.work.popleft()
+        except IndexError:
+            return True
+        if self._deferred:  # by what this thread did between turns; a turn may take long
+            pool.run_deferred(self._deferred, None)
+        shift = self._shift
+        shift.turns += 1
+        shift.mailbox = mailbox
+        pool.give_turn(mailbox, self._deferred, SLICE_S)
+        shift.mailbox = None
+        if shift.held:
+            pool.come_back(shift)
+        return not shift.relieved
+
+    def tick(self, timers: Iterator[TaskTimer], deadline_s: float, missed: int, until_s: float) -> bool:
+        """Ticks those who are left in `timers`, one after the other with its turn, until `until_s` (host time).
+
+        Who has nothing else to do takes the tick at once and not by way of its mailbox: half of the calls, and less to
+        fetch from memory for each of a thousand tasks that were at rest. After each tick whoever has waited longest
+        gets a turn, too.
+
+        Returns:
+            Whether this thread still `stays`. If so, what is left in `timers` is late, and to be ticked without turns.
+        """
+        pool, shift, deferred = self._pool, self._shift, self._deferred
+        work, now, give_turn = pool.work, pool.clock.now, pool.give_turn
+        if deferred:
+            pool.run_deferred(deferred, None)
+        if now() >= until_s:
+            return True
+        look = step = 1
+        for timer in timers:
+            mailbox = timer.mailbox
+            if mailbox.dispatch is not pool or timer.pending or not mailbox.token.acquire(False):
+                timer.fire(deadline_s, missed)
+            else:
+                # As `timer.arm`, without the call.
+                timer.missed += missed
+                timer.deadline_s = deadline_s
+                timer.pending = True
+                shift.turns += 1
+                shift.mailbox = mailbox
+                give_turn(mailbox, deferred, SLICE_S, timer)
+                shift.mailbox = None
+                if shift.held:
+                    pool.come_back(shift)
+                    if shift.relieved:
+                        return False
+            look -= 1
+            if work:
+                if not self.turn():
+                    return False
+                look = 0
+            if look <= 0:
+                if now() >= until_s:
+                    return True
+                if step < TICKS_CHECK:
+                    step += 1
+                look = step
+        return True
+
+    def work(self, until_s: float) -> None:
+        """Gives the turns that wait, but none after `until_s` (host time)."""
+        # As `turn`, without a call for each.
+        pool, shift, deferred = self._pool, self._shift, self._deferred
+        work, now, give_turn = pool.work, pool.clock.now, pool.give_turn
+        if deferred:
+            pool.run_deferred(deferred, None)
+        while work and now() < until_s:
+            try:
+                mailbox = work.popleft()
+            except IndexError:
+                return
+            shift.turns += 1
+            shift.mailbox = mailbox
+            give_turn(mailbox, deferred, SLICE_S)
+            shift.mailbox = None
+            if shift.held:
+                pool.come_back(shift)
+
+    def leave(self) -> None:
+        """Leaves what is still to be done to a worker."""
+        end_turns()
+        self._pool.run_deferred(self._deferred, None)
+        self._pool.farewell(self._shift)
