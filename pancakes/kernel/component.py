@@ -441,6 +441,7 @@ class Component(pykka.Actor):
                 number -= 1
                 queue = waiting.pop(0)
                 queue.listed = False
+                self.__in_hand = None
                 handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
                 if len(queue.items) == 1:
                     # Most turns are of one packet, and share no time with others: 0.75 µs in all, by `__work_off` 0.81.

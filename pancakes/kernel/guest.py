@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 GUEST_S = 0.002
 """A guest, who has duties of his own, should not work longer."""
-TICKS_CHECK = 4
-"""After how many ticks, at the most, a guest looks whether his time is up: after 1, 2, 3, 4, and each 4 more; and after
-each turn that is no tick.
+TICKS_CHECK = 2
+"""A guest looks whether his time is up after his first tick and after each two more, and after each turn that is no
+tick. A look takes 0.05 µs of a tick's 0.8; were it after each four, four slow ticks would hold up who must be on time.
 """
 
 
@@ -79,7 +79,7 @@ class Guest:
         return not shift.relieved
 
     def tick(self, timers: Iterator[TaskTimer], deadline_s: float, missed: int, until_s: float) -> bool:
-        """Ticks those who are left in `timers`, one after the other with its turn, until `until_s` (host time).
+        """Ticks those who are left in `timers`, one after the other with its turn, until about `until_s`.
 
         Who has nothing else to do takes the tick at once and not by way of its mailbox: half of the calls, and less to
         fetch from memory for each of a thousand tasks that were at rest. After each tick whoever has waited longest
@@ -94,7 +94,7 @@ class Guest:
             pool.run_deferred(deferred, None)
         if now() >= until_s:
             return True
-        look = step = 1
+        look = 1
         for timer in timers:
             mailbox = timer.mailbox
             if mailbox.dispatch is not pool or timer.pending or not mailbox.token.acquire(False):
@@ -120,9 +120,7 @@ class Guest:
             if look <= 0:
                 if now() >= until_s:
                     return True
-                if step < TICKS_CHECK:
-                    step += 1
-                look = step
+                look = TICKS_CHECK
         return True
 
     def work(self, until_s: float) -> None:

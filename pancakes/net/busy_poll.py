@@ -2,8 +2,8 @@
 
 To sleep and to be woken costs more than a packet: the processor halts, and finds its caches cold when it goes on. Two
 tasks that answer each other across two processes take 150 µs for a round trip, and 77 µs of processor time a side,
-where both sides sleep in between; where they stay awake, 43 and 45. What comes at longer intervals than `spin_s` is
-waited for asleep, so that a battery pays for no more than that.
+where both sides sleep in between; where they stay awake, 43 and 45. What comes at longer intervals is waited for
+asleep, so that a battery pays for no more than that.
 """
 
 from __future__ import annotations
@@ -21,35 +21,37 @@ STREAK: Final = 8
 that tick at the same time, are no dialogue.
 """
 
-_give_way: Final[Callable[[], object]] = getattr(os, "sched_yield", lambda: None)
+_give_way: Final[Callable[[], object] | None] = getattr(os, "sched_yield", None)
 
 Ready = list[tuple[int, int]]
+"""The numbers of sockets' files, each with what it is ready for."""
 
 
 class BusyPoll:
     """Waits until sockets are ready.
 
     It gives way to any other process that wants the core: where eight agents share four cores, it costs none of them
-    anything (without, the one that the others send to got a fifth less done).
+    anything (without, the one that the others send to got a fifth less done). Where the system knows no way to give
+    way, it always sleeps.
 
     Args:
         poll: waits for sockets, so many seconds or, with None, for ever.
         now: the host clock.
-        spin_s: so long it stays awake; 0: it always sleeps. May be changed.
+        busy_poll_s: so long it stays awake; 0: it always sleeps. May be changed.
     """
 
-    def __init__(self, poll: Callable[[float | None], Ready], now: Callable[[], float], spin_s: float) -> None:
+    def __init__(self, poll: Callable[[float | None], Ready], now: Callable[[], float], busy_poll_s: float) -> None:
         self._poll = poll
         self._now = now
-        self.spin_s = spin_s
+        self.busy_poll_s = busy_poll_s
         self._streak = 0
 
     def wait(self, until_s: float | None) -> Ready:
         """Returns the sockets that are ready, none where none is until then (host time; None: for ever)."""
-        now, poll, spin_s = self._now, self._poll, self.spin_s
+        now, poll, busy_poll_s = self._now, self._poll, self.busy_poll_s
         began_s = now_s = now()
-        if self._streak >= STREAK:
-            end_s = began_s + spin_s
+        if self._streak >= STREAK and _give_way is not None:
+            end_s = began_s + busy_poll_s
             if until_s is not None and until_s < end_s:
                 end_s = until_s
             while now_s < end_s:
@@ -58,7 +60,6 @@ class BusyPoll:
                     return ready
                 _give_way()
                 now_s = now()
-            self._streak = 0
         ready = poll(None if until_s is None else max(0.0, min(until_s - now_s, LONGEST_S)))
-        self._streak = self._streak + 1 if ready and now() - began_s < spin_s else 0
+        self._streak = self._streak + 1 if ready and now() - began_s < busy_poll_s else 0
         return ready

@@ -77,7 +77,7 @@ class Loop:
     def lend(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
         """Lets the loop's thread give turns as a guest from now on; see `Transport.lend_thread`."""
         self._make_guest = make_guest
-        self.busy_poll.spin_s = busy_poll_s
+        self.busy_poll.busy_poll_s = busy_poll_s
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Timer:
         """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.

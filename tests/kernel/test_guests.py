@@ -2,11 +2,13 @@
 
 import threading
 
+import pytest
+
 from pancakes.clock import MonotonicClock
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
-from pancakes.kernel.guest import Guest
+from pancakes.kernel.guest import TICKS_CHECK, Guest
 from pancakes.kernel.handlers import every, on
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.pool import DOZE_LOOKS, WATCH_S, PoolDispatcher
@@ -314,7 +316,8 @@ def test_ticks_outlive_a_fault_in_whoever_is_told_of_an_end(kernel):
     other.wait(len(other.deadlines) + 5)
 
 
-def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(kernel):
+@pytest.mark.parametrize(("quick", "slow"), [(0, 1), (10, TICKS_CHECK)])
+def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(kernel, quick, slow):
     """Those who run elsewhere than in the pool would have to wait for all of them."""
     ticked = []
     fired = []
@@ -325,11 +328,18 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(kernel):
         def tick(self, tick):
             threading.Event().wait(0.01)
             ticked.append(self)
-            if len(ticked) == 2:
+            if len(ticked) == slow + 1:
                 fired.extend(one for one in tasks if one.timers["tick"].pending or one.timers["tick"].ticks)
                 both.set()
 
+    class Quick(Component):
+        @every(hz=1)
+        def tick(self, tick):
+            pass
+
     kernel._shared._look = lambda: 0  # however slow the machine, nobody else takes over
+    for number in range(quick):
+        kernel.spawn(Quick, f"a/client/Quick{number}")
     tasks = [kernel.spawn(Slow, f"a/client/Slow{number}") for number in range(10)]
     assert both.wait(PATIENCE_S)
     assert len(fired) == len(tasks)

@@ -153,6 +153,26 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
     assert len(ticks) + sum(missed for _, missed in ticks) == 3
 
 
+def test_a_tick_that_never_came_is_told_by_a_guest_too(kernel):
+    """As above, but its deadline came when the turn had begun already, and the next tick goes past the mailbox."""
+    ticks = []
+
+    class Ticked(Component):
+        def tick(self, tick):
+            ticks.append((tick.time_s, tick.missed))
+
+    component = kernel.spawn(Ticked, "a/client/T")
+    component.actor_ref.proxy().name.get(timeout=PATIENCE_S)
+    timer = TaskTimer(component, "tick", Period(0.1))
+    timer.missed = 1
+    guest = kernel.guest(lambda: None)
+    while not guest.arrive():
+        pass
+    guest.tick(iter([timer]), 0.3, 0, kernel.host.now() + PATIENCE_S)
+    guest.leave()
+    assert ticks == [(0.3, 1)]
+
+
 @pytest.mark.parametrize("with_guest", [True, False], ids=["with a guest", "with workers only"])
 def test_nobody_is_forgotten_though_no_watchdog_looks(unruly, with_guest):
     """A worker that lies down, or a guest that leaves, just when something comes."""
@@ -218,8 +238,12 @@ class Minded(Component):
         if packet.body.text == "one":
             self.idea(self, packet)
 
+    @on("ctrl", LogLine, keep=reliable(8))
+    def hear_alone(self, packet):
+        self.hear(packet)
 
-def minded(kernel, idea, *texts):
+
+def minded(kernel, idea, *texts, second="system"):
     """Returns an actor to which some packets come at once, once it has had a turn with them."""
     component = kernel.spawn(Minded, "a/client/M")
     component.idea = idea
@@ -228,8 +252,8 @@ def minded(kernel, idea, *texts):
     source = Component(kernel, "a/client/Source")
 
     def all_at_once():
-        for text in texts or ("one", "two"):
-            source.publish("system", LogLine("info", text))
+        for number, text in enumerate(texts or ("one", "two")):
+            source.publish(second if number else "system", LogLine("info", text))
 
     component.call(all_at_once)
     component.call(lambda: component.call(done.set))
@@ -239,14 +263,16 @@ def minded(kernel, idea, *texts):
     raise AssertionError("it has had no turn")
 
 
-def test_who_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel):
-    component = minded(kernel, lambda it, packet: it.stop())
+@pytest.mark.parametrize("second", ["system", "ctrl"])
+def test_who_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
+    component = minded(kernel, lambda it, packet: it.stop(), second=second)
     assert component.heard == ["one"]
-    assert [packet.body.text for packet in component.actor_inbox.queues["system"].items] == ["two"]
+    assert [packet.body.text for packet in component.actor_inbox.queues[second].items] == ["two"]
 
 
-def test_who_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel):
-    component = minded(kernel, lambda it, packet: it.pause())
+@pytest.mark.parametrize("second", ["system", "ctrl"])
+def test_who_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel, second):
+    component = minded(kernel, lambda it, packet: it.pause(), second=second)
     assert component.heard == ["one"]
     resumed = threading.Event()
     component.call(lambda: (component.resume(), component.call(resumed.set)))
@@ -254,10 +280,12 @@ def test_who_stands_still_in_the_middle_of_its_packets_gets_the_others_later(ker
     assert component.heard == ["one", "two"]
 
 
-def test_a_call_that_fails_between_two_packets_brings_neither_back(kernel):
-    component = minded(kernel, lambda it, packet: it.call(lambda: 1 / 0))
+@pytest.mark.parametrize("second", ["system", "ctrl"])
+def test_a_call_that_fails_between_two_packets_brings_neither_back(kernel, second):
+    component = minded(kernel, lambda it, packet: it.call(lambda: 1 / 0), second=second)
     assert component.heard == ["one"]
-    assert [packet.body.text for packet in component.actor_inbox.queues["system"].items] == ["two"]
+    queues = component.actor_inbox.queues.values()
+    assert [packet.body.text for waiting in queues for packet in waiting.items] == ["two"]
     assert kernel.letters.count == 0
 
 
@@ -278,11 +306,12 @@ def test_what_is_published_again_and_again_has_its_cause_as_the_first_time_and_n
     assert {packet.fence for packet in published} == {"a fence"}
 
 
-def test_what_a_turn_has_handled_is_neither_counted_as_dropped_nor_weighed_any_more(kernel):
-    component = minded(kernel, lambda it, packet: None, "one", "x" * 5000)
-    waiting = component.actor_inbox.queues["system"]
-    assert len(component.heard) == 2
-    assert (waiting.dropped(), waiting.heavy_bytes, waiting.handled) == (0, 0, 2)
+@pytest.mark.parametrize("second", ["system", "ctrl"])
+def test_what_a_turn_has_handled_is_neither_counted_as_dropped_nor_weighed_any_more(kernel, second):
+    component = minded(kernel, lambda it, packet: None, "one", "x" * 5000, second=second)
+    queues = component.actor_inbox.queues.values()
+    assert len(component.heard) == sum(waiting.handled for waiting in queues) == 2
+    assert [(waiting.dropped(), waiting.heavy_bytes) for waiting in queues] == [(0, 0)] * 2
 
 
 def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_successor(kernel):

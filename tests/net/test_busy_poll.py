@@ -10,7 +10,7 @@ from pancakes.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
 from pancakes.net.tcp import TcpTransport
 from pancakes.testing import threaded_agent
 
-SPIN_S = 0.0002
+AWAKE_S = 0.0002
 LOOK_S = 0.00001
 READY = [(7, 1)]
 
@@ -27,6 +27,7 @@ class Sockets:
         return self.now_s
 
     def poll(self, timeout_s: float | None) -> list[tuple[int, int]]:
+        assert timeout_s is None or timeout_s >= 0, "epoll would wait for ever"
         self.timeouts.append(timeout_s)
         end_s = math.inf if timeout_s is None else self.now_s + max(timeout_s, LOOK_S)
         self.now_s = min(end_s, max(self.now_s, self.ready_s))
@@ -48,14 +49,14 @@ def sockets() -> Sockets:
     return Sockets()
 
 
-def talk(sockets: Sockets, waits: BusyPoll, packets: int, after_s: float = SPIN_S / 2) -> None:
+def talk(sockets: Sockets, waits: BusyPoll, packets: int, after_s: float = AWAKE_S / 2) -> None:
     for _ in range(packets):
         sockets.ready_s = sockets.now_s + after_s
         assert waits.wait(None) == READY
 
 
 def test_packets_that_come_one_after_the_other_are_waited_for_awake(sockets: Sockets) -> None:
-    waits = BusyPoll(sockets.poll, sockets.now, SPIN_S)
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     assert sockets.asleep() == [None] * STREAK
     talk(sockets, waits, 100)
@@ -63,29 +64,29 @@ def test_packets_that_come_one_after_the_other_are_waited_for_awake(sockets: Soc
 
 
 def test_the_end_of_a_dialogue_costs_the_time_once(sockets: Sockets) -> None:
-    waits = BusyPoll(sockets.poll, sockets.now, SPIN_S)
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     sockets.asleep()
     began_s = sockets.now_s
     sockets.ready_s = began_s + 1.0
     assert waits.wait(None) == READY
     assert sockets.timeouts[-1] is None
-    assert sockets.timeouts[:-1] == [0] * round(SPIN_S / LOOK_S)
+    assert sockets.timeouts[:-1] == [0] * round(AWAKE_S / LOOK_S)
     assert sockets.now_s == began_s + 1.0
     sockets.asleep()
     talk(sockets, waits, STREAK)
     assert sockets.asleep() == [None] * STREAK
 
 
-@pytest.mark.parametrize("after_s", [SPIN_S * 1.1, 0.001, 0.01])
+@pytest.mark.parametrize("after_s", [AWAKE_S * 1.1, 0.001, 0.01])
 def test_what_comes_at_longer_intervals_is_waited_for_asleep(sockets: Sockets, after_s: float) -> None:
-    waits = BusyPoll(sockets.poll, sockets.now, SPIN_S)
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, 10 * STREAK, after_s)
     assert sockets.asleep() == [None] * 10 * STREAK
 
 
 def test_two_packets_that_come_together_are_no_dialogue(sockets: Sockets) -> None:
-    waits = BusyPoll(sockets.poll, sockets.now, SPIN_S)
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     for _ in range(10 * STREAK):
         talk(sockets, waits, 1, 0.01)
         talk(sockets, waits, 1)
@@ -93,10 +94,10 @@ def test_two_packets_that_come_together_are_no_dialogue(sockets: Sockets) -> Non
 
 
 def test_it_wakes_when_a_timer_is_due(sockets: Sockets) -> None:
-    waits = BusyPoll(sockets.poll, sockets.now, SPIN_S)
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     sockets.timeouts.clear()
-    until_s = sockets.now_s + SPIN_S / 2
+    until_s = sockets.now_s + AWAKE_S / 2
     assert waits.wait(until_s) == []
     assert until_s <= sockets.now_s < until_s + 3 * LOOK_S
     assert waits.wait(sockets.now_s + 0.5) == []
@@ -109,9 +110,26 @@ def test_where_it_shall_save_power_it_always_sleeps(sockets: Sockets) -> None:
     assert 0 not in sockets.timeouts
 
 
-@pytest.mark.parametrize(("table", "spin_s"), [({}, BUSY_POLL_S), ({"busy_poll_s": 0.0}, 0.0)])
-def test_the_configuration_says_how_long_it_stays_awake(table: dict[str, float], spin_s: float) -> None:
+@pytest.mark.parametrize(("table", "busy_poll_s"), [({}, BUSY_POLL_S), ({"busy_poll_s": 0.0}, 0.0)])
+def test_the_configuration_says_how_long_it_stays_awake(table: dict[str, float], busy_poll_s: float) -> None:
     with threaded_agent("a", services={"network": {"settings": table}}) as agent:
         transport = agent.kernel.transport
         assert isinstance(transport, TcpTransport)
-        assert transport.loop.busy_poll.spin_s == spin_s
+        assert transport.loop.busy_poll.busy_poll_s == busy_poll_s
+
+
+def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
+    for _ in range(10 * STREAK):
+        assert waits.wait(sockets.now_s + AWAKE_S / 2) == []
+    assert 0 not in sockets.timeouts
+
+
+def test_it_gives_way_each_time_that_nothing_is_ready(sockets: Sockets, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = []
+    monkeypatch.setattr("pancakes.net.busy_poll._give_way", lambda: given.append(sockets.now_s))
+    waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
+    talk(sockets, waits, STREAK)
+    assert not given
+    assert waits.wait(sockets.now_s + AWAKE_S) == []
+    assert len(given) == round(AWAKE_S / LOOK_S)
