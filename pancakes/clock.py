@@ -32,13 +32,17 @@ def wall_ns() -> int:
 
 
 class VirtualClock:
-    """A clock that stands still until it is moved (virtual time, tests)."""
+    """A clock that stands still until it is moved (virtual time, tests).
+
+    Attributes:
+        now_s: what `now` returns, without a call.
+    """
 
     def __init__(self, start_s: float = 0.0) -> None:
-        self._now_s = start_s
+        self.now_s = start_s
 
     def now(self) -> float:
-        return self._now_s
+        return self.now_s
 
     def advance_to(self, time_s: float) -> None:
         """Moves the clock forward to `time_s`.
@@ -46,9 +50,9 @@ class VirtualClock:
         Raises:
             ValueError: `time_s` lies in the past.
         """
-        if time_s < self._now_s:
-            raise ValueError(f"a clock cannot go back from {self._now_s} s to {time_s} s")
-        self._now_s = time_s
+        if time_s < self.now_s:
+            raise ValueError(f"a clock cannot go back from {self.now_s} s to {time_s} s")
+        self.now_s = time_s
 
 
 class MissionClock:
@@ -88,3 +92,23 @@ class MissionClock:
     def host_time(self, mission_s: float) -> float:
         """Returns the host time at which the mission reaches `mission_s`; infinity while it is held."""
         return self._origin_s + mission_s / self.speed
+
+
+class VirtualMissionClock(MissionClock):
+    """A mission clock on a virtual one. It asks that without a call: a second of a mission asks 400 times.
+
+    Args:
+        host: the clock it stands on.
+        speed: as above.
+        held: likewise.
+    """
+
+    __slots__ = ("_host",)
+
+    def __init__(self, host: VirtualClock, speed: float = 1.0, held: bool = False) -> None:
+        super().__init__(host, speed, held)
+        self._host = host
+
+    def now(self) -> float:
+        elapsed_s = self._host.now_s - self._origin_s
+        return elapsed_s * self.speed if elapsed_s > 0.0 else 0.0

@@ -42,6 +42,9 @@ class Schedule:
 
     Deadlines are absolute, k times the period since the clock's zero, so that nothing drifts and
     equal rates tick together.
+
+    Attributes:
+        next_s: when something is due next; infinity where nothing ever is.
     """
 
     def __init__(self) -> None:
@@ -49,6 +52,7 @@ class Schedule:
         self._order = count()
         self._groups: dict[float, _Group] = {}
         self._group_of: dict[int, _Group] = {}
+        self.next_s = math.inf  # not a method: in virtual time it is asked for three times for each tick
 
     def every(self, target: Any, period_s: float, now_s: float) -> None:
         """Ticks `target` each `period_s` from now on; a target that ticks already changes its rate.
@@ -63,7 +67,7 @@ class Schedule:
             # A little tolerance: 0.3 / 0.1 is 2.9999999999999996, and must not tick at 0.3 again.
             group = _Group(period_s, math.floor(now_s / period_s + 1e-9) + 1)
             self._groups[period_s] = group
-            heapq.heappush(self._heap, (group.deadline_s, next(self._order), group))
+            self._push(group.deadline_s, group)
         group.targets[id(target)] = target
         self._group_of[id(target)] = group
 
@@ -75,11 +79,11 @@ class Schedule:
 
     def at(self, time_s: float, call: Callable[[], None]) -> None:
         """Hands out `call` once, when `time_s` is reached."""
-        heapq.heappush(self._heap, (time_s, next(self._order), call))
+        self._push(time_s, call)
 
-    def next(self) -> float:
-        """Returns when something is due next; infinity where nothing ever is."""
-        return self._heap[0][0] if self._heap else math.inf
+    def _push(self, time_s: float, entry: _Group | Callable[[], None]) -> None:
+        heapq.heappush(self._heap, (time_s, next(self._order), entry))
+        self.next_s = self._heap[0][0]
 
     def due(self, now_s: float) -> list[Due | Callable[[], None]]:
         """Takes out what is due at `now_s`, oldest first."""
@@ -104,4 +108,5 @@ class Schedule:
             out.append(Due(iter(tuple(entry.targets.values())), deadline_s, missed))
             entry.number = number = number + 1
             heapq.heapreplace(heap, (number * period_s, next(self._order), entry))
+        self.next_s = heap[0][0] if heap else math.inf
         return out

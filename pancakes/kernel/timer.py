@@ -176,9 +176,9 @@ class Timer(pykka.Actor):
 
     def _next_host_s(self) -> float:
         """Returns the host time at which something is due next."""
-        mission_s = self._mission_schedule.next()
+        mission_s = self._mission_schedule.next_s
         mission_host_s = math.inf if mission_s == math.inf else self._mission.host_time(mission_s)
-        host_s = self._host_schedule.next()
+        host_s = self._host_schedule.next_s
         return host_s if host_s < mission_host_s else mission_host_s
 
     def _fire_due(self, guest: Guest | None) -> None:
@@ -187,7 +187,7 @@ class Timer(pykka.Actor):
         # A tick whose host time has come is due, even where rounding puts the mission's clock a hair before it.
         due.extend(self._mission_schedule.due(mission_s + 1e-9))
         host_s = self._host.now()
-        if self._host_schedule.next() <= host_s:  # seldom
+        if self._host_schedule.next_s <= host_s:  # seldom
             due.extend(self._host_schedule.due(host_s))
         until_s = -math.inf if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
         while due:
@@ -253,7 +253,7 @@ class VirtualTimer(Timer):
         # As `_fire_due`, but everything at once: there is no other work that a long row of ticks would keep waiting.
         due = self._mission_schedule.due(self._mission.now() + 1e-9)
         host_s = self._host.now()
-        if self._host_schedule.next() <= host_s:
+        if self._host_schedule.next_s <= host_s:
             due.extend(self._host_schedule.due(host_s))
         for item in due:
             if isinstance(item, Due):

@@ -57,7 +57,6 @@ class VirtualDispatcher(Dispatcher):
 
     def __init__(self, seed: int = 0) -> None:
         self.clock = VirtualClock()
-        self._now = self.clock.now
         self._random = random.Random(f"dispatch/{seed}")
         self._work: list[Mailbox] = []
         # What is to be called: in a heap; and what comes next in a row, if it came in the order of its times.
@@ -71,8 +70,8 @@ class VirtualDispatcher(Dispatcher):
     def call_at(self, time_s: float, function: Callable[[], None]) -> VirtualCall:
         """Runs `function` when the clock reaches `time_s`; at the present time if that has passed."""
         call = VirtualCall(function)
-        now, row = self._now, self._row
-        now_s = now()
+        row = self._row
+        now_s = self.clock.now_s
         if time_s < now_s:
             time_s = now_s
         if time_s - now_s <= SOON_S and not (row and time_s < row[-1][0]):
@@ -80,23 +79,6 @@ class VirtualDispatcher(Dispatcher):
         elif time_s < math.inf:  # else it never comes
             heapq.heappush(self._calls, (time_s, next(self._numbers), call))
         return call
-
-    def _take(self, until_s: float) -> _Entry | None:
-        """Takes out what is called next; None where that is later than `until_s`, or nothing."""
-        calls, row = self._calls, self._row
-        while True:
-            if row and not (calls and calls[0] < row[0]):
-                if row[0][0] > until_s:
-                    return None
-                entry = row.popleft()
-            elif calls:
-                if calls[0][0] > until_s:
-                    return None
-                entry = heapq.heappop(calls)
-            else:
-                return None
-            if entry[2].function is not None:
-                return entry
 
     def next_s(self) -> float:
         """Returns when something happens next by itself; infinity where nothing ever will."""
@@ -113,44 +95,41 @@ class VirtualDispatcher(Dispatcher):
         Raises:
             PancakesError: that never ends: somebody tells himself something again and again.
         """
-        self._settle(turns_of_thread())
+        if self._work:
+            self._settle(turns_of_thread())
 
     def _settle(self, turns: Turns) -> None:
+        """Lets everybody work, where somebody has something to do."""
         work, draw, give_turn, deferred = self._work, self._random.random, self.give_turn, turns.deferred
-        given = 0
         turns.given = True
         try:
-            while work:
-                given += 1
-                if given > MOST_TURNS:
-                    component = work[-1].component
-                    who = component.address if component is not None else "a task between restarts"
-                    raise PancakesError(
-                        f"virtual time stands still at {self.clock.now()} s:"
-                        f" after {MOST_TURNS} turns {who} still has work"
-                    )
+            for _ in range(MOST_TURNS):
                 if len(work) > 1:
                     index = int(draw() * len(work))
                     work[index], work[-1] = work[-1], work[index]
                 give_turn(work.pop(), deferred)
+                if not work:
+                    return
         finally:
             turns.given = False
+        component = work[-1].component
+        who = component.address if component is not None else "a task between restarts"
+        raise PancakesError(
+            f"virtual time stands still at {self.clock.now()} s: after {MOST_TURNS} turns {who} still has work"
+        )
 
     def step(self) -> bool:
-        """Lets everybody work, then moves to the next time at which something happens.
+        """Lets everybody work, then does the next thing that happens, and lets everybody work again.
 
         Returns:
             False where nothing will ever happen again by itself.
         """
         self.settle()
-        entry = self._take(math.inf)
-        if entry is None:
+        next_s = self.next_s()
+        if next_s == math.inf:
             return False
-        time_s, _, call = entry
-        self.clock.advance_to(time_s)
-        function = call.function
-        assert function is not None  # what was called off is not taken
-        function()
+        once = iter((True, False))
+        self.run_while(lambda: next(once), next_s)
         return True
 
     def run_until(self, time_s: float) -> None:
@@ -163,22 +142,33 @@ class VirtualDispatcher(Dispatcher):
         Returns:
             Whether the condition ceased to hold; False where the time ran out first.
         """
-        work, take, clock, settle = self._work, self._take, self.clock, self._settle
+        calls, row, work, clock, settle = self._calls, self._row, self._work, self.clock, self._settle
         turns = turns_of_thread()
-        now_s = clock.now()
-        settle(turns)
+        if work:
+            settle(turns)
         while condition():
-            entry = take(until_s)
-            if entry is None:
-                clock.advance_to(max(until_s, now_s))
-                return False
-            time_s, _, call = entry
-            if time_s > now_s:
-                clock.advance_to(time_s)
-                now_s = time_s
+            # What comes next.
+            if row and not (calls and calls[0] < row[0]):
+                time_s, _, call = row[0]
+                if time_s > until_s:
+                    break
+                row.popleft()
+            elif calls:
+                time_s, _, call = calls[0]
+                if time_s > until_s:
+                    break
+                heapq.heappop(calls)
+            else:
+                break
             function = call.function
-            assert function is not None
+            if function is None:  # called off
+                continue
+            if time_s > clock.now_s:
+                clock.now_s = time_s
             function()
             if work:
                 settle(turns)
-        return True
+        else:
+            return True
+        clock.now_s = max(until_s, clock.now_s)
+        return False

@@ -95,8 +95,8 @@ class Mesh:
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
     ) -> None:
+        # Fewer than thirty attributes: those of a larger object Python 3.11 has to search for.
         self.identity = identity
-        self.listen = ""
         self._transport = transport
         self._listen_at = listen
         self._static = tuple(peers)
@@ -128,6 +128,11 @@ class Mesh:
 
     # For everybody
 
+    @property
+    def listen(self) -> str:
+        """The address that it listens at; empty where it does not, or not yet."""
+        return self._own.listen
+
     def start(self) -> None:
         """Listens, and begins to dial.
 
@@ -137,8 +142,7 @@ class Mesh:
         if self._state != "new":
             raise PancakesError(f"the mesh of {self.identity.name} was started before")
         if self._listen_at:
-            self.listen = self._transport.listen(self._listen_at, self._accept)
-        self._own = self.identity.hello(self.listen)
+            self._own = self.identity.hello(self._transport.listen(self._listen_at, self._accept))
         self._transport.call_later(0.0, self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
@@ -344,10 +348,9 @@ class Mesh:
             others = (others + others)[first : first + BEACON_ADDRESSES]
         self._beacons += 1
         addresses = ((own,) if own else ()) + others
-        for _, session in sorted(self._up.items()):
-            if self._gossip(session, addresses):
-                with self._tally_lock:
-                    self._mission_packets += 1
+        told = sum([self._gossip(session, addresses) for _, session in sorted(self._up.items())])
+        with self._tally_lock:
+            self._mission_packets += told
 
     def _accept(self) -> Handler:
         waiting = sum(not session.is_up and not session.address for session in self._sessions.values())
@@ -374,7 +377,8 @@ class Mesh:
         now_s = self._now()
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
-        if was_up and self._peers is not None:
+        # Where all sessions are up, as most of the time, there is none that this link could make needless.
+        if was_up and self._peers is not None and len(self._sessions) > len(self._up):
             rivals = self._peers.heard(session.number, now_s)
             if rivals:
                 self._carry_out(rivals)

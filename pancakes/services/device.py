@@ -198,7 +198,7 @@ class DeviceTask(Task):
 
     def deliver(self, reading: Any) -> None:
         """Publishes a reading on `system`. Any thread."""
-        if self.actor_stopped.is_set():
+        if self.actor_stopped.on:
             return
         try:
             self.publish(SYSTEM, reading)

@@ -6,11 +6,13 @@ costs no battery. Requests go to the world, replies come back, each in a frame a
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, TypeAlias
 
 import msgspec
 
 from pancakes.errors import RemoteProtocolError
+from pancakes.packet import body_class
 from pancakes.wire.framing import FrameReader, frame_of
 
 
@@ -83,11 +85,30 @@ class Attached(msgspec.Struct, tag_field="is", tag="attached", array_like=True, 
 
 
 class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
-    """What a sensor says: the body of a packet of the device's type, which arrives as plain values."""
+    """What a sensor says: the body of a packet of the device's type."""
 
     device: str
     type: str
     value: Any
+
+
+class Answer(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+    """A `Reading` as it arrives: its value is still packed, so that it is made into its class at once."""
+
+    device: str
+    type: str
+    value: msgspec.Raw
+
+    def body(self) -> Any:
+        """Returns the body of the packet; plain values where its type is unknown here.
+
+        Raises:
+            RemoteProtocolError: the value does not fit the type.
+        """
+        try:
+            return _decoder(body_class(self.type) or Any).decode(self.value)
+        except msgspec.MsgspecError as error:
+            raise RemoteProtocolError(f"a packet of the type {self.type!r} has a bad body: {error}") from None
 
 
 class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, frozen=True):
@@ -99,10 +120,16 @@ class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, fr
 
 Request: TypeAlias = Attach | Drive | Halt | Sample
 Reply: TypeAlias = Attached | Reading | Refused
+Replied: TypeAlias = Attached | Answer | Refused
 
 _REQUESTS = msgspec.msgpack.Decoder(list[Request])
-_REPLIES = msgspec.msgpack.Decoder(list[Reply])
+_REPLIES = msgspec.msgpack.Decoder(list[Replied])
 _ENCODER = msgspec.msgpack.Encoder()
+
+
+@cache
+def _decoder(cls: Any) -> msgspec.msgpack.Decoder[Any]:
+    return msgspec.msgpack.Decoder(cls)
 
 
 def encode(message: Request | Reply) -> bytes:
@@ -137,7 +164,7 @@ class ReplyReader:
     def __init__(self) -> None:
         self._frames = FrameReader()
 
-    def feed(self, data: bytes) -> list[Reply]:
+    def feed(self, data: bytes) -> list[Replied]:
         """Takes bytes, and returns the replies that are now complete.
 
         Raises:

@@ -8,7 +8,7 @@ from threading import Lock
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.net.transport import Connection, Scheduled, Transport
-from pancakes.sim.bus import Attach, Reading, Refused, Reply, ReplyReader, Request, encode
+from pancakes.sim.bus import Answer, Attach, Refused, Replied, ReplyReader, Request, encode
 
 _FIRST_RETRY_S = 0.1
 _LONGEST_RETRY_S = 1.0
@@ -29,7 +29,7 @@ class Attachment:
     """
 
     attach: Attach
-    reading: Callable[[Reading], None]
+    reading: Callable[[Answer], None]
     refused: Callable[[str], None]
     lost: Callable[[], None]
 
@@ -99,7 +99,7 @@ class BusClient:
         for attachment in self._attachments.values():
             self.send(attachment.attach)
 
-    def replied(self, reply: Reply) -> None:
+    def replied(self, reply: Replied) -> None:
         """The world has answered."""
         if not self._reached:
             self._reached = True
@@ -108,7 +108,7 @@ class BusClient:
         attachment = self._attachments.get(reply.device)
         if attachment is None:
             return  # its device was closed meanwhile
-        if isinstance(reply, Reading):
+        if isinstance(reply, Answer):
             attachment.reading(reply)
         elif isinstance(reply, Refused):
             attachment.refused(reply.reason)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+
+import msgspec
 
 from pancakes.devices.types import Twist
 
 
-class Wheels(NamedTuple):
+class Wheels(msgspec.Struct, frozen=True, gc=False):
     """The speeds of both wheels over the ground, in m/s."""
 
     left_mps: float

@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 from pancakes.devices.driver import Actuator, DeviceContext, Sensor
 from pancakes.devices.types import Twist
 from pancakes.errors import PancakesError
-from pancakes.packet import body_from_plain
-from pancakes.sim.bus import Attach, Drive, Halt, Reading, Request, Sample
+from pancakes.sim.bus import Answer, Attach, Drive, Halt, Request, Sample
 from pancakes.sim.bus_client import Attachment, BusClient
 from pancakes.sim.models import robot_model
 from pancakes.sim.quantities import Positive
@@ -40,10 +39,10 @@ class _BusDevice:
     def send(self, request: Request) -> bool:
         return self._bus.send(request)
 
-    def _reading(self, reading: Reading) -> None:
+    def _reading(self, answer: Answer) -> None:
         self.waiting = False
         try:
-            body = body_from_plain(reading.type, reading.value)
+            body = answer.body()
         except PancakesError as error:
             self._refused(str(error))
             return

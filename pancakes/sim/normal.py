@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 
 def normals(random: random.Random) -> Callable[[], float]:
@@ -13,18 +13,14 @@ def normals(random: random.Random) -> Callable[[], float]:
     Args:
         random: what they are drawn from, two at a time; nobody else may draw from it.
     """
-    draw, sqrt, log, cos, sin, tau = random.random, math.sqrt, math.log, math.cos, math.sin, math.tau
-    other: float | None = None
+    return _numbers(random).__next__
 
-    def normal() -> float:
-        nonlocal other
-        if other is not None:
-            number, other = other, None
-            return number
+
+def _numbers(random: random.Random) -> Iterator[float]:
+    draw, sqrt, log, cos, sin, tau = random.random, math.sqrt, math.log, math.cos, math.sin, math.tau
+    while True:
         # Box and Muller: a random direction, and how far.
         angle_rad = draw() * tau
         away = sqrt(-2.0 * log(1.0 - draw()))
-        other = sin(angle_rad) * away
-        return cos(angle_rad) * away
-
-    return normal
+        yield cos(angle_rad) * away
+        yield sin(angle_rad) * away

@@ -72,6 +72,7 @@ class Simulation:
         self._senses = Senses(self._arena, settings.noise, _branch(random))
         self._robots: dict[str, Robot] = {}
         self._sensors: dict[str, Sensor] = {}
+        self._standing: list[BodyState] = []  # of the sensors, which stand there for good
         self._walkers: dict[str, Walker] = {}
         self._outside: dict[str, bool] = {}
         self._happenings: list[Happening] = []
@@ -95,6 +96,7 @@ class Simulation:
         for name, sensor in self._settings.sensors.items():
             disc = self._arena.add(name, sensor.x_m, sensor.y_m, sensor.theta_rad, sensor.radius_m)
             self._sensors[name] = Sensor(disc, sensor.motion)
+            self._standing.append(_body_state(disc, "sensor"))
         for name, walker in self._settings.movers.items():
             disc = self._arena.add(name, walker.x_m, walker.y_m, 0.0, walker.radius_m, _WALKER_KG)
             disc.walk(0.0, 0.0)
@@ -258,7 +260,7 @@ class Simulation:
             _body_state(robot.disc, "robot", robot.battery.voltage_v, robot.driven_by, robot.battery.spent)
             for robot in self._robots.values()
         ]
-        bodies += [_body_state(sensor.disc, "sensor") for sensor in self._sensors.values()]
+        bodies += self._standing
         bodies += [_body_state(walker.disc, "mover") for walker in self._walkers.values()]
         return WorldState(self.time_s, tuple(bodies))
 

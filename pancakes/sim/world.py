@@ -76,7 +76,8 @@ class World(Task):
         self._advance()
 
     def _advance(self) -> None:
-        now_s = self.now()
+        now = self.kernel.now  # not `self.now`, which only calls it: each request asks
+        now_s = now()
         if now_s == self._advanced_s:
             return  # several ask at one moment, in virtual time nearly always
         self._advanced_s = now_s
@@ -97,26 +98,23 @@ class World(Task):
     def _serve(self, request: Request) -> Reply | None:
         """Answers a request of a simulated device, at the world's present."""
         self._advance()
+        simulation = self._simulation
         try:
-            return self._answer(request)
+            if type(request) is Sample:  # before the others: most of all are
+                if request.packets_sent is not None:
+                    simulation.packets_sent(request.body, request.packets_sent)
+                if request.listening is not None:
+                    simulation.listens(request.body, request.listening)
+                return Reading(request.device, request.type, simulation.sample(request.body, request.type))
+            match request:
+                case Drive():
+                    wheels = Wheels(request.left_mps, request.right_mps)
+                    simulation.drive(request.body, wheels, request.ttl_s, request.source)
+                case Attach():
+                    simulation.check(request.body, request.type, request.model)
+                    return Attached(request.device)
+                case Halt():
+                    simulation.hold(request.body)
         except PancakesError as error:
             return Refused(request.device, str(error))
-
-    def _answer(self, request: Request) -> Reply | None:
-        simulation = self._simulation
-        if type(request) is Sample:  # before the others: most of all are
-            if request.packets_sent is not None:
-                simulation.packets_sent(request.body, request.packets_sent)
-            if request.listening is not None:
-                simulation.listens(request.body, request.listening)
-            return Reading(request.device, request.type, simulation.sample(request.body, request.type))
-        match request:
-            case Drive():
-                wheels = Wheels(request.left_mps, request.right_mps)
-                simulation.drive(request.body, wheels, request.ttl_s, request.source)
-            case Attach():
-                simulation.check(request.body, request.type, request.model)
-                return Attached(request.device)
-            case Halt():
-                simulation.hold(request.body)
         return None

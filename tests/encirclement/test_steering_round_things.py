@@ -9,7 +9,7 @@ import pytest
 from pancakes.devices.types import Pose, Twist
 from pancakes_encirclement.avoidance import Avoidance, blocked, free_bearing, room_ahead
 from pancakes_encirclement.homing import Homing
-from pancakes_encirclement.local_map import LocalMap
+from pancakes_encirclement.local_map import BEAM_RAD, LocalMap
 from pancakes_encirclement.steering import Steering
 
 HERE = Pose(0.0, 0.0, 0.0)
@@ -46,6 +46,22 @@ def test_what_a_beam_passes_through_has_gone() -> None:
     seen.sweep(HERE, (0.0,), (0.2,), 4.0, now_s=0.0)
     seen.sweep(HERE, (0.0,), (2.0,), 4.0, now_s=0.1)
     assert seen.around(HERE, 0.1) == []
+
+
+def test_a_beam_that_meets_nothing_passes_through_what_has_gone_as_well() -> None:
+    # Along its edge a beam reaches farther out than along its middle.
+    for bearing_rad, max_range_m in ((0.0, 0.381), (BEAM_RAD - 1e-6, 0.379), (1e-6 - BEAM_RAD, 0.379)):
+        seen = LocalMap(0.065, 0.5, 4.0)
+        seen.sweep(HERE, (bearing_rad,), (0.3,), 4.0, now_s=0.0)
+        seen.sweep(HERE, (0.0,), (max_range_m,), max_range_m, now_s=0.1)
+        assert seen.around(HERE, 0.1) == []
+
+
+def test_what_a_beam_does_not_reach_stays() -> None:
+    seen = LocalMap(0.065, 0.5, 4.0)
+    seen.sweep(HERE, (0.0,), (0.3,), 4.0, now_s=0.0)
+    seen.sweep(HERE, (0.0,), (0.37,), 0.37, now_s=0.1)
+    assert seen.around(HERE, 0.1) == [pytest.approx((0.365, 0.0))]
 
 
 def test_a_point_shuts_the_bearings_on_which_the_body_would_come_too_near() -> None:

@@ -16,8 +16,8 @@ class Ticking:
 def ticks(schedule, until_s):
     """Runs a schedule as a timer that is never late, and returns the deadlines."""
     out = []
-    while schedule.next() <= until_s:
-        out += [due.deadline_s for due in schedule.due(schedule.next()) if isinstance(due, Due)]
+    while schedule.next_s <= until_s:
+        out += [due.deadline_s for due in schedule.due(schedule.next_s) if isinstance(due, Due)]
     return out
 
 
@@ -34,7 +34,7 @@ def test_the_first_tick_is_the_next_multiple_so_that_equal_rates_tick_together()
     one, two = Ticking(), Ticking()
     schedule.every(one, 0.5, now_s=0.7)
     schedule.every(two, 0.5, now_s=0.8)
-    assert schedule.next() == 1.0
+    assert schedule.next_s == 1.0
     assert [(tuple(due.targets), due.deadline_s, due.missed) for due in schedule.due(1.0)] == [((one, two), 1.0, 0)]
 
 
@@ -44,7 +44,7 @@ def test_a_timer_that_is_late_gives_one_tick_that_says_how_many_it_missed():
     schedule.every(late, 0.1, now_s=0.0)
     (due,) = schedule.due(0.75)
     assert (due.deadline_s, due.missed) == (pytest.approx(0.7), 6)
-    assert schedule.next() == pytest.approx(0.8)
+    assert schedule.next_s == pytest.approx(0.8)
     assert schedule.due(0.75) == []
 
 
@@ -63,7 +63,7 @@ def test_rounding_gives_no_second_tick_at_a_deadline_that_has_been():
     """0.3 / 0.1 is 2.9999999999999996 in floating point."""
     schedule = Schedule()
     schedule.every(Ticking(), 0.1, now_s=0.3)
-    assert schedule.next() == pytest.approx(0.4)
+    assert schedule.next_s == pytest.approx(0.4)
 
 
 def test_who_is_cancelled_does_not_tick():
@@ -76,7 +76,7 @@ def test_who_is_cancelled_does_not_tick():
     assert [tuple(due.targets) for due in schedule.due(1.0)] == [(two,)]
     schedule.cancel(two)
     assert schedule.due(10.0) == []
-    assert schedule.next() == math.inf
+    assert schedule.next_s == math.inf
 
 
 def test_single_calls_come_once_and_in_the_order_of_their_times():

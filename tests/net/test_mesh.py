@@ -193,6 +193,22 @@ def test_a_link_whose_other_end_has_gone_unseen_gives_way_to_a_new_one(memory_ri
     memory_rig.until(lambda: a.packets)
 
 
+def test_a_second_connection_of_a_peer_is_refused_as_soon_as_the_first_shows_life(memory_rig):
+    a, b = memory_rig.agent("a"), memory_rig.agent("b")
+    b.mesh.learn([a.mesh.listen])
+    memory_rig.until(lambda: a.knows("b") and b.knows("a"))
+    second = memory_rig.ear()
+    memory_rig.transport("b").dial(a.mesh.listen, second)
+    memory_rig.until(lambda: second.connection)
+    second.connection.send(frame([Encoder().link_message(b.mesh.identity.hello(b.mesh.listen))]))
+    b.say("a/client", 1)
+    said_s = memory_rig.clock.now()
+    memory_rig.until(lambda: second.closed_for)
+    assert memory_rig.clock.now() - said_s < 0.1
+    assert b"has another link" in second.data
+    assert a.knows("b") and [packet.body for packet in a.packets] != []
+
+
 def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
     a, b = pair(rig, agent)
     impostor = agent("b", [a.mesh.listen], journal="another journal")

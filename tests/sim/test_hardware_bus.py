@@ -337,3 +337,14 @@ def test_an_address_in_use_is_said(rig):
     rig.open_world()
     with pytest.raises(PancakesError, match="7499"):
         rig.open_world()
+
+
+def test_a_reading_arrives_as_what_it_was_and_one_that_does_not_fit_its_type_is_refused():
+    def arrived(kind, value):
+        (answer,) = bus.ReplyReader().feed(bus.encode(bus.Reading("device", kind, value)))
+        return answer.body()
+
+    assert arrived("pose", Pose(1.0, 2.0, 0.5)) == Pose(1.0, 2.0, 0.5)
+    assert arrived("of_a_plugin_that_is_not_here", {"depth_m": 3.0}) == {"depth_m": 3.0}
+    with pytest.raises(RemoteProtocolError, match="a packet of the type 'pose' has a bad body"):
+        arrived("pose", {"x_m": "far away"})

@@ -142,7 +142,7 @@ def test_a_sample_over_the_bus_is_answered_and_what_cannot_be_is_refused():
     agent.run_until(1.1)
     reading, nobody, wrong_model, attached = robot.replies
     assert attached == bus.Attached("motors")
-    assert (reading.device, reading.type, len(reading.value["ranges_m"])) == ("ir", "ir", 9)
+    assert (reading.device, reading.type, len(reading.body().ranges_m)) == ("ir", "ir", 9)
     assert (nobody.device, nobody.reason) == ("ir2", "the simulated world has no robot 'nobody', only agent1, agent2")
     assert "agent1 is a khepera3" in wrong_model.reason
 

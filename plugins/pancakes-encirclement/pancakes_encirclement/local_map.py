@@ -21,6 +21,7 @@ MERGE_M = 0.03
 BEAM_RAD = math.radians(6.0)
 """Half of a beam's width, as far as a beam that reaches on says that nothing stands in it."""
 _BEAM_SLOPE = math.tan(BEAM_RAD)
+_BEAM_EDGE = 1.001 / math.cos(BEAM_RAD)  # how much longer its edge is than its middle, and a little for rounding
 THROUGH_M = 0.08
 """A beam must reach this far past an echo before the echo is taken to have gone away."""
 
@@ -52,8 +53,10 @@ class LocalMap:
     ) -> None:
         """Takes one sweep of a ring of sensors, seen from `pose`."""
         seen_m = SEEN_SHARE * max_range_m
-        if not self._echoes and min(ranges_m, default=seen_m) >= seen_m:
-            return  # nothing there, and nothing remembered, as most of the time
+        if min(ranges_m, default=seen_m) >= seen_m and not self._remembers(
+            pose, self._body_radius_m + max_range_m - THROUGH_M
+        ):
+            return  # nothing there, and nothing remembered that a beam could reach, as most of the time
         for bearing, range_m in zip(bearings_rad, ranges_m, strict=True):
             hit = range_m < seen_m
             distance = self._body_radius_m + (range_m if hit else max_range_m)
@@ -62,6 +65,11 @@ class LocalMap:
             if hit and distance <= self._reach_m:
                 direction = pose.theta_rad + bearing
                 self._add(pose.x_m + distance * math.cos(direction), pose.y_m + distance * math.sin(direction), now_s)
+
+    def _remembers(self, pose: Pose, free_m: float) -> bool:
+        """Returns whether an echo may lie in some beam that reaches `free_m` from the body's centre."""
+        reach_m = free_m * _BEAM_EDGE
+        return any(math.hypot(echo.x_m - pose.x_m, echo.y_m - pose.y_m) < reach_m for echo in self._echoes)
 
     def around(self, pose: Pose, now_s: float) -> list[Point]:
         """Returns the echoes in the frame of a body that stands at `pose`: x ahead, y to the left, in metres."""
