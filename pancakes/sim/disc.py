@@ -95,11 +95,9 @@ class Disc:
 
     def course(self) -> tuple[float, float, float]:
         """Returns its heading, its true speed along that, and its true turning rate: all of them for one call."""
-        walks = self._walk is not None
-        # As `theta_rad`, without the call: each body is asked for this with each state of the world.
-        theta_rad = math.pi - (math.pi - (self._looks_rad if walks else self.angle_rad)) % math.tau
+        theta_rad = self.theta_rad
         v_mps = self.vx_mps * math.cos(theta_rad) + self.vy_mps * math.sin(theta_rad)
-        return theta_rad, v_mps, 0.0 if walks else self.turning_radps
+        return theta_rad, v_mps, 0.0 if self._walk is not None else self.turning_radps
 
     def asked_for(self) -> tuple[float, float, float, float]:
         """Returns its forward speed, its turning rate, and its velocity along the axes, as asked for."""
