@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import json
 import os
 import platform
 import signal
 import sys
 from pathlib import Path
+from traceback import format_exception_only
+from typing import Any
 
-from benchmarks.figure import Figure, Missing, Plan
+import click
+from benchmarks.figure import Failed, Figure, Missing, Plan
+from torture.ending import interruptible
+from torture.report import json_option, write
 
 TOPICS = (
     "fan_out",
@@ -28,50 +31,73 @@ PEER_TOPICS = ("peer_pairs", "peer_crowds")
 """What needs environments of its own, and is therefore asked for."""
 GROWTH_TOPICS = ("task_growth",)
 """What takes minutes, and is wanted by nobody who only wants to know whether all is well; asked for by name."""
-MOST_ROUNDS = 9
-"""So often each side is measured where the rounds differ much."""
+ALL_TOPICS = TOPICS + PEER_TOPICS + GROWTH_TOPICS
+LEAST_ROUNDS, MOST_ROUNDS = 5, 9
+"""So often each side is measured, and where the rounds differ much."""
 
 
-def main() -> None:
-    """Measures, prints a table, and writes the figures where that is asked for."""
-    options = _options()
-    # Asked to end, it ends what it has started as well.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    rounds = max(5, options.rounds)
-    plan = Plan(rounds, 0.1 if options.quick else 1.0, rounds if options.quick else max(MOST_ROUNDS, rounds))
-    print(
-        f"Python {platform.python_version()}, {os.cpu_count()} cores, medians of {rounds} runs in turns,"
-        f" of {plan.most_rounds} where they differ much\n"
-    )
-    figures: list[Figure | Missing] = []
-    for topic in options.only or (TOPICS + PEER_TOPICS if options.peers else TOPICS):
+@click.command()
+@json_option
+@click.option("--quick", is_flag=True, help="A tenth of the work in each run: quick, and noisy.")
+@click.option(
+    "--rounds", default=LEAST_ROUNDS, show_default=True, type=click.IntRange(LEAST_ROUNDS), help="Runs of each side."
+)
+@click.option(
+    "--peers", is_flag=True, help="Measure beside pyzmq, zenoh and rospy as well, with --only beside what it names."
+)
+@click.option(
+    "--only",
+    multiple=True,
+    type=click.Choice(ALL_TOPICS),
+    metavar="NAME",
+    help=f"One of {', '.join(ALL_TOPICS)}; may be given several times.",
+)
+def bench(json_file: Path | None, quick: bool, rounds: int, peers: bool, only: tuple[str, ...]) -> None:
+    """Measure how fast Pancakes is, each figure beside one of something bare, taken in turns with it.
+
+    Exit code 1 where a topic could not be measured to its end; the others are. 130 after Ctrl-C: what was measured
+    until then is in the file of --json.
+    """
+    topics = tuple(dict.fromkeys((only or TOPICS) + PEER_TOPICS * peers))
+    plan = Plan(rounds, 0.1 if quick else 1.0, rounds if quick else max(MOST_ROUNDS, rounds))
+    more = f", of {plan.most_rounds} where they differ much" if plan.most_rounds > rounds else ""
+    print(f"Python {platform.python_version()}, {os.cpu_count()} cores, medians of {rounds} runs in turns{more}\n")
+    records: list[dict[str, Any]] = []
+    try:
+        with interruptible():
+            failed = [topic for topic in topics if not _measure(topic, plan, records)]
+    except KeyboardInterrupt:
+        print("interrupted")
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        write(json_file, records)
+    sys.exit(1 if failed else 0)
+
+
+def _measure(topic: str, plan: Plan, records: list[dict[str, Any]]) -> bool:
+    """Measures and prints a topic, and adds what it has found to the records; returns whether it came to its end."""
+    found: Figure | Missing | Failed
+    try:
         module = importlib.import_module(f"benchmarks.{topic}")
         beside = getattr(module, "BESIDE", "bare")
-        print(f"{module.TITLE}\n{'':46} {'Pancakes':>12} {beside:>12}        ratio (of the runs)")
-        for figure in module.measure(plan):
-            figures.append(figure)
-            print(_line(figure), flush=True)
-        print()
-    if options.json:
-        options.json.write_text(
-            json.dumps([figure.record() for figure in figures], indent=1, ensure_ascii=False) + "\n"
-        )
+        print(f"{module.TITLE}\n{'':46} {'Pancakes':>12} {beside:>12}        ratio (of the runs)", flush=True)
+        for found in module.measure(plan):
+            records.append(found.record())
+            print(_line(found), flush=True)
+    except Exception as error:  # whatever it is, the other topics have nothing to do with it
+        found = Failed(topic, format_exception_only(error)[-1].strip())
+        records.append(found.record())
+        print(f"{_line(found)}\n", flush=True)
+        return False
+    print()
+    return True
 
 
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE as well")
-    parser.add_argument("--quick", action="store_true", help="a tenth of the work in each run: quick, and noisy")
-    parser.add_argument("--rounds", type=int, default=5, help="runs of each side, 5 or more (5)")
-    parser.add_argument("--peers", action="store_true", help="measure beside pyzmq, zenoh and rospy as well")
-    topics = TOPICS + PEER_TOPICS + GROWTH_TOPICS
-    parser.add_argument("--only", action="append", choices=topics, metavar="NAME", help=f"one of {', '.join(topics)}")
-    return parser.parse_args()
-
-
-def _line(figure: Figure | Missing) -> str:
+def _line(figure: Figure | Missing | Failed) -> str:
     if isinstance(figure, Missing):
         return f"{figure.name} is MISSING: {figure.reason}"
+    if isinstance(figure, Failed):
+        return f"{figure.name} failed: {figure.reason}"
     low, high = figure.spread
     wanted = ""
     if figure.wanted is not None:
@@ -80,7 +106,8 @@ def _line(figure: Figure | Missing) -> str:
         wanted = f"  wanted {sign} {figure.wanted:g}{unit}" + (", MISSED" if figure.is_missed else "")
     value = f"{figure.name:46} {_short(figure.value):>12}"
     if figure.baseline is None or figure.ratio is None:
-        return f"{value} {'':12} {figure.unit:6} {'':6} ({_short(low)} to {_short(high)}){wanted}"
+        runs = f"{_short(low)} to {_short(high)}" if len(figure.runs) > 1 else "one run"
+        return f"{value} {'':12} {figure.unit:6} {'':6} ({runs}){wanted}"
     return (
         f"{value} {_short(figure.baseline):>12} {figure.unit:6} {figure.ratio:6.2f} ({low:.2f} to {high:.2f}){wanted}"
     )
@@ -91,4 +118,4 @@ def _short(value: float) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    bench(prog_name="scripts/bench")

@@ -107,8 +107,9 @@ def process(
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Runs a process, and ends it."""
     bind = None if core is None else lambda: os.sched_setaffinity(0, {core})
+    # In a process group of its own: Ctrl-C is for the benchmark alone, which ends it in good order.
     started = subprocess.Popen(
-        command, env=dict(environment), stdin=subprocess.PIPE, pass_fds=pass_fds, preexec_fn=bind
+        command, env=dict(environment), stdin=subprocess.PIPE, pass_fds=pass_fds, preexec_fn=bind, process_group=0
     )
     try:
         yield started

@@ -1,7 +1,8 @@
 """What a simulated world of many robots costs its process, at real time.
 
 The world is an agent with the task `sim.world`, as anybody starts it; the robots move, and their devices, which are
-another process and not counted, ask and command them over the hardware bus. There is nothing bare beside it.
+another process and not counted, ask and command them over the hardware bus. There is nothing bare beside it; what the
+simulation takes by itself, without agent and bus, is a figure of its own.
 """
 
 from __future__ import annotations
@@ -11,19 +12,28 @@ import os
 import socket
 import sys
 import tempfile
+import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from random import Random
 
+import msgspec
 import psutil
 from benchmarks.agent_process import agent_process, listening_at, offer_tasks, process, read_report
-from benchmarks.figure import Figure, Plan
+from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
+from benchmarks.figure import Figure, Plan, alone
+
+from pancakes.sim.drive import Wheels
+from pancakes.sim.simulation import STEP_S, Simulation
+from pancakes.sim.world import World
 
 TITLE = "a world of Khepera III that move, 9 infrared sensors and wheels each asked and commanded at 10 Hz"
 BESIDE = ""
 WANTED_PERCENT = 40.0
 """Of one core, for the usual number of robots."""
 USUAL = 100
-CASES = (10, USUAL, 1000)
+CASES = (10, USUAL, 300, 1000)
 DURATION_S = 10.0
 APART_M = 1.1
 """Between the places where the robots start: they go in circles of less, and now and then meet."""
@@ -89,6 +99,25 @@ def world(robots: int, duration_s: float) -> list[float]:
     return [100.0 * used_s / duration_s, report["answered"] / duration_s, report["p50_ms"], report["p99_ms"]]
 
 
+def simulation_alone(robots: int, duration_s: float) -> float:
+    """One run of the simulation in this process, in which the robots are asked and commanded as often.
+
+    Returns:
+        The share of a core that it takes at real time, in percent.
+    """
+    table = tomllib.loads(_config("", 0, robots))["task"]["World"]["settings"]
+    simulation = Simulation(msgspec.convert(table, World.Settings), Random(1))
+    turns = round(1.0 / RATE_HZ / STEP_S)  # the robots are spread over so many steps
+    began_s = time.process_time()
+    for step in range(round(duration_s / STEP_S)):
+        simulation.advance(step * STEP_S)
+        for number in range(step % turns, robots, turns):
+            simulation.sample(f"robot{number}", "ir")
+        for number in range((step + turns // 2) % turns, robots, turns):
+            simulation.drive(f"robot{number}", Wheels(*wheels_mps(number)), GOOD_FOR_S, "")
+    return 100.0 * (time.process_time() - began_s) / duration_s
+
+
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
     duration_s = max(2.0, DURATION_S * plan.scale)
@@ -99,8 +128,10 @@ def measure(plan: Plan) -> Iterator[Figure]:
             Figure(f"{robots} robots: readings answered", "1/s"),
             Figure(f"{robots} robots: a reading takes p50", "ms"),
             Figure(f"{robots} robots: a reading takes p99", "ms"),
+            Figure(f"{robots} robots: the simulation alone", "%"),
         ]
-        for _ in range(plan.rounds if robots == USUAL else 1):  # the others only show how the cost grows
-            for figure, value in zip(figures, world(robots, duration_s), strict=True):
-                figure.runs.append(value)
-        yield from figures
+        yield from alone(
+            plan if robots == USUAL else Plan(rounds=1),  # the others only show how the cost grows
+            figures,
+            lambda robots=robots: [*world(robots, duration_s), simulation_alone(robots, duration_s)],  # type: ignore[misc]
+        )

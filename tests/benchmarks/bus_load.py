@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 
-from pancakes.sim.bus import Attach, Drive, Reading, ReplyReader, Sample, encode
+from pancakes.sim.bus import Answer, Attach, Drive, ReplyReader, Sample, encode
 
 RATE_HZ = 10.0
 GOOD_FOR_S = 0.5
@@ -33,11 +33,15 @@ class Robot:
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.reader = ReplyReader()
         self.asked_s = 0.0
-        turn_mps = TURN_MPS if number % 2 else -TURN_MPS
         self.ask = encode(Sample(name, "ir", "ir"))
-        wheels = (SPEED_MPS - turn_mps, SPEED_MPS + turn_mps)
-        self.command = encode(Drive(name, "motors", *wheels, GOOD_FOR_S, f"{name}/client/Roam"))
+        self.command = encode(Drive(name, "motors", *wheels_mps(number), GOOD_FOR_S, f"{name}/client/Roam"))
         self.socket.sendall(encode(Attach(name, "ir", "ir")) + encode(Attach(name, "motors", "motors", "khepera3")))
+
+
+def wheels_mps(number: int) -> tuple[float, float]:
+    """Returns how fast a robot's wheels run, the left one and the right one."""
+    turn_mps = TURN_MPS if number % 2 else -TURN_MPS
+    return SPEED_MPS - turn_mps, SPEED_MPS + turn_mps
 
 
 def _connected(place: tuple[str, int]) -> socket.socket:
@@ -85,7 +89,7 @@ def run(place: tuple[str, int], count: int, duration_s: float, ready_fd: int) ->
         for key, _ in selector.select(max(0.0, due_s - time.monotonic())):
             robot = key.data
             for reply in robot.reader.feed(robot.socket.recv(65_536)):
-                if isinstance(reply, Reading):
+                if isinstance(reply, Answer):
                     late_s.append(time.monotonic() - robot.asked_s)
     late_s.sort()
     report = {"asked": asked, "answered": len(late_s), "p50_ms": 0.0, "p99_ms": 0.0}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -232,25 +233,27 @@ def stock_pykka(subscribers: int, packets: int) -> list[float]:
     """One run of the baseline. Returns the same as `from_a_task`."""
     flooded, probed = _Countdown(subscribers), _Countdown(subscribers)
     heard_s: list[list[float]] = [[] for _ in range(subscribers)]
-    refs = [_StockActor.start(packets, heard_s[number], flooded, probed) for number in range(subscribers)]
-    began_s = time.perf_counter()
-    for _ in range(packets):
-        for ref in refs:
-            ref.tell(_POSE)
-    flooded.wait()
-    delivery_ns = (flooded.ended_s - began_s) / (packets * subscribers) * 1e9
-    probes_s = []
-    due_s = time.perf_counter()
-    for _ in range(PROBES):
-        due_s += 1.0 / PROBES_HZ
-        time.sleep(max(0.0, due_s - time.perf_counter()))
-        probes_s.append(time.perf_counter())
-        for ref in refs:
-            ref.tell(_POSE)
-    probed.wait()
-    for ref in refs:
-        ref.stop()
-    return [delivery_ns, _last_us(probes_s, heard_s)]
+    with ExitStack() as stack:  # actors that nobody stops would keep this process for ever
+        refs = []
+        for number in range(subscribers):
+            refs.append(_StockActor.start(packets, heard_s[number], flooded, probed))
+            stack.callback(refs[-1].stop)
+        began_s = time.perf_counter()
+        for _ in range(packets):
+            for ref in refs:
+                ref.tell(_POSE)
+        flooded.wait()
+        delivery_ns = (flooded.ended_s - began_s) / (packets * subscribers) * 1e9
+        probes_s = []
+        due_s = time.perf_counter()
+        for _ in range(PROBES):
+            due_s += 1.0 / PROBES_HZ
+            time.sleep(max(0.0, due_s - time.perf_counter()))
+            probes_s.append(time.perf_counter())
+            for ref in refs:
+                ref.tell(_POSE)
+        probed.wait()
+        return [delivery_ns, _last_us(probes_s, heard_s)]
 
 
 def measure(plan: Plan) -> Iterator[Figure]:

@@ -123,6 +123,23 @@ class Missing:
         return {"name": self.name, "missing": self.reason}
 
 
+@dataclass(frozen=True)
+class Failed:
+    """A topic that did not come to its end.
+
+    Attributes:
+        name: the topic.
+        reason: why.
+    """
+
+    name: str
+    reason: str
+
+    def record(self) -> dict[str, Any]:
+        """Returns it as plain values."""
+        return {"name": self.name, "failed": self.reason}
+
+
 Side = tuple[Callable[[], list[float]], Sequence[list[float]]]
 """What measures a side once, and where each of its values goes."""
 

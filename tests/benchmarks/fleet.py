@@ -14,7 +14,8 @@ from benchmarks.figure import Figure, Plan, alone
 from soak.agents import Fleet, bytes_sent, names_of
 from soak.vitals import processor_s, vitals_of
 
-TITLE = "An agent in a fleet of so many, all on this machine"
+TITLE = "an agent in a fleet of so many, all on this machine"
+BESIDE = ""
 SIZES = (2, 10, 25, 50)
 SPAN_S = 6.0
 SETTLE_S = 3.0

@@ -73,6 +73,7 @@ def peer_process(
         env={**environment(), **variables},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
+        process_group=0,  # see `agent_process.process`
     )
     try:
         yield PeerProcess(f"{peer.name} ({' '.join(arguments)})", started)

@@ -20,3 +20,7 @@ def test_every_robot_of_a_big_world_gets_its_readings():
     assert percent > 0.0
     assert readings_hz >= 0.95 * 5 * 10
     assert 0.0 < p50_ms <= p99_ms
+
+
+def test_a_simulation_of_more_robots_takes_more_without_agent_and_bus():
+    assert 0.0 < big_world.simulation_alone(1, 0.2) < big_world.simulation_alone(100, 0.2)

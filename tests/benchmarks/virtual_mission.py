@@ -11,10 +11,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 
 from benchmarks.agent_process import usual_environment
-from benchmarks.figure import Figure, Plan
+from benchmarks.figure import Figure, Plan, alone
 
 from pancakes.plugins import Plugins
 
@@ -45,5 +46,6 @@ def mission(seed: int, share: float) -> float:
 
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
-    runs = [mission(seed, plan.scale) for seed in range(1, plan.rounds + 1)]
-    yield Figure(f"{DEMO}, start-up apart", "x", "min", WANTED, runs, absolute=True)
+    seeds = count(1)
+    figure = Figure(f"{DEMO}, start-up apart", "x", "min", WANTED, absolute=True)
+    yield from alone(plan, [figure], lambda: [mission(next(seeds), plan.scale)])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import signal
 import sys
 import tempfile
 import time
@@ -19,6 +17,8 @@ from soak.agents import names_of
 from soak.churn import Churn
 from soak.churn import Outcome as ChurnOutcome
 from soak.judgement import GROWTH_MIB, LONG_S, MORE_PIECES, SLOPE_MIB_PER_H, shown
+from torture.ending import interruptible
+from torture.report import json_option, write
 
 LONGEST_WARM_UP_S: Final = 600.0
 
@@ -28,15 +28,19 @@ LONGEST_WARM_UP_S: Final = 600.0
 @click.option(
     "--agents", type=click.IntRange(2, 250), help="How many.  [default: 4; 50 with --steady, 200 with --virtual]"
 )
-@click.option("--seed", default=1, show_default=True, help="Draws what is done; the machine draws the rest.")
-@click.option("--steady", "way", flag_value="steady", help="Nothing is done to the agents: does any link end?")
-@click.option("--virtual", "way", flag_value="virtual", help="In virtual time, where each task moves once.")
-@click.option(
-    "--leak", "leak_bytes", type=click.IntRange(0), default=0, help="Each agent loses so many bytes every two seconds."
-)
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write all figures to it.")
+@click.option("--seed", type=int, help="Draws what is done; the machine draws the rest.  [default: 1]")
+@click.option("--steady", "is_steady", is_flag=True, help="Nothing is done to the agents: does any link end?")
+@click.option("--virtual", "is_virtual", is_flag=True, help="In virtual time, where each task moves once.")
+@click.option("--leak", "leak_bytes", type=click.IntRange(0), help="Each agent loses so many bytes every two seconds.")
+@json_option
 def soak(
-    minutes: float | None, agents: int | None, seed: int, way: str | None, leak_bytes: int, json_file: Path | None
+    minutes: float | None,
+    agents: int | None,
+    seed: int | None,
+    is_steady: bool,
+    is_virtual: bool,
+    leak_bytes: int | None,
+    json_file: Path | None,
 ) -> None:
     """Let a fleet run for long while tasks are started, stopped and moved, and agents are killed and come back.
 
@@ -44,23 +48,27 @@ def soak(
     in the end no agent may have more threads, sockets or files than after the warm-up, and each task must run once.
     Exit code 0 only where all of that is so. With --leak it has to fail: that shows what it would find.
     """
-    # Asked to end, it ends what it has started as well.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    duration_s = 60 * (minutes if minutes is not None else 60.0 if way is None else 10.0)
+    if is_steady and is_virtual:
+        raise click.UsageError("--steady and --virtual are two runs: one of them at a time.")
+    if leak_bytes is not None and (is_steady or is_virtual):
+        raise click.UsageError("--leak is neither for --steady nor for --virtual: no leak is looked for there.")
+    if is_steady and seed is not None:
+        raise click.UsageError("--seed is not for --steady: nothing is drawn there.")
+    if not is_steady and seed is None:
+        seed = 1
+    duration_s = 60 * (minutes if minutes is not None else 10.0 if is_steady or is_virtual else 60.0)
     began_s = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="pancakes-soak-") as name:
-        if way == "steady":
+    with interruptible(), tempfile.TemporaryDirectory(prefix="pancakes-soak-") as name:
+        if seed is None:
             found, faults = _steady(Path(name), agents or 50, duration_s)
-        elif way == "virtual":
+        elif is_virtual:
             found, faults = _virtual(agents or 200, duration_s, seed)
         else:
-            found, faults = _churn(Path(name), agents or 4, duration_s, seed, leak_bytes)
+            found, faults = _churn(Path(name), agents or 4, duration_s, seed, leak_bytes or 0)
     for fault in faults:
         print(f"FAULT: {fault}")
     print(f"in {time.monotonic() - began_s:.0f} s: {'FAIL' if faults else 'PASS'}")
-    if json_file is not None:
-        figures = {**found, "seed": seed, "faults": faults, "passed": not faults}
-        json_file.write_text(json.dumps(figures, indent=1) + "\n")
+    write(json_file, {**found, "seed": seed, "faults": faults, "passed": not faults})
     sys.exit(1 if faults else 0)
 
 
@@ -121,4 +129,4 @@ def _plain(outcome: ChurnOutcome) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    soak()
+    soak(prog_name="scripts/soak")

@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 import click
+from torture.ending import interruptible
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
@@ -20,8 +21,10 @@ from pancakes.plugins import Plugins, UnknownPlugin
 
 
 @click.group()
-def torture() -> None:
+@click.pass_context
+def torture(context: click.Context) -> None:
     """Try hard to make it fail."""
+    context.with_resource(interruptible())
 
 
 @torture.command()
@@ -139,4 +142,4 @@ for live in (kills, cuts, gap, load, standstill):
 
 
 if __name__ == "__main__":
-    torture()
+    torture(prog_name="scripts/torture")

@@ -14,7 +14,7 @@ from torture.cuts import FATES, STEPS, Cutter
 from torture.gap import Gaps, measure
 from torture.grounds import Survey, by_proxy, in_namespaces, on_loopback
 from torture.kills import plan, run_fleets
-from torture.namespaces import Namespaces, NoNamespaces, check, interruptible
+from torture.namespaces import Namespaces, NoNamespaces, check
 from torture.points import NAMES as POINT_NAMES
 from torture.report import json_option, spread, write
 from torture.tally import Tally
@@ -41,7 +41,7 @@ def namespaces(wanted: bool | None, what: str) -> Iterator[tuple[Namespaces | No
                 raise click.ClickException(f"{error}.") from None
             not_run.append(f"{what}: {error}")
             print(f"Not run: {not_run[0]}.")
-    with interruptible(), spaces or nullcontext():
+    with spaces or nullcontext():
         yield spaces, not_run
 
 
@@ -77,8 +77,7 @@ def kills(count: int, at: str, first: int, fleets: int, json_file: Path | None) 
         print(f"{tally.kills} kills, {len(tally.lost)} lost, {time.monotonic() - began_s:.0f} s", flush=True)
 
     random_kills, points = plan(count, at)
-    with interruptible():
-        tally = run_fleets(random_kills, points, first, min(fleets, count), told)
+    tally = run_fleets(random_kills, points, first, min(fleets, count), told)
     faults = (*tally.doubled, *tally.lost, *tally.backwards, *tally.missed)
     for sentence in faults:
         print(sentence)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -59,11 +60,15 @@ class LoadedFleet:
             dialled = (peers or {}).get(name, [self.addresses[other] for other in tasks if other != name])
             self._configs[name] = directory / f"{name}.toml"
             self._configs[name].write_text(self._config(name, mine, dialled))
-        for name in tasks:
-            self.start(name)
-        for running in self.running.values():
-            running.hear(READY)
-        self.client = Client(list(self.addresses.values()), timeout_s=PATIENCE_S)
+        try:
+            for name in tasks:
+                self.start(name)
+            for running in self.running.values():
+                running.hear(READY)
+            self.client = Client(list(self.addresses.values()), timeout_s=PATIENCE_S)
+        except BaseException:  # nobody has it yet who could close it
+            self.rig.close()
+            raise
 
     def _config(self, name: str, tasks: Tasks, dialled: Sequence[str]) -> str:
         lines = [
@@ -85,8 +90,8 @@ class LoadedFleet:
         self.close()
 
     def start(self, name: str) -> None:
-        """Starts an agent."""
-        self.running[name] = self.rig.agent(self._configs[name])
+        """Starts an agent, which ends with this thread."""
+        self.running[name] = self.rig.agent(self._configs[name], f"--die-with-parent={os.getpid()}")
 
     def file(self, agent: str, task: str) -> Path:
         """Returns where a task tells what it sees."""

@@ -15,8 +15,6 @@ import signal
 import struct
 import subprocess
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -134,21 +132,6 @@ class Namespaces:
         for place in self.places:
             _remove(place.name)
         self.places.clear()
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Lets SIGTERM and SIGHUP end the run as Ctrl-C does, so that it clears up. Main thread."""
-
-    def interrupt(number: int, frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def remove_leftovers() -> list[str]:

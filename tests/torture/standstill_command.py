@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -70,8 +71,10 @@ def run_round(seed: int, dumps: str) -> dict[str, Any]:
     load = draws.choice((0, 0, 1, 2))
     peers = draws.choice((0, 1, 2))
     with ExitStack() as stack:
+        # They are killed, and so leave behind what they write.
+        told["directory"] = stack.enter_context(tempfile.TemporaryDirectory(prefix="pancakes-standstill-"))
         for _ in range(load):
-            burner = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+            burner = subprocess.Popen([sys.executable, "-c", "while True: pass"], process_group=0)
             stack.callback(_end, burner)
         watched = _agent(stack, told, cores)
         visitors = [_agent(stack, _visitor(told, number, draws), here) for number in range(peers)]
@@ -106,6 +109,8 @@ def _agent(stack: ExitStack, told: dict[str, Any], cores: list[int]) -> subproce
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
+        env={**os.environ, "TMPDIR": told["directory"]},
+        process_group=0,  # Ctrl-C is for this process alone, which ends them
         preexec_fn=lambda: os.sched_setaffinity(0, cores),
     )
     stack.callback(_end, started)

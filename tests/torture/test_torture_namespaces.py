@@ -25,7 +25,8 @@ from torture.wire import Link, Wire
 
 RUN = """
 import subprocess, sys, threading
-from torture.namespaces import Namespaces, interruptible
+from torture.ending import interruptible
+from torture.namespaces import Namespaces
 with interruptible(), Namespaces() as spaces:
     place = spaces.add()
     inside = subprocess.Popen([*place.command, "sleep", "600"], stdout=subprocess.DEVNULL)
