@@ -471,9 +471,15 @@ class Root(Component):
             return
         place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
-        self._halt_as_asked(place, request, lambda answer: answer(""))
-        if body.for_s is not None:
-            place.alarm = self.after(body.for_s, lambda: self._wake(place))
+        wakes_s = self.now() + body.for_s if body.for_s is not None else None
+
+        def halted(answer: Callable[[str], None]) -> None:
+            # Not before: to stop may take longer than the sleep that was asked for, and there is nobody to wake yet.
+            if wakes_s is not None:
+                place.alarm = self.after(max(0.0, wakes_s - self.now()), lambda: self._wake(place))
+            answer("")
+
+        self._halt_as_asked(place, request, halted)
 
     def _halt_as_asked(
         self, place: ServicePlace, request: Request, then: Callable[[Callable[[str], None]], None]

@@ -179,6 +179,21 @@ def test_a_service_may_be_stopped_for_a_time_and_wakes_by_itself(fleet, service)
     assert agent.events("asked", what="wake", service=service)
 
 
+def test_a_service_wakes_also_where_to_stop_took_longer_than_it_was_to_sleep(fleet):
+    """Its tasks wait for a slow disk, say."""
+    agent = with_mapper(fleet)
+    service = agent.component("mapper")
+    close = service.close
+    service.close = lambda then: service.after(2.0, lambda: close(then))
+    stopped = agent.publish(SYSCTRL, Stop("mapper", for_s=0.1))
+    fleet.run_for(1.0)
+    assert states(agent)["mapper"] == "stopping"
+    assert agent.reply_to(stopped).ok
+    fleet.run_for(0.1)
+    assert states(agent)["mapper"] == "running"
+    assert agent.events("asked", what="wake", service="mapper")
+
+
 @pytest.mark.parametrize("for_s", [0.0, -1.0, float("nan"), float("inf")])
 def test_no_time_is_no_time(fleet, for_s):
     agent = with_mapper(fleet)

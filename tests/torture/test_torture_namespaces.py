@@ -50,6 +50,8 @@ def begin() -> tuple[subprocess.Popen[str], str, int]:
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
         stdout=subprocess.PIPE,
         text=True,
+        # Under `nohup` it would be ignored, and a run leaves that as it is.
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
     assert run.stdout is not None
     name, pid = run.stdout.readline().split()
