@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pancakes.cli import interpreter
 from pancakes.cli.agent_options import Options
 from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.clock import MonotonicClock
 
 if TYPE_CHECKING:
     from pancakes.agent import Agent
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 STOP_S: Final = 1.9
 """An agent that has not stopped in good order by then is ended all the same, in seconds."""
+TWICE_S: Final = 0.05
+"""The same signal so soon again, in seconds, is the same wish; later, it ends the agent at once."""
 
 
 @sentences
@@ -59,7 +62,8 @@ class Orders:
 
     def __init__(self) -> None:
         self._reasons: deque[str] = deque()
-        self._seen: list[int] = []
+        self._now = MonotonicClock().now
+        self._seen: dict[int, float] = {}  # when each signal came first
         # The kernel may hand a signal to any thread, and Python handles it in this one, which has to be woken for that.
         self._wake_reader, self._wake_writer = os.pipe()
         os.set_blocking(self._wake_writer, False)
@@ -85,10 +89,13 @@ class Orders:
     def _heard(self, number: int, frame: FrameType | None) -> None:
         # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
         if number in self._seen:
-            os._exit(REFUSED)
+            # `timeout` tells a process, and then its group, in which it is again: that is once.
+            if self._now() - self._seen[number] >= TWICE_S:
+                os._exit(REFUSED)
+            return
         if not self._seen:
             signal.setitimer(signal.ITIMER_REAL, STOP_S)
-        self._seen.append(number)
+        self._seen[number] = self._now()
         self._reasons.append("")
 
     def _too_late(self, number: int, frame: FrameType | None) -> None:

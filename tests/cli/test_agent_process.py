@@ -3,10 +3,13 @@
 import signal
 import socket
 import struct
+import threading
 from collections.abc import Callable
 
 import pytest
 from processes import READY, Rig, Running
+
+from pancakes.cli.agent_process import TWICE_S
 
 STOPPED_WITHIN_S = 2.0
 
@@ -83,10 +86,20 @@ def test_a_stuck_task_does_not_keep_it_from_ending_in_time(stuck: Running):
 def test_the_same_signal_again_ends_it_at_once(rig: Rig, stuck: Running):
     stuck.process.send_signal(signal.SIGTERM)
     rig.wait_until_gone(stuck.pid)  # the first thing that it does when it is to stop
+    threading.Event().wait(2 * TWICE_S)  # sooner, it would be the same wish
     code, took_s = stuck.signalled(signal.SIGTERM)
 
     assert code == 1
     assert took_s < 1.0
+
+
+def test_who_says_the_same_twice_in_one_breath_says_it_once(rig: Rig):
+    """As `timeout` does: to the process, and to its group."""
+    agent = rig.ready("a")
+    agent.process.send_signal(signal.SIGTERM)
+    code, _ = agent.signalled(signal.SIGTERM)
+
+    assert code == 0
 
 
 def test_a_port_in_use(rig: Rig):
