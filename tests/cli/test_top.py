@@ -77,7 +77,9 @@ def test_once_takes_two_looks_and_tells_the_rates_that_are_reached(rig: Rig, age
     assert 10.0 < row["memory_mib"] < 500.0
     tasks = {it["task"]: it for it in row["tasks"]}
     assert tasks["Walk"]["rate_hz"] == 50.0
-    assert 5.0 < tasks["Walk"]["achieved_hz"] < 60.0  # how many there are depends on what else the machine does
+    # On a busy machine ticks are missed, and counted; those that are not come at their rate.
+    assert tasks["Walk"]["achieved_hz"] + tasks["Walk"]["missed"] >= 45.0
+    assert tasks["Walk"]["achieved_hz"] <= 55.0
     assert 0.0 <= tasks["Walk"]["lateness_s"] < 0.5
     assert (tasks["Idle"]["state"], tasks["Idle"]["achieved_hz"]) == ("stopped", None)
 
