@@ -1,16 +1,16 @@
 """What it costs the agents of the demo to be recorded, and to be watched by an open page.
 
-Everything is measured on one live fleet, as `pancakes demo encirclement` runs it (five times real time), in spans that
-take turns: unobserved, recorded, unobserved, watched, and so on. A span with an observer is compared with the two
-beside it, half as long each: what drifts in the machine falls out of that. Processor time is that of the agents'
-processes; lateness is that of a task on each agent that is ticked 200 times a second of host time, ticks that never
-came included.
+Everything is measured on two live fleets, as `pancakes demo encirclement` runs them (five times real time), at the same
+time: one is observed and the other is not, then the other way round. What the machine does to one of them it does to
+the other: one fleet alone, observed and not in turns, took from 225 to 360 ms a second with nothing changed, which
+hides a tenth. Processor time is that of the agents' processes; lateness is that of a task on each agent that is ticked
+200 times a second of host time, ticks that never came included.
 
-A span with an observer lasts five seconds, in which a recorder brings its file to the disk once; what only its start
-takes is over before. The p99 of such a span rests on its forty latest ticks, and differs twofold between two in which
-nothing is different: so percentiles are those of all ticks of a side together. What else the machine does makes ticks
-late as well: rounds in which all other processes together were much busier than in the quietest do not count, on
-whichever side that was; at least half of them does.
+A fleet is observed for five seconds at a time, in which a recorder brings its file to the disk once; what only its
+start takes is over before. The p99 of such a span rests on its forty latest ticks, and differs twofold between two in
+which nothing is different: so percentiles are those of all ticks of a side together. What else the machine does makes
+ticks late as well: rounds in which all other processes together were much busier than in the quietest do not count; at
+least half of them does.
 
 The range that is shown is where a ratio lies in 90 of 100 draws of as many rounds from these (a bootstrap): it says how
 far the ratio is to be trusted.
@@ -50,10 +50,10 @@ TICKS_HZ = 200.0
 WANTED = 1.1
 SHOWN = (("processor time a second", None), ("lateness p50", 0.5), ("lateness p99", 0.99))
 """What is told of each observer, and which percentile of the lateness it is."""
-ROUNDS = 9
-"""So many rounds at least, which take three minutes: with fewer, the p99 is not sure to 10 % either."""
+ROUNDS = 7
+"""So many rounds at least, which take three and a half minutes: with fewer, the p99 is not sure to 10 %."""
 SETTLE_S = 0.5
-"""So long after nothing observes any more nothing is measured, ..."""
+"""So long nothing is measured after something has ended to observe, ..."""
 RECORDER_SETTLE_S = 1.0
 """... so long after a recorder began, which first asks for all tasks, ..."""
 PAGE_SETTLE_S = 2.2
@@ -86,15 +86,15 @@ class Span:
 
 @dataclass(frozen=True)
 class Round:
-    """A span with an observer, and those without one before and after it."""
+    """Each fleet once with an observer, and what the other, which had none, did at the same time."""
 
-    ours: Span
+    ours: tuple[Span, Span]
     bare: tuple[Span, Span]
 
     @property
     def others_ms(self) -> float:
-        """The processor time of all other processes for each second, in the busiest of the spans."""
-        return max(span.others_ms for span in (self.ours, *self.bare))
+        """The processor time of all other processes for each second, in the busier of the spans."""
+        return max(span.others_ms for span in self.ours)
 
 
 @dataclass
@@ -136,7 +136,7 @@ class Compared(Figure):
         return ratios[outside], ratios[-1 - outside]
 
     def _sides(self, rounds: list[Round]) -> tuple[float, float]:
-        ours = [measured.ours for measured in rounds]
+        ours = [span for measured in rounds for span in measured.ours]
         return self._of(ours), self._of([span for measured in rounds for span in measured.bare])
 
     def _of(self, spans: list[Span]) -> float:
@@ -180,28 +180,21 @@ class Demo:
             raise RuntimeError(f"{agent} refuses {body}: {reply.reason}")
         return reply.result
 
-    def span(self, duration_s: float) -> Span:
-        """Measures for a while."""
-        self._mark()
-        before_s, all_before_s = self._processor_s(), _machine_s()
-        begun_s = time.monotonic()
-        time.sleep(duration_s)
-        used_s, all_used_s = self._processor_s() - before_s, _machine_s() - all_before_s
-        took_s = time.monotonic() - begun_s
-        self._mark()
+    def mark(self) -> None:
+        """Begins a span of ticks, and ends the one before."""
+        self._window += 1
+        for agent in AGENTS:
+            self.ask(agent, Configure(STEADY, {"window": self._window}))
+
+    def ticks(self, duration_s: float) -> list[int]:
+        """Returns how late each tick of the span was that has ended, in µs; so long it was."""
         ticks = {agent: self._ticks(agent) for agent in AGENTS}
         if any(len(late_us) < 0.5 * TICKS_HZ * duration_s for late_us in ticks.values()):
             told = ", ".join(
                 f"{agent} {len(late_us)} (latest {max(late_us, default=0)} µs)" for agent, late_us in ticks.items()
             )
-            raise RuntimeError(f"of {TICKS_HZ * duration_s:.0f} ticks in {took_s:.2f} s these came: {told}")
-        late_us = [one_us for agent in AGENTS for one_us in ticks[agent]]
-        return Span(1000 * used_s / took_s, late_us, 1000 * max(0.0, all_used_s - used_s) / took_s)
-
-    def _mark(self) -> None:
-        self._window += 1
-        for agent in AGENTS:
-            self.ask(agent, Configure(STEADY, {"window": self._window}))
+            raise RuntimeError(f"of {TICKS_HZ * duration_s:.0f} ticks these came: {told}")
+        return [one_us for agent in AGENTS for one_us in ticks[agent]]
 
     def _ticks(self, agent: str) -> list[int]:
         state = self.ask(agent, Describe(STEADY, state=True))["state"]
@@ -209,14 +202,19 @@ class Demo:
             raise RuntimeError(f"{agent} tells the ticks of another span")
         return [int(one_us) for one_us in state["late_us"].split()]
 
-    def _processor_s(self) -> float:
+    def processor_s(self) -> float:
+        """Returns the processor time of all agents so far."""
         # Of another process, to the nanosecond: how Linux builds the number of such a clock (clock_getcpuclockid).
         return sum(time.clock_gettime((~one.pid << 3) | 2) for one in self._processes.values())
 
 
 @contextmanager
-def running_demo() -> Iterator[Demo]:
-    """Runs the agents of the demo; their batteries last, so that all spans are alike."""
+def running_demo(fleet: str) -> Iterator[Demo]:
+    """Runs the agents of the demo; their batteries last, so that all spans are alike.
+
+    Args:
+        fleet: the name of their fleet.
+    """
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name, ExitStack() as stack:
         directory = Path(name)
         environment = dict(offer_tasks(directory / "python"))
@@ -232,7 +230,7 @@ def running_demo() -> Iterator[Demo]:
         processes = {}
         for agent, path in files.items():
             sets = [
-                f'agent.fleet="bench-{os.getpid()}"',
+                f'agent.fleet="{fleet}"',
                 f'agent.state_dir="{directory}/state-{agent}"',
                 f"clock.speed={SPEED}",
                 "service.log.settings.console=false",
@@ -271,35 +269,50 @@ def _client(address: str) -> Iterator[Client]:
         time.sleep(0.2)
 
 
-def recorded(demo: Demo, span_s: float) -> Span:
-    """One span in which all agents record everything."""
+@contextmanager
+def recorded(demo: Demo) -> Iterator[None]:
+    """All agents record everything."""
     for agent in AGENTS:
         demo.ask(agent, Start(RECORDER, {"path": f"{demo.directory}/{{agent}}.mcap"}))
     time.sleep(RECORDER_SETTLE_S)
     try:
-        return demo.span(span_s)
+        yield
     finally:
         for agent in AGENTS:
             demo.ask(agent, Stop(RECORDER))
 
 
-def watched(demo: Demo, span_s: float) -> Span:
-    """One span in which a page is open: what a page shows is followed, whoever looks at it and however fast."""
+@contextmanager
+def watched(demo: Demo) -> Iterator[None]:
+    """A page is open: what a page shows is followed, whoever looks at it and however fast."""
     begun_s = time.monotonic()
     addresses = [door.agents()[0].listen for door in demo.client.doors()]
     watch = Watch(Feed(lambda: time.monotonic() - begun_s), addresses)
     watch.start()
     time.sleep(PAGE_SETTLE_S)
     try:
-        return demo.span(span_s)
+        yield
     finally:
         watch.close()
 
 
-def unobserved(demo: Demo, span_s: float) -> Span:
-    """One span in which nobody looks."""
-    time.sleep(SETTLE_S)
-    return demo.span(span_s)
+def side_by_side(ours: Demo, bare: Demo, duration_s: float) -> tuple[Span, Span]:
+    """Measures two fleets at the same time."""
+    demos = (ours, bare)
+    for demo in demos:
+        demo.mark()
+    before_s, all_before_s = [demo.processor_s() for demo in demos], _machine_s()
+    begun_s = time.monotonic()
+    time.sleep(duration_s)
+    used_s, all_s = [demo.processor_s() - at_s for demo, at_s in zip(demos, before_s, strict=True)], _machine_s()
+    took_s = time.monotonic() - begun_s
+    for demo in demos:
+        demo.mark()
+    others_ms = 1000 * max(0.0, all_s - all_before_s - sum(used_s)) / took_s
+    first, second = (
+        Span(1000 * its_s / took_s, demo.ticks(took_s), others_ms) for demo, its_s in zip(demos, used_s, strict=True)
+    )
+    return first, second
 
 
 def measure(plan: Plan) -> Iterator[Figure]:
@@ -313,16 +326,22 @@ def measure(plan: Plan) -> Iterator[Figure]:
         ]
         for name, _ in observers
     }
-    with running_demo() as demo:
-        for _, observer in observers:
-            observer(demo, 1.0)  # the first time modules are imported
-        before = unobserved(demo, span_s / 2)
+    fleets = [f"bench-{os.getpid()}-{number}" for number in (1, 2)]
+    with running_demo(fleets[0]) as one, running_demo(fleets[1]) as other:
+        for demo in (one, other):
+            for _, observer in observers:
+                with observer(demo):  # the first time modules are imported
+                    time.sleep(SETTLE_S)
         for _ in range(max(ROUNDS, plan.rounds) if plan.scale == 1.0 else plan.rounds):
             for name, observer in observers:
-                ours, after = observer(demo, span_s), unobserved(demo, span_s / 2)
+                halves = []
+                for ours, bare in ((one, other), (other, one)):
+                    time.sleep(SETTLE_S)
+                    with observer(ours):
+                        halves.append(side_by_side(ours, bare, span_s))
+                measured = Round((halves[0][0], halves[1][0]), (halves[0][1], halves[1][1]))
                 for figure in figures[name]:
-                    figure.take(Round(ours, (before, after)))
-                before = after
+                    figure.take(measured)
     for found in figures.values():
         yield from found
 

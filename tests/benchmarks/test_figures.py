@@ -66,12 +66,14 @@ def test_ticks_that_never_came_count_as_late_as_they_would_have_been():
 
 
 def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:
-    """A round in which the machine slowed down, all the while, by a half; its latest hundredth of ticks was late."""
-    bare = Span(bare_ms, [90] * 198 + [100] * 2, 50.0), Span(1.5 * bare_ms, [90] * 198 + [100] * 2, others_ms)
-    return Round(Span(1.25 * bare_ms * ratio, [90] * 393 + [late_us] * 4 + [3 * late_us] * 3, others_ms), bare)
+    """A round in which the machine had slowed down by a half when the observer went over to the other fleet."""
+    usual_us, seen_us = [90] * 198 + [100] * 2, [90] * 393 + [late_us] * 4 + [3 * late_us] * 3
+    bare = Span(bare_ms, usual_us, others_ms), Span(1.5 * bare_ms, usual_us, others_ms)
+    ours = Span(bare_ms * ratio, seen_us, 50.0), Span(1.5 * bare_ms * ratio, seen_us, others_ms)
+    return Round(ours, bare)
 
 
-def test_an_observer_is_compared_with_the_spans_beside_it_in_the_rounds_that_were_left_alone():
+def test_an_observed_fleet_is_compared_with_its_twin_in_the_rounds_that_were_left_alone():
     alone = [observed(1.05, 200, 50.0) for _ in range(9)]
     disturbed = [observed(2.0, 9000, 1e6, bare_ms=300.0) for _ in range(2)]
     processor, p99 = Compared("x", "ms"), Compared("y", "us", share=0.99)
