@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 from pancakes.kernel.counter import Counter
@@ -14,6 +15,14 @@ MOST_BYTES: Final = 64 * 1024 * 1024
 """So many bytes of bodies wait, besides bodies lighter than `LIGHT_BYTES`; one may always wait."""
 
 Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class _Heavy(Generic[Item]):
+    """What belongs to a heavy packet, and how heavy that is."""
+
+    item: Item
+    weight: int
 
 
 class Backlog(Generic[Item]):
@@ -32,7 +41,7 @@ class Backlog(Generic[Item]):
     def __init__(self, limit: int, most_bytes: int = MOST_BYTES) -> None:
         self._limit = limit
         self._most_bytes = most_bytes
-        self._items: deque[tuple[Item, int]] = deque()
+        self._items: deque[Item | _Heavy[Item]] = deque()
         self._dropped = Counter()
         # Guards `heavy_bytes` for a few operations, and only where a heavy packet comes or goes.
         self._scales = threading.Lock()
@@ -41,12 +50,11 @@ class Backlog(Generic[Item]):
     def put(self, packet: Packet, item: Item) -> None:
         """Puts what belongs to a packet, which is as heavy as the packet's body."""
         weigh = weigher(type(packet.body))
-        weight = weigh(packet.body) if weigh is not None else 0
-        if weight > LIGHT_BYTES:
-            self._load(weight)
+        if weigh is None or (weight := weigh(packet.body)) <= LIGHT_BYTES:
+            self._items.append(item)
         else:
-            weight = 0
-        self._items.append((item, weight))
+            self._load(weight)
+            self._items.append(_Heavy(item, weight))
         while len(self._items) > self._limit or (self.heavy_bytes > self._most_bytes and len(self._items) > 1):
             if self.take() is None:
                 return
@@ -55,11 +63,12 @@ class Backlog(Generic[Item]):
     def take(self) -> Item | None:
         """Takes the oldest out; None where nothing waits."""
         try:
-            item, weight = self._items.popleft()
+            item = self._items.popleft()
         except IndexError:
             return None
-        if weight:
-            self._load(-weight)
+        if isinstance(item, _Heavy):
+            self._load(-item.weight)
+            return item.item
         return item
 
     def clear(self) -> None:

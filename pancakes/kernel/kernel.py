@@ -78,7 +78,7 @@ class Kernel:
         self.transport: Any = None
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
-        self.lateness_heard: tuple[Callable[[TaskTimer, float], None], ...] = ()
+        self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
         self.timer: Timer
@@ -143,15 +143,15 @@ class Kernel:
             if counter is None or counter.value < next_seq:
                 self._seqs[address] = Counter(next_seq)
 
-    def hear_lateness(self, heard: Callable[[TaskTimer, float], None]) -> None:
-        """Calls `heard` with each tick of a task and how late it was, in mission time; in the task's turn.
+    def hear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
+        """Calls `heard` with each timer of a task that ticks, and how late it was, in mission time; in the task's turn.
 
-        It must not block. Any thread.
+        It must not block; the `append` of a deque takes the least. Any thread.
         """
         with self._lock:
             self.lateness_heard = (*self.lateness_heard, heard)
 
-    def unhear_lateness(self, heard: Callable[[TaskTimer, float], None]) -> None:
+    def unhear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
         """Ends what `hear_lateness` began."""
         with self._lock:
             self.lateness_heard = tuple(other for other in self.lateness_heard if other != heard)

@@ -104,5 +104,5 @@ class TaskTimer:
             self.lateness_max_s = lateness_s
         if kernel.lateness_heard:
             for heard in kernel.lateness_heard:
-                heard(self, lateness_s)
+                heard((self, lateness_s))
         handler(self.component, Tick(deadline_s, missed, lateness_s))

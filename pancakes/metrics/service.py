@@ -77,8 +77,8 @@ class MetricsService(Service):
         self.kernel.hear_lateness(self._late)
         self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics")
 
-    def _late(self, timer: TaskTimer, lateness_s: float) -> None:
-        self._metrics.ticked(timer, lateness_s)
+    def _late(self, tick: tuple[TaskTimer, float]) -> None:
+        self._metrics.ticked(*tick)
 
     @on(LOG, Event, keep=queue(4096))
     def on_event(self, packet: Packet) -> None:

@@ -235,7 +235,6 @@ class Mesh:
 
     def describe(self) -> dict[str, Any]:
         """Returns the state of the mesh as plain values, for the command line."""
-        up = self._up
         now_s = self._now()
         asleep = self._peers.asleep(now_s) if self._peers is not None else {}
         return {
@@ -244,11 +243,16 @@ class Mesh:
             "fleet": self.identity.fleet,
             "listen": self.listen,
             "state": self._state,
-            "peers": [self._describe_peer(up[name]) for name in sorted(up)],
+            "peers": self.links(),
             "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
             "addresses": self._peers.describe() if self._peers is not None else [],
             "mission_packets_sent": self.mission_packets_sent(),
         }
+
+    def links(self) -> list[dict[str, Any]]:
+        """Returns the state of the links that stand, by the names of the peers. Any thread."""
+        up = self._up
+        return [self._describe_peer(up[name]) for name in sorted(up)]
 
     def _describe_peer(self, session: Session) -> dict[str, Any]:
         hello = session.hello

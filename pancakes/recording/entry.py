@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import Any, Final
 
 import msgpack
@@ -10,6 +11,7 @@ import msgspec
 
 from pancakes.errors import LocalProtocolError, PancakesError, RemoteProtocolError
 from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
+from pancakes.weight import weigher
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 NANOSECONDS: Final = 1_000_000_000
@@ -19,7 +21,7 @@ class RecordingError(PancakesError):
     """A recording cannot be written or read; the message names the file."""
 
 
-class Entry(msgspec.Struct, frozen=True):
+class Entry(msgspec.Struct, frozen=True, gc=False):
     """One packet as it was seen.
 
     Attributes:
@@ -45,7 +47,7 @@ class Entry(msgspec.Struct, frozen=True):
         return self.packet.fence.task_id if self.packet.fence is not None else ""
 
 
-class _Row(msgspec.Struct, omit_defaults=True):
+class _Row(msgspec.Struct, omit_defaults=True, gc=False):
     """The data of a message. A structure takes half as long to make and to encode as a mapping."""
 
     source: str
@@ -58,66 +60,74 @@ class _Row(msgspec.Struct, omit_defaults=True):
     exact: str = ""
 
 
-class EntryEncoder:
-    """Makes the data of messages. Keeps buffers: one to a thread."""
+def data_of(packets: Sequence[Packet]) -> list[bytes | LocalProtocolError]:
+    """Returns packets as JSON, the data of messages; in the place of one whose body holds what no packet may hold, why.
 
-    def __init__(self) -> None:
-        self._json = msgspec.json.Encoder(enc_hook=self._foreign)
-        self._wire = Encoder()
-        self._inexact = False
-
-    def data(self, packet: Packet) -> bytes:
-        """Returns a packet as JSON.
-
-        What JSON cannot hold (arrays, bytes, infinity and NaN) is written as well as it goes, and the packet is added
-        as it travels between agents, in the field `exact`.
-
-        Raises:
-            LocalProtocolError: its body holds what no packet may hold.
-        """
-        row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
-        self._inexact = False
-        try:
-            data = self._json.encode(row)
-            # JSON says null for what is no number, but most nulls are a None.
-            nulls = data.count(b"null") > (packet.cause is None) + (packet.fence is None)
-            if self._inexact or (nulls and not _holds_body(data, packet)):
-                row.exact = base64.b64encode(self._wire.packet(packet)).decode("ascii")
-                data = self._json.encode(row)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise LocalProtocolError(
-                f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {error}"
-            ) from None
-        return data
-
-    def _foreign(self, value: Any) -> Any:
-        self._inexact = True
-        if hasattr(value, "tolist"):
-            return value.tolist()
-        raise TypeError(f"a {type(value).__name__} is no plain value")
-
-
-class _BodyAlone(msgspec.Struct):
-    """The data of a message, of which only the body is looked at."""
-
-    body: msgspec.Raw
-
-
-_BODY_ALONE: Final = msgspec.json.Decoder(_BodyAlone)
-_DECODERS: Final[dict[type, msgspec.json.Decoder[Any]]] = {}
-
-
-def _holds_body(data: bytes, packet: Packet) -> bool:
-    """Returns whether the data of a message says all about the body of its packet."""
-    raw = _BODY_ALONE.decode(data).body
+    What JSON cannot hold (arrays, bytes, infinity and NaN) is written as well as it goes, and the packet is added as it
+    travels between agents, in the field `exact`.
+    """
     try:
-        cls = type(packet.body)
+        # All at once takes a third less than one by one. JSON has no line breaks of its own.
+        lines = _PLAIN.encode_lines([_row(packet) for packet in packets]).splitlines()
+    except _CANNOT_ENCODE:
+        lines = []
+    if len(lines) != len(packets):
+        return [_data_of_one(packet) for packet in packets]
+    return [
+        line if _says_all(line, packet) else _exact_data(packet) for line, packet in zip(lines, packets, strict=True)
+    ]
+
+
+def _data_of_one(packet: Packet) -> bytes | LocalProtocolError:
+    try:
+        data = _PLAIN.encode(_row(packet))
+    except _CANNOT_ENCODE:
+        return _exact_data(packet)
+    return data if _says_all(data, packet) else _exact_data(packet)
+
+
+def _says_all(data: bytes, packet: Packet) -> bool:
+    """Returns whether the data of a message says all about the body of its packet."""
+    # JSON says null for what is no number, and text for bytes: but where a body is all numbers, only null can lie.
+    cls = type(packet.body)
+    if weigher(cls) is None and data.count(b"null") == (packet.cause is None) + (packet.fence is None):
+        return True
+    try:
         decoder = _DECODERS.get(cls)
         if decoder is None:
-            decoder = _DECODERS[cls] = msgspec.json.Decoder(cls if has_fields(cls) else Any)
-        return bool(decoder.decode(raw) == packet.body)
+            body = cls if has_fields(cls) else Any
+            decoder = _DECODERS[cls] = msgspec.json.Decoder(msgspec.defstruct("_BodyAlone", [("body", body)]))
+        return bool(decoder.decode(data).body == packet.body)
     except (msgspec.MsgspecError, TypeError):  # a class that cannot be made of JSON
         return False
+
+
+def _exact_data(packet: Packet) -> bytes | LocalProtocolError:
+    row = _row(packet)
+    try:
+        row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
+        return _LISTS.encode(row)
+    except (*_CANNOT_ENCODE, LocalProtocolError) as error:
+        return LocalProtocolError(
+            f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {error}"
+        )
+
+
+def _row(packet: Packet) -> _Row:
+    return _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
+
+
+def _list(array: Any) -> Any:
+    if hasattr(array, "tolist"):
+        return array.tolist()
+    raise TypeError(f"a {type(array).__name__} is no plain value")
+
+
+_CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RecursionError, msgspec.MsgspecError)
+_PLAIN: Final = msgspec.json.Encoder()
+_LISTS: Final = msgspec.json.Encoder(enc_hook=_list)
+_WIRE: Final = Encoder()
+_DECODERS: Final[dict[type, msgspec.json.Decoder[Any]]] = {}
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:

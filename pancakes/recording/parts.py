@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from pancakes.errors import LocalProtocolError
 from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.writer import RecordingWriter
 
@@ -31,7 +32,6 @@ class Parts:
 
     Attributes:
         first: the path of the first file.
-        messages: how many packets were written.
 
     Raises:
         RecordingError: nothing can be written there, or too little is free on the disk.
@@ -55,7 +55,6 @@ class Parts:
         self._drop_oldest = drop_oldest
         self._free_bytes = free_mib * MIB
         self._synced_bytes = 0
-        self.messages = 0
         file = part_path(self.first, part_number(before[-1]) + 1 if before else 1)
         try:
             self._done = [(path, path.stat().st_size) for path in before]
@@ -68,10 +67,9 @@ class Parts:
         if lacking:
             raise RecordingError(f"the recording {self.first} does not begin: {lacking}")
 
-    def write(self, entry: Entry) -> None:
-        """Adds a packet; see `RecordingWriter.write`."""
-        self._writer.write(entry)
-        self.messages += 1
+    def write(self, entries: Sequence[Entry]) -> list[LocalProtocolError]:
+        """Adds packets; see `RecordingWriter.write`."""
+        return self._writer.write(entries)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
         """Adds a message that is no packet; see `RecordingWriter.add`."""

@@ -45,6 +45,8 @@ class Viewer:
     def messages(self, entry: Entry) -> Iterator[ViewerMessage]:
         """Gives what a viewer shows of a packet."""
         packet = entry.packet
+        if isinstance(packet.body, Mapping):
+            return  # of a type that is not known here
         if packet.type == "pose" and packet.channel == "system" and packet.source.startswith(entry.agent + "/"):
             if self._is_due(entry):
                 yield from self._pose(entry)

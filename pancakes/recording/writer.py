@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from pancakes import __version__
+from pancakes.errors import LocalProtocolError
 from pancakes.recording.chunks import ChunkedFile
-from pancakes.recording.entry import Entry, EntryEncoder
+from pancakes.recording.entry import Entry, data_of
 from pancakes.recording.schemas import SCHEMAS, schema_for
 
 CHUNK_BYTES: Final = 128 * 1024
@@ -29,7 +30,6 @@ class RecordingWriter:
 
     Attributes:
         path: where.
-        messages: how many packets are in it.
 
     Raises:
         OSError: the file cannot be made.
@@ -37,7 +37,6 @@ class RecordingWriter:
 
     def __init__(self, path: Path, about: Mapping[str, str]) -> None:
         self.path = path
-        self.messages = 0
         self._file = path.open("xb")
         try:
             self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
@@ -48,24 +47,29 @@ class RecordingWriter:
             with suppress(OSError):  # which is said already
                 self._file.close()
             raise
-        self._encoder = EntryEncoder()
         self._packet_channels: dict[tuple[str, str, str], int] = {}
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
 
-    def write(self, entry: Entry) -> None:
-        """Adds a packet.
+    def write(self, entries: Sequence[Entry]) -> list[LocalProtocolError]:
+        """Adds packets.
+
+        Returns:
+            Why those are left out that hold what no packet may hold.
 
         Raises:
-            LocalProtocolError: it holds what no packet may hold; the file is as it was.
             OSError: the disk is full, ...
         """
-        packet = entry.packet
-        data = self._encoder.data(packet)
-        channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
-        # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
-        self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
-        self.messages += 1
+        refused = []
+        for entry, data in zip(entries, data_of([entry.packet for entry in entries]), strict=True):
+            if isinstance(data, LocalProtocolError):
+                refused.append(data)
+                continue
+            packet = entry.packet
+            channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
+            # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
+            self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
+        return refused
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
         """Adds a message that is no packet, such as a pose in the schema of a viewer.
@@ -78,7 +82,6 @@ class RecordingWriter:
             number = self._chunks.add_schema(schema_name, json.dumps(schema).encode())
             self._channels[key] = self._chunks.add_channel(topic, number)
         self._chunks.add_message(self._channels[key], time_ns, data)
-        self.messages += 1
 
     def size_bytes(self) -> int:
         """Returns how large the file is so far."""

@@ -152,8 +152,7 @@ class NetworkService(Service):
 
     def links(self) -> list[dict[str, Any]]:
         """Returns what is to be known about the links to other agents, as plain values. Any thread."""
-        peers: list[dict[str, Any]] = self._mesh.describe()["peers"]
-        return peers
+        return self._mesh.links()
 
     def followers(self, channel: str) -> list[str]:
         """Returns the addresses of those who follow a channel from elsewhere. Any thread."""

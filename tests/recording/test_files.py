@@ -5,6 +5,7 @@ import math
 import os
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from pancakes.devices.types import Motion, Pose
-from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
 from pancakes.recording.chunks import ChunkedFile
-from pancakes.recording.entry import Entry, EntryEncoder, RecordingError, packet_from_data
+from pancakes.recording.entry import Entry, RecordingError, data_of, packet_from_data
 from pancakes.recording.parts import Parts, part_path, parts_of
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.repair import repair
@@ -36,6 +37,14 @@ class Scan:
     best_m: float = math.inf
 
 
+@packet_type("test.anything")
+@dataclass(frozen=True)
+class Anything:
+    """What may hold anything."""
+
+    value: Any
+
+
 def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
     body = body or Pose(float(number), 0.5, -0.25)
     return Entry(number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence))
@@ -43,10 +52,9 @@ def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fenc
 
 def written(path, entries):
     writer = RecordingWriter(path, {"agent": "a", "clock": "mission time"})
-    for number, entry in enumerate(entries):
-        writer.write(entry)
-        if number % 50 == 49:
-            writer.flush()
+    for at in range(0, len(entries), 50):
+        assert writer.write(entries[at : at + 50]) == []
+        writer.flush()
     writer.close()
 
 
@@ -82,9 +90,21 @@ def test_what_json_cannot_hold_comes_out_exactly_all_the_same(tmp_path):
 
 
 def test_a_body_with_nothing_in_a_field_is_written_once():
-    encoder = EntryEncoder()
-    assert b'"exact"' not in encoder.data(pose(0, kind="motion", body=Motion(True, None, None)).packet)
-    assert b'"exact"' in encoder.data(pose(0, kind="motion", body=Motion(True, math.nan, None)).packet)
+    bodies = [Motion(True, None, None), Motion(True, math.nan, None)]
+    once, twice = data_of([pose(0, kind="motion", body=body).packet for body in bodies])
+    assert b'"exact"' not in once
+    assert b'"exact"' in twice
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"raw": b"\x00\xff"}, {"deep": [{"raw": b""}]}, Anything(b"\x00"), Anything({"x": math.inf}), Anything(None)],
+)
+def test_a_body_of_which_not_all_is_known_comes_out_exactly_too(tmp_path, body):
+    """JSON writes bytes as text, and nobody could tell afterwards."""
+    entry = pose(0, kind="test.anything" if isinstance(body, Anything) else "nobody.knows.this", body=body)
+    written(tmp_path / "r.mcap", [pose(1), entry, pose(2)])
+    assert read(tmp_path / "r.mcap")[0][1] == entry
 
 
 def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
@@ -130,11 +150,14 @@ def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
 
 def test_a_body_that_no_packet_may_hold_is_refused_and_the_file_is_as_it_was(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {})
-    writer.write(pose(0))
-    with pytest.raises(LocalProtocolError, match="the packet 2 of the type 'pose' from a/device/pose cannot be rec"):
-        writer.write(pose(1, body=object()))
+    around = {"itself": 1}
+    around["itself"] = around
+    refused = writer.write([pose(0), pose(1, body=object()), pose(2), pose(3, body=around)])
     writer.close()
-    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == [1]
+    assert [str(one).partition(":")[0] for one in refused] == [
+        f"the packet {seq} of the type 'pose' from a/device/pose cannot be recorded" for seq in (2, 4)
+    ]
+    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == [1, 3]
 
 
 def test_a_file_that_is_cut_off_anywhere_gives_what_is_whole_and_is_repaired(tmp_path):
@@ -200,7 +223,7 @@ def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later
 def test_a_recorder_that_was_killed_after_a_flush_has_lost_nothing_of_before(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {})
     for number in range(7):
-        writer.write(pose(number))
+        writer.write([pose(number)])
     writer.flush()
     assert len(read(tmp_path / "r.mcap")[0]) == 7
     writer.close()
@@ -259,7 +282,7 @@ def filled(parts, count):
     """Writes until the parts end or `count` packets are in; returns why they ended."""
     reason = ""
     for number in range(count):
-        parts.write(pose(number))
+        parts.write([pose(number)])
         if number % 50 == 49 and (reason := parts.flush()):
             break
     parts.close()
@@ -294,7 +317,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_does_not_begin_after_that(
     monkeypatch.setattr(
         os, "statvfs", lambda path: SimpleNamespace(f_frsize=full.f_frsize, f_bavail=63 * 2**20 // full.f_frsize)
     )
-    parts.write(pose(0))
+    parts.write([pose(0)])
     assert parts.flush() == ""
     reason = parts.sync()
     assert reason.startswith(f"less than 64 MiB are free on the disk of {tmp_path} (63 MiB; free_mib")
@@ -315,7 +338,7 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
     monkeypatch.setattr(Parts, "sync", lambda parts: synced.append(parts._writer.path) or "")
     monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
     for number in range(200):  # of 300 bytes each
-        parts.write(pose(number))
+        parts.write([pose(number)])
         assert parts.flush() == ""
     parts.close()
     assert synced
@@ -353,8 +376,19 @@ def test_poses_and_paths_are_shown_in_the_schemas_of_foxglove():
     assert [message.time_ns for message in paths] == [0, TRAIL_NS, 2 * TRAIL_NS]
     assert paths[1].data.count(b"position") == 11
     assert shown[0].topic == "/viewer/a/pose"
-    # A pose that only passes through is not this agent's.
-    assert list(viewer.messages(pose(1, source="world/client/MotionCapture"))) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "others"),
+    [
+        ("motion", {"body": Motion(True, None, None)}),
+        ("pose", {"source": "world/client/MotionCapture"}),  # it only passes through
+        ("pose", {"body": {"x_m": 1.0}}),  # of a type that is not known here
+        ("world_state", {"body": {"bodies": []}}),
+    ],
+)
+def test_of_nothing_else_viewers_are_shown_anything(kind, others):
+    assert list(Viewer().messages(pose(1, kind=kind, **others))) == []
 
 
 def test_viewers_are_shown_no_more_than_they_can_show():

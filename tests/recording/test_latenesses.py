@@ -5,7 +5,7 @@ import random
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.recording.latenesses import Latenesses, bucket_of, quantile_s
+from pancakes.recording.latenesses import Latenesses, bucket_of, counts_of, quantile_s
 from pancakes.recording.reader import RecordingReader
 from pancakes.report.rates import Rates
 from pancakes.task import Task, every
@@ -33,6 +33,13 @@ def test_percentiles_are_found_to_within_ten_per_cent():
         assert quantile_s(counts, share) == pytest.approx(values[int(share * len(values))], rel=0.1)
 
 
+def test_many_are_counted_as_each_would_be():
+    draw = random.Random(2)
+    values = [0.0, 1e-6, *(draw.lognormvariate(-8.0, 3.0) for _ in range(1000))]
+    assert counts_of([*values]) == counted(values)
+    assert counts_of([]) == {}
+
+
 def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
     assert quantile_s(counted([0.0, 0.0, 5e-7]), 0.99) == 0.0
     assert quantile_s({}, 0.5) is None
@@ -41,7 +48,7 @@ def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
 def test_each_tick_is_counted_once():
     heard = Latenesses()
     for lateness_s in (0.0, 0.001, 0.001):
-        heard.heard("timer", lateness_s)
+        heard.heard(("timer", lateness_s))
     assert heard.take() == {"timer": {0: 1, bucket_of(0.001): 2}}
     assert heard.take() == {}
 
