@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from codecs import BOM_UTF8
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def text_of(path: str) -> str:
         ConfigError: it is not there, or cannot be read.
     """
     try:
-        data = Path(path).read_bytes()
+        data = Path(path).read_bytes().removeprefix(BOM_UTF8)  # some editors put it in front, and TOML does not know it
     except FileNotFoundError:
         raise ConfigError([Fault(path, "file", "there is no such file", _neighbour(path))]) from None
     except IsADirectoryError:
@@ -54,7 +55,7 @@ def text_of(path: str) -> str:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise ConfigError([Fault(path, "file", f"cannot be read: {reason.lower()}")]) from None
     try:
-        return data.decode("utf-8-sig")  # some editors put a byte order mark in front, which TOML does not know
+        return data.decode()
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise ConfigError([Fault(f"{path}:{line}", "file", "is not UTF-8")]) from None
