@@ -174,6 +174,7 @@ class Link:
         self._pinged_s = now_s
         self._pings = 0
         self._excused_s = float("-inf")
+        self._patient_until_s = float("-inf")
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
         self._runs = RunReader()
@@ -210,10 +211,15 @@ class Link:
             return []
         end_s = self._end_s()
         if now_s >= end_s:
-            if now_s - end_s <= self._times.heartbeat_s or self._excused_s > self._heard_s:
+            is_late = now_s - end_s > self._times.heartbeat_s
+            if self._excused_s > self._heard_s or not (is_late or self.state is State.UP):
                 return self._over(self._silence())
-            # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
             self._excused_s = now_s
+            if not is_late:
+                # Perhaps this thread had to wait since it looked what there is to read: it is to look again.
+                return []
+            # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
+            self._patient_until_s = now_s + self._times.heartbeat_s
         quiet = now_s >= self.sent_s + self._quiet_s
         if quiet or now_s >= self._pinged_s + self._times.measure_s:
             self._pings += 1
@@ -280,8 +286,7 @@ class Link:
                 end_s = self._opened_s + self._times.hello_s
             elif self.state is State.MET:
                 end_s = min(end_s, self._no_welcome_s())
-        excused_s = self._excused_s + self._times.heartbeat_s
-        return end_s if end_s > excused_s else excused_s
+        return end_s if end_s > self._patient_until_s else self._patient_until_s
 
     def _no_welcome_s(self) -> float:
         # The lower name may have to find out first that an older link has died.

@@ -227,7 +227,24 @@ def test_silence_of_two_seconds_ends_the_link_and_any_byte_is_life():
     assert rest(link.tick(1.9)) == []
     link.receive(wire(PACKET)[:1], 1.9)
     assert rest(link.tick(3.8)) == []
-    assert link.tick(3.9) == [Over("nothing was heard from b for 2 s")]
+    assert ended(link, 3.9) == [Over("nothing was heard from b for 2 s")]
+
+
+def test_what_waits_to_be_read_when_the_time_is_over_is_life():
+    """A thread that had to wait after it looked which sockets are ready has not seen what has come since."""
+    link = up()
+    assert link.tick(2.0) == []
+    assert link.due_s() <= 2.0, "it is looked at once more, at once"
+    link.receive(wire(PACKET)[:1], 2.0)
+    assert rest(link.tick(3.9)) == []
+    assert ended(link, 4.0) == [Over("nothing was heard from b for 2 s")]
+
+
+def ended(link, now_s):
+    """What a link does whose time is over: it is looked at once more, after all has been read."""
+    assert link.tick(now_s) == []
+    assert link.due_s() <= now_s
+    return link.tick(now_s)
 
 
 def test_who_is_late_itself_waits_for_a_heartbeat_more_and_only_once():
