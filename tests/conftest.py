@@ -26,6 +26,15 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture
+def handlers() -> Iterator[None]:
+    """Gives the signals that end a process back to pytest, however a test fails."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
 def browser() -> Iterator[Any]:
     """A Chromium without a window."""
     program = next((found for name in BROWSERS if (found := shutil.which(name))), None)

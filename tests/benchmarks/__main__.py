@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 from benchmarks.figure import Failed, Figure, Missing, Plan
-from torture.ending import interruptible
-from torture.report import json_option, write
+from harness.ending import interruptible
+from harness.report import json_option, write
 
 TOPICS = (
     "fan_out",

@@ -82,7 +82,7 @@ def agent_process(
     environment: Mapping[str, str],
     core: int | None = None,
     pass_fds: tuple[int, ...] = (),
-    more: Sequence[str] = (),
+    until_ready: bool = False,
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Runs `pancakes-agent`.
 
@@ -92,12 +92,20 @@ def agent_process(
         environment: see `offer_tasks`.
         core: the processor core that it is bound to, if any.
         pass_fds: file descriptors that it inherits.
-        more: options for its command line.
+        until_ready: wait until all runs that it is to start with: it listens then, and has its entry.
     """
     path = directory / f"agent{time.monotonic_ns()}.toml"
     path.write_text(config)
-    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path), *more]
-    with process(command, environment, core, pass_fds) as started:
+    command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path)]
+    if not until_ready:
+        with process(command, environment, core, pass_fds) as started:
+            yield started
+        return
+    reader, writer = os.pipe()
+    command += ["--ready-fd", str(writer)]
+    with open(reader, "rb"), process(command, environment, core, (*pass_fds, writer)) as started:
+        os.close(writer)
+        _read_line(reader)
         yield started
 
 
@@ -131,15 +139,10 @@ def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
 
 
 def listening_at(environment: Mapping[str, str], name: str, started: subprocess.Popen[Any]) -> str:
-    """Waits until an agent listens, and returns where: from its entry, by which the command line finds it as well."""
-    directory = Path(environment["PANCAKES_RUNTIME_DIR"])
-    until_s = time.monotonic() + PATIENCE_S
-    while time.monotonic() < until_s and started.poll() is None:
-        for path in directory.glob(f"{name}.*.json"):
-            address: str = json.loads(path.read_text())["listen"]
-            return address
-        time.sleep(0.005)
-    raise RuntimeError(f"the agent {name} ended, or did not listen within {PATIENCE_S:g} s")
+    """Returns where an agent that is ready listens: from its entry, by which the command line finds it as well."""
+    entry = Path(environment["PANCAKES_RUNTIME_DIR"]) / f"{name}.{started.pid}.json"
+    address: str = json.loads(entry.read_text())["listen"]
+    return address
 
 
 def two_cores() -> tuple[int, int] | tuple[None, None]:
@@ -152,6 +155,10 @@ def two_cores() -> tuple[int, int] | tuple[None, None]:
 
 def read_report(reader: int) -> Any:
     """Waits for the line of JSON that a process writes into a pipe."""
+    return json.loads(_read_line(reader))
+
+
+def _read_line(reader: int) -> bytes:
     import select
 
     text = b""
@@ -163,4 +170,4 @@ def read_report(reader: int) -> Any:
         if not part:
             raise RuntimeError("a process ended before it had reported anything")
         text += part
-    return json.loads(text)
+    return text

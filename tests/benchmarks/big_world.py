@@ -20,7 +20,7 @@ from random import Random
 
 import msgspec
 import psutil
-from benchmarks.agent_process import agent_process, listening_at, offer_tasks, process, read_report
+from benchmarks.agent_process import agent_process, offer_tasks, process, read_report
 from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
 from benchmarks.figure import Figure, Plan, alone
 
@@ -83,8 +83,7 @@ def world(robots: int, duration_s: float) -> list[float]:
         environment = offer_tasks(Path(name))
         port = _free_port()
         command = [sys.executable, "-m", "benchmarks.bus_load", "127.0.0.1", str(port), str(robots), str(duration_s)]
-        with agent_process(_config(name, port, robots), Path(name), environment) as started:
-            listening_at(environment, "world", started)
+        with agent_process(_config(name, port, robots), Path(name), environment, until_ready=True) as started:
             with process([*command, str(writer)], environment, pass_fds=(writer,)):
                 os.close(writer)
                 seen = psutil.Process(started.pid)

@@ -18,7 +18,6 @@ from pancakes.sim.bus import Answer, Attach, Drive, ReplyReader, Sample, encode
 RATE_HZ = 10.0
 GOOD_FOR_S = 0.5
 SETTLE_S = 2.0
-PATIENCE_S = 60.0
 SPEED_MPS = 0.1
 TURN_MPS = 0.012
 """How much faster one wheel runs than the other: the robots go in circles."""
@@ -29,7 +28,7 @@ class Robot:
 
     def __init__(self, number: int, place: tuple[str, int]) -> None:
         name = f"robot{number}"
-        self.socket = _connected(place)
+        self.socket = socket.create_connection(place)
         self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.reader = ReplyReader()
         self.asked_s = 0.0
@@ -42,18 +41,6 @@ def wheels_mps(number: int) -> tuple[float, float]:
     """Returns how fast a robot's wheels run, the left one and the right one."""
     turn_mps = TURN_MPS if number % 2 else -TURN_MPS
     return SPEED_MPS - turn_mps, SPEED_MPS + turn_mps
-
-
-def _connected(place: tuple[str, int]) -> socket.socket:
-    """Returns a connection to the world, once it listens."""
-    until_s = time.monotonic() + PATIENCE_S
-    while True:
-        try:
-            return socket.create_connection(place)
-        except ConnectionRefusedError:
-            if time.monotonic() > until_s:
-                raise
-            time.sleep(0.02)
 
 
 def run(place: tuple[str, int], count: int, duration_s: float, ready_fd: int) -> None:

@@ -95,7 +95,9 @@ def pancakes(shape: Shape, packets: int, size: int = 64) -> dict[int, dict[str, 
             try:
                 settings = _settings(shape, member, packets, size, writer)
                 config = head_of(f"a{member}", directory, peers) + _TASK.format(settings=settings)
-                processes.append(stack.enter_context(agent_process(config, directory, environment, pass_fds=(writer,))))
+                # The first one is to be there before the others dial it.
+                agent = agent_process(config, directory, environment, pass_fds=(writer,), until_ready=not peers)
+                processes.append(stack.enter_context(agent))
             finally:
                 os.close(writer)
             peers = peers or [listening_at(environment, "a0", processes[0])]

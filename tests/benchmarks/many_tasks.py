@@ -143,19 +143,13 @@ def configured(tasks: int) -> list[float]:
 
 def _ready(tasks: int) -> list[float]:
     """Returns ms from the command until the agent is ready, and its memory in MiB."""
-    reader, writer = os.pipe()
     table = '[task.Small{number}]\ntype = "bench.Small"\nsettings = {{ gain = 2.0 }}\n'
     tables = "".join(table.format(number=number) for number in range(tasks))
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         environment = offer_tasks(Path(name))
         config = _CONFIG.format(directory=name) + tables
         began_s = time.perf_counter()
-        more = ("--ready-fd", str(writer))
-        with agent_process(config, Path(name), environment, pass_fds=(writer,), more=more) as started:
-            os.close(writer)
-            with open(reader) as ready:
-                if not ready.readline():
-                    raise RuntimeError("the agent ended before it was ready")
+        with agent_process(config, Path(name), environment, until_ready=True) as started:
             took_ms = (time.perf_counter() - began_s) * 1e3
             time.sleep(SETTLE_S)
             return [took_ms, psutil.Process(started.pid).memory_info().rss / 2**20]

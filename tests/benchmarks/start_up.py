@@ -88,10 +88,10 @@ def percent_of_a_core(started: Popen[bytes], span_s: float) -> float:
 def _ticking(
     name: str, directory: Path, environment: Mapping[str, str], peers: Sequence[str] = ()
 ) -> Iterator[Popen[bytes]]:
-    """Runs an agent, from its first tick on."""
+    """Runs an agent, once all of it is ready and has ticked for the first time."""
     reader, writer = os.pipe()
     config = _config(name, directory, writer, peers)
-    with agent_process(config, directory, environment, pass_fds=(writer,)) as started:
+    with agent_process(config, directory, environment, pass_fds=(writer,), until_ready=True) as started:
         os.close(writer)
         try:
             read_report(reader)

@@ -54,7 +54,7 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True) -
         environment = offer_tasks(directory)
         far = head_of("far", directory) + _TASK.format(task="Far", settings="")
         settings = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
-        with agent_process(far, directory, environment, far_core) as listener:
+        with agent_process(far, directory, environment, far_core, until_ready=True) as listener:
             peers = [listening_at(environment, "far", listener)]
             near = head_of("near", directory, peers) + _TASK.format(task="Near", settings=settings)
             with agent_process(near, directory, environment, near_core, (writer,)):

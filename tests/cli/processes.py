@@ -21,17 +21,23 @@ READY = "/kernel: ready"
 
 
 class Running:
-    """A process, and the lines that it has said on standard error; on standard output too where it is to be `whole`."""
+    """A process, and the lines that it has said on standard error; on standard output too where it is to be `whole`.
 
-    def __init__(self, command: list[str], environment: dict[str, str], directory: Path, whole: bool = False) -> None:
+    An agent may be `ours`: it ends with this thread, and an interrupt at the terminal is for us alone, who end it.
+    """
+
+    def __init__(
+        self, command: list[str], environment: dict[str, str], directory: Path, whole: bool = False, ours: bool = False
+    ) -> None:
         self.process = subprocess.Popen(
-            command,
+            [*command, f"--die-with-parent={os.getpid()}"] if ours else command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE if whole else subprocess.DEVNULL,
             stderr=subprocess.STDOUT if whole else subprocess.PIPE,
             text=True,
             env=environment,
             cwd=directory,
+            process_group=0 if ours else None,
         )
         self._said_to = self.process.stdout if whole else self.process.stderr
         self.pid = self.process.pid
@@ -133,15 +139,15 @@ class Rig:
         (information / "entry_points.txt").write_text(entry_points)
         (self.plugins / f"plugin_{name}.py").write_text(source)
 
-    def run(self, *command: str, whole: bool = False) -> Running:
-        """Starts a Python process; see `Running` for `whole`."""
-        running = Running([sys.executable, *command], self.environment, self.directory, whole)
+    def run(self, *command: str, whole: bool = False, ours: bool = False) -> Running:
+        """Starts a Python process; see `Running` for `whole` and `ours`."""
+        running = Running([sys.executable, *command], self.environment, self.directory, whole, ours)
         self._running.append(running)
         return running
 
-    def agent(self, config: Path | str, *options: str) -> Running:
-        """Starts `pancakes-agent`."""
-        return self.run("-m", "pancakes.cli.agent", "--config", str(config), *options)
+    def agent(self, config: Path | str, *options: str, ours: bool = False) -> Running:
+        """Starts `pancakes-agent`; see `Running` for `ours`."""
+        return self.run("-m", "pancakes.cli.agent", "--config", str(config), *options, ours=ours)
 
     def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
         """Starts an agent and waits until it is ready."""

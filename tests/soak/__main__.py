@@ -12,13 +12,13 @@ from typing import Any, Final
 
 import click
 import msgspec
+from harness.ending import interruptible
+from harness.report import json_option, write
 from soak import steady, virtual
 from soak.agents import names_of
 from soak.churn import Churn
 from soak.churn import Outcome as ChurnOutcome
 from soak.judgement import GROWTH_MIB, LONG_S, MORE_PIECES, SLOPE_MIB_PER_H, shown
-from torture.ending import interruptible
-from torture.report import json_option, write
 
 LONGEST_WARM_UP_S: Final = 600.0
 

@@ -9,11 +9,11 @@ from collections import Counter
 from pathlib import Path
 
 import click
-from torture.ending import interruptible
+from harness.ending import interruptible
+from harness.report import json_option, spread, write
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
-from torture.report import json_option, spread, write
 from torture.schedules import run_schedule, run_schedules
 from torture.standstill_command import standstill
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from torture.grounds import Cuttable, Survey, by_proxy
 from torture.live import LiveFleet
+from torture.waits import Waits
 
 from pancakes.client import Client
 from pancakes.control import Describe, Migrate
@@ -90,7 +91,7 @@ class Cutter:
 
     def __init__(self, survey: Survey = by_proxy) -> None:
         self._survey = survey
-        self._ended = threading.Event()
+        self._waits = Waits()
 
     def run(self, cases: Sequence[tuple[str, str]], jobs: int) -> Iterator[Case]:
         """Makes cuts, each a step and a fate, and yields how they ended, in their order.
@@ -101,7 +102,7 @@ class Cutter:
             try:
                 yield from pool.map(lambda case: self._cut(*case), cases)
             finally:
-                self._ended.set()
+                self._waits.break_off()
                 pool.shutdown(cancel_futures=True)
 
     def _cut(self, step: str, fate: str) -> Case:
@@ -133,7 +134,7 @@ class Cutter:
                 fleet.kill(victim)
             meanwhile = NOBODY
             if fate != "heals at once":
-                self._let(2.6)  # what is frozen is taken back after 2 s
+                self._waits.let(2.6)  # what is frozen is taken back after 2 s
                 meanwhile = self._runs(fleet, 0.4)
             link.heal()
             if victim is not None:
@@ -166,16 +167,11 @@ class Cutter:
         """Watches for a while who works, by what the task writes itself."""
         count = fleet.directory / "One.count"
         before = count.stat().st_size
-        self._let(for_s)
+        self._waits.let(for_s)
         with count.open("rb") as file:
             file.seek(before)
             lines = file.read().decode().splitlines()
         return lines[-1].split()[2] if lines else NOBODY
-
-    def _let(self, for_s: float) -> None:
-        """Lets so much time pass in which something might happen that must not."""
-        if self._ended.wait(for_s):
-            raise InterruptedError("the cuts were broken off")
 
 
 def wait_for_link(client: Client, one: str, other: str) -> None:

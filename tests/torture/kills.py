@@ -22,6 +22,7 @@ from torture.points import POINTS, Point
 from torture.proxy import Proxy, Verdict
 from torture.tally import Tally, total
 from torture.traps import Field, Trap
+from torture.waits import Waits
 
 from pancakes.client import Client
 from pancakes.control import Migrate
@@ -90,12 +91,12 @@ class Kills:
     Args:
         directory: all files.
         seed: draws who is killed, and when; the machine draws the rest.
-        ended: set by whoever does not want to wait for all of it.
+        waits: all of its own; whoever breaks them off ends it.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
     """
 
-    def __init__(self, directory: Path, seed: int, ended: threading.Event | None = None, spoilt_by: str = "") -> None:
-        self._ended = ended or threading.Event()
+    def __init__(self, directory: Path, seed: int, waits: Waits | None = None, spoilt_by: str = "") -> None:
+        self._waits = waits or Waits()
         self.random = random.Random(f"kills/{seed}")
         self.directory = directory
         self.counts = directory / "counts"
@@ -141,6 +142,9 @@ class Kills:
 
         Returns:
             What happened.
+
+        Raises:
+            InterruptedError: its waits were broken off.
         """
         calm = self._calm
         movers = self._movers = [
@@ -155,10 +159,10 @@ class Kills:
             self._heal()
             for mover in movers:
                 mover.start()
-            while todo and not self.tally.lost and not self._ended.is_set():
+            while todo and not self.tally.lost:
                 calm.clear()
                 until = self.tally.kills + ROUND
-                while todo and self.tally.kills < until and not self._ended.is_set():
+                while todo and self.tally.kills < until:
                     point = todo.pop()
                     if point is None:
                         self._kill_one(self.random.choice(movers))
@@ -168,8 +172,6 @@ class Kills:
                     for dead in NAMES:
                         if dead not in self.fleet.running and self.random.random() < 0.7:
                             self.fleet.start(dead)
-                if self._ended.is_set():
-                    break
                 calm.set()
                 self._heal()
                 self.tally.asked = sum(mover.asked for mover in movers)
@@ -218,7 +220,7 @@ class Kills:
             victim: the only agent that may come there; empty: any.
             start: whether that agent is dead and to be started first.
         """
-        place = Field(TaskId(BORN[task], task), self.fleet.state, self.counts, self.fleet.strike)
+        place = Field(TaskId(BORN[task], task), self.fleet.state, self.counts, self.fleet.strike, self._waits)
         trap = Trap(point, place, victim)
         self._trap = trap
         try:
@@ -238,12 +240,12 @@ class Kills:
         """Kills one agent: just after a move was asked for, so that it is in the middle of it, or at any moment."""
         draw = self.random
         if draw.random() < 0.8:
-            time.sleep(draw.uniform(0.0, 0.5))
+            self._waits.let(draw.uniform(0.0, 0.5))
             mover.asking.clear()
-            mover.asking.wait(1.0)
-            time.sleep(draw.uniform(0.0, 0.06))
+            self._waits.until(mover.asking.wait, 1.0)
+            self._waits.let(draw.uniform(0.0, 0.06))
         else:
-            time.sleep(draw.uniform(0.0, 1.0))
+            self._waits.let(draw.uniform(0.0, 1.0))
         if all(name not in self.fleet.running for name in NAMES):
             self._start_all()
         self.fleet.kill(draw.choice([name for name in NAMES if name in self.fleet.running]))
@@ -253,7 +255,7 @@ class Kills:
         """Lets nobody ask for moves: a task that never stays as long as a second never writes a checkpoint."""
         self._calm.set()
         for mover in self._movers:
-            mover.resting.wait(BACK_WITHIN_S)
+            self._waits.until(mover.resting.wait, BACK_WITHIN_S)
 
     def _start_all(self) -> None:
         for name in NAMES:
@@ -275,7 +277,7 @@ class Kills:
                         for task in deaf
                     ]
                     break
-                time.sleep(0.1)
+                self._waits.let(0.1)
         dead = [name for name, running in self.fleet.running.items() if running.process.poll() is not None]
         self.tally.lost += [f"{name} has ended by itself" for name in dead]
         self.tally.heals_s.append(time.monotonic() - began_s)
@@ -288,7 +290,7 @@ class Kills:
         while waiting := [task for task in tasks if self._size(task) <= before[task] + 200]:
             if time.monotonic() > until_s:
                 return waiting
-            time.sleep(0.05)
+            self._waits.let(0.05)
         return []
 
     def _lost(self, tasks: list[str]) -> bool:
@@ -354,11 +356,11 @@ def run_fleets(
     ]
     tallies: dict[int, Tally] = {}
     lock = threading.Lock()
-    ended = threading.Event()
+    waits = Waits()
 
     def run(number: int) -> Tally:
         with tempfile.TemporaryDirectory(prefix="pancakes-kills-") as directory:
-            return Kills(Path(directory), seed + number, ended).run(*shares[number], partial(tell, number))
+            return Kills(Path(directory), seed + number, waits).run(*shares[number], partial(tell, number))
 
     def tell(number: int, tally: Tally) -> None:
         with lock:
@@ -369,7 +371,7 @@ def run_fleets(
         try:
             return total(pool.map(run, range(fleets)))
         finally:
-            ended.set()  # where it was interrupted, the others need not go on
+            waits.break_off()  # where it was interrupted, the others need not go on
 
 
 def _number(path: Path) -> int:

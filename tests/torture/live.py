@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 import sys
 from collections.abc import Mapping, Sequence
@@ -254,8 +253,8 @@ class LiveFleet:
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left. It ends with this thread."""
         command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.cli.agent"]
-        command += ["--config", str(self._configs[name]), f"--die-with-parent={os.getpid()}"]
-        self.running[name] = Running(command, self.rig.environment, self.directory)
+        command += ["--config", str(self._configs[name])]
+        self.running[name] = Running(command, self.rig.environment, self.directory, ours=True)
         if wait:
             self.running[name].hear(READY)
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+from harness.report import json_option, spread, write
 from torture.cuts import FATES, STEPS, Cutter
 from torture.gap import Gaps, measure
 from torture.grounds import Survey, by_proxy, in_namespaces, on_loopback
 from torture.kills import plan, run_fleets
 from torture.namespaces import Namespaces, NoNamespaces, check
 from torture.points import NAMES as POINT_NAMES
-from torture.report import json_option, spread, write
 from torture.tally import Tally
 
 

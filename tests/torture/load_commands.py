@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+from harness.report import json_option, write
 from torture.overload import LATE_S, MEMORY_BYTES, TIMES, Case, overload, p99
-from torture.report import json_option, write
 from torture.slow_peers import CLOSED_S, HOW, WANTED_RATIO, slow_peer
 
 CASES: Final = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -91,7 +90,7 @@ class LoadedFleet:
 
     def start(self, name: str) -> None:
         """Starts an agent, which ends with this thread."""
-        self.running[name] = self.rig.agent(self._configs[name], f"--die-with-parent={os.getpid()}")
+        self.running[name] = self.rig.agent(self._configs[name], ours=True)
 
     def file(self, agent: str, task: str) -> Path:
         """Returns where a task tells what it sees."""

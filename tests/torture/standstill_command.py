@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import click
-from torture.report import json_option, write
+from harness.report import json_option, write
 from torture.standstill import GAP_S
 
 ROUND_S = 15.0

@@ -7,7 +7,6 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from cli.processes import Rig, Running
 from click.testing import CliRunner
 from torture import __main__ as command
 from torture import load_commands, load_fleet
-from torture.ending import interruptible
 
 LOADED = "from torture.load_fleet import LoadedFleet; fleet = LoadedFleet(Path(sys.argv[1]), {'a': {}})"
 LIVE = (
@@ -25,30 +23,7 @@ LIVE = (
 RUN = "import sys\nfrom pathlib import Path\n{fleet}\nprint(fleet.running['a'].pid, flush=True)\nsys.stdin.read()"
 
 
-@pytest.fixture(autouse=True)
-def handlers() -> Iterator[None]:
-    """Gives the signals back to pytest, however a test fails."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_who_is_asked_to_end_clears_up_first(number: signal.Signals) -> None:
-    signal.signal(number, signal.SIG_DFL)
-    with pytest.raises(SystemExit) as ended, interruptible():
-        signal.raise_signal(number)
-    assert ended.value.code == 128 + number
-    assert signal.getsignal(number) is signal.SIG_DFL
-
-
-def test_what_nohup_ignores_stays_ignored() -> None:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with interruptible():
-        signal.raise_signal(signal.SIGHUP)
-
-
+@pytest.mark.usefixtures("handlers")
 def test_every_command_may_be_asked_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
     cleared_up = []
 
@@ -70,8 +45,8 @@ def test_agents_of_a_fleet_that_does_not_come_together_are_ended(
     started: list[Running] = []
     agent = Rig.agent
 
-    def starts(self: Rig, *arguments: Any) -> Running:
-        started.append(agent(self, *arguments))
+    def starts(self: Rig, *arguments: Any, **options: Any) -> Running:
+        started.append(agent(self, *arguments, **options))
         return started[-1]
 
     def interrupted(*_: Any, **__: Any) -> None:
@@ -86,7 +61,7 @@ def test_agents_of_a_fleet_that_does_not_come_together_are_ended(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="--die-with-parent works on Linux alone")
 @pytest.mark.parametrize("fleet", [LOADED, LIVE], ids=["loaded", "live"])
-def test_the_agents_of_a_run_that_is_killed_end_by_themselves(tmp_path: Path, fleet: str) -> None:
+def test_agents_are_not_interrupted_with_their_run_but_end_with_it(tmp_path: Path, fleet: str) -> None:
     run = subprocess.Popen(
         [sys.executable, "-c", RUN.format(fleet=fleet), str(tmp_path)],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
@@ -95,8 +70,11 @@ def test_the_agents_of_a_run_that_is_killed_end_by_themselves(tmp_path: Path, fl
         text=True,
     )
     assert run.stdout is not None
-    agent = os.pidfd_open(int(run.stdout.readline()))
+    pid = int(run.stdout.readline())
+    agent = os.pidfd_open(pid)
     try:
+        # Ctrl-C at a terminal is for all of the run's process group.
+        assert os.getpgid(pid) != os.getpgid(run.pid)
         run.kill()
         run.communicate(timeout=20)
         assert select.select([agent], [], [], 10.0)[0]

@@ -25,7 +25,7 @@ from torture.wire import Link, Wire
 
 RUN = """
 import subprocess, sys, threading
-from torture.ending import interruptible
+from harness.ending import interruptible
 from torture.namespaces import Namespaces
 with interruptible(), Namespaces() as spaces:
     place = spaces.add()

@@ -12,6 +12,7 @@ from torture.points import POINTS, Point
 from torture.proxy import Verdict
 from torture.tally import Tally
 from torture.traps import Field, Trap
+from torture.waits import Waits
 
 from pancakes.journal import Entry, FileJournal, JournalError
 from pancakes.migration.record import Phase, Record, TaskId
@@ -94,6 +95,16 @@ def test_an_agent_dies_after_a_write(tmp_path: Path) -> None:
     journal.write([entry(Phase.RELEASED)])
     assert rig.trap.spring(10.0) == "a"
     journal.close()
+
+
+def test_nobody_waits_any_longer_at_a_trap_in_a_run_that_was_broken_off(tmp_path: Path) -> None:
+    waits = Waits()
+    field = Field(TASK, tmp_path, tmp_path, lambda name: None, waits)
+    begun = Trap(Point("", "", "write", Phase.FROZEN), field, "a")
+    with pytest.raises(InterruptedError):
+        begun.begin(lambda name: waits.break_off())  # it never opens its journal
+    with pytest.raises(InterruptedError):
+        Trap(Point("", "migration.commit", "lost"), field).spring(1000.0)
 
 
 def test_the_files_of_a_journal_are_where_the_gates_look_for_them(tmp_path: Path) -> None:

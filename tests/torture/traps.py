@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from torture.gates import Gate, before_write, identity_file, journal_file
 from torture.points import Point
 from torture.proxy import Verdict
+from torture.waits import Waits
 
 from pancakes.migration.record import TaskId
 from pancakes.packet import agent_of
@@ -31,12 +32,14 @@ class Field:
         state: the directory that holds the agents' state directories, by their names.
         gates: the directory in which the task looks for gates.
         kill: kills an agent, at once.
+        waits: those of a trap for its victim.
     """
 
     task_id: TaskId
     state: Path
     gates: Path
     kill: Callable[[str], None]
+    waits: Waits = field(default_factory=Waits)
 
 
 class Trap:
@@ -63,6 +66,9 @@ class Trap:
 
         Args:
             start: starts the victim, which is dead; None: it runs.
+
+        Raises:
+            InterruptedError: its waits were broken off.
         """
         victim = self._victim
         identity = identity_file(self._field.state, victim) if victim else Path()
@@ -73,8 +79,8 @@ class Trap:
         if start is not None:
             start(victim)
             # It opens its journal, and clears it up, before it looks at its tasks.
-            while not gated and not self.point.word and _file_number(identity) == boot:
-                _never.wait(LOOK_S)
+            if not gated and not self.point.word:
+                self._field.waits.until(lambda for_s: _is_replaced(identity, boot), math.inf)
         if not gated and not self.point.word:
             self._lay(victim)
 
@@ -101,15 +107,21 @@ class Trap:
             return lost
 
     def spring(self, timeout_s: float) -> str:
-        """Waits until the point is reached, and kills the agent there; returns its name, or nothing: nobody came."""
-        if not self._set.wait(timeout_s):
+        """Waits until the point is reached, and kills the agent there; returns its name, or nothing: nobody came.
+
+        Raises:
+            InterruptedError: its waits were broken off.
+        """
+        waits = self._field.waits
+        if not waits.until(self._set.wait, timeout_s):
             return ""
         if self._dead:
             return self._dead
         if self._gate is not None:
-            reached = self._gate.reached(timeout_s)
+            reached = waits.until(self._gate.reached, timeout_s)
         else:
-            reached = self._is_replaced(timeout_s)
+            path = journal_file(self._field.state, self._victim, self._field.task_id)
+            reached = waits.until(lambda for_s: _is_replaced(path, self._before), timeout_s)
         if not reached:
             return ""
         self._field.kill(self._victim)
@@ -153,14 +165,12 @@ class Trap:
                 self._gate = Gate(field.gates / f"{field.task_id.name}.{how}-{victim}")
         self._set.set()
 
-    def _is_replaced(self, timeout_s: float) -> bool:
-        path = journal_file(self._field.state, self._victim, self._field.task_id)
-        until_s = time.monotonic() + timeout_s
-        while _file_number(path) == self._before:
-            if time.monotonic() > until_s:
-                return False
-            _never.wait(LOOK_S)
-        return True
+
+def _is_replaced(path: Path, before: int | None) -> bool:
+    """Returns whether a file has been replaced; where it has not, after a moment in which it might have been."""
+    if _file_number(path) == before:
+        _never.wait(LOOK_S)
+    return _file_number(path) != before
 
 
 def _file_number(path: Path) -> int | None:
