@@ -26,7 +26,6 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
-from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
@@ -44,6 +43,7 @@ from pancakes.services.postbox import COURIER
 from pancakes.services.records import Records
 from pancakes.services.root import Root
 from pancakes.services.wanted_recording import WantedRecording
+from pancakes.settings import make_settings
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Hello, Identity
@@ -121,10 +121,11 @@ class Agent:
             raise
 
     def _compose(self, config: Config, journal: Journal, virtual: Virtual | None) -> None:
+        network = self._network_settings()
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
         if virtual is None:
-            transport.lend_thread(self.kernel.guest, self._network_setting("busy_poll_s", BUSY_POLL_S))
+            transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
         if virtual is not None:
             store = VirtualStore(journal, transport.call_later)
@@ -153,7 +154,7 @@ class Agent:
             on_refused=self._stop_for,
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
-            times=self._link_times(),
+            times=LinkTimes(heartbeat_s=network.heartbeat_s),
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self._outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
@@ -366,13 +367,16 @@ class Agent:
         transport: Transport = make(self.kernel.host, self.name)
         return transport
 
-    def _link_times(self) -> LinkTimes:
-        return LinkTimes(heartbeat_s=self._network_setting("heartbeat_s", LinkTimes().heartbeat_s))
+    def _network_settings(self) -> NetworkService.Settings:
+        """Returns those settings of the network that are for transport and mesh, which are there before the service.
 
-    def _network_setting(self, name: str, default: float) -> float:
-        # Transport and mesh are there before the service, and outlive it.
+        Raises:
+            SettingsError: they do not fit; a configuration that was made in code has not been checked before.
+        """
         network = self.config.services.get("network")
-        return float(network.settings.get(name, default)) if network is not None else default
+        given = network.settings if network is not None else {}
+        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s") if name in given}
+        return make_settings(NetworkService.Settings, known)
 
     def _services(self) -> list[ServiceSpec]:
         by_service: dict[str, list[TaskSpec]] = {}

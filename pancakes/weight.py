@@ -25,11 +25,13 @@ LIGHT_BYTES: Final = 2048
 BRIEF_BYTES: Final = 16 * 1024
 """What is told of a value larger than this is how large it is."""
 SAMPLE: Final = 32
-"""So many items of a longer list or map are weighed, spread over it, and stand for the rest; a quarter in each list
-within that, and so on.
+"""Of more things in a list or map so many are weighed, spread over it, and stand for the rest."""
+LOOKED_THROUGH: Final = 256
+"""Texts and bytes are sought out of so many items of a list or map; a look costs 0.02 µs an item. In a longer one the
+sample stands for these as well.
 """
 MOST_VALUES: Final = 1000
-"""So many values of one body are looked at; what is left counts as a number each."""
+"""Into so many values of one body one looks, evenly spread; an item of what is left counts as a number."""
 MOST_DEPTH: Final = 32
 """What is nested deeper cannot travel, and is not looked at."""
 
@@ -38,6 +40,9 @@ Weigher = Callable[[Any], int]
 _FIXED: Final = (int, float, bool, complex, type(None))
 _NUMBERS: Final = (int, float, bool)
 _PLAIN: Final = (str, bytes, bytearray)
+_ROWS: Final = (list, tuple, set, frozenset)
+_OF_NUMBERS: Final = frozenset(_FIXED)
+_OF_PLAIN: Final = frozenset(_PLAIN)
 _POINTER: Final = 8
 _NUMBER: Final = 32  # a float or an int, and the pointer to it
 
@@ -94,7 +99,7 @@ def _light_on_the_wire(cls: type) -> int:
 
 def weigh(value: Any) -> int:
     """Returns how many bytes a body, or a part of one, takes, roughly. It never raises."""
-    return _Scales().weigh(value, 0)
+    return _weigh(value, MOST_VALUES, 0)
 
 
 def heavy_weight(packet: Packet) -> int:
@@ -175,7 +180,7 @@ def _rows(hint: Any) -> Weigher | None:
 
     def weigh_row(items: Any) -> int:
         count = len(items)
-        some = items if count <= SAMPLE else items[:: -(-count // SAMPLE)]
+        some = items if count <= SAMPLE else items[:: _step(count, SAMPLE)]
         size = 0
         for item in some:
             size += least + weigh_item(item)
@@ -211,38 +216,81 @@ def _is_fixed(hint: Any, depth: int) -> bool:
     return all(_is_fixed(hints.get(name, Any), depth - 1) for name in field_names(hint))
 
 
-class _Scales:
-    """Weighs one body."""
+def _weigh(value: Any, share: int, depth: int) -> int:
+    """Returns the bytes of a value that is nested so deep; `share`: into so many values within it one may look."""
+    if isinstance(value, _PLAIN):
+        return len(value)
+    if value is None or isinstance(value, (int, float, complex, enum.Enum)):
+        return _NUMBER
+    size = getattr(value, "nbytes", None)  # an array of numpy's, or a memoryview
+    if isinstance(size, int):
+        return size
+    if share < 1 or depth >= MOST_DEPTH:
+        return _NUMBER * (1 + len(value)) if isinstance(value, (dict, *_ROWS)) else _NUMBER
+    if isinstance(value, dict):
+        return _weigh_all(value, 0, depth) + _weigh_all(value.values(), share, depth)
+    if isinstance(value, _ROWS):
+        return _weigh_all(value, share, depth)
+    names = field_names(type(value))
+    if names:
+        return _weigh_all([getattr(value, name, None) for name in names], share, depth)
+    return _weigh_strange(value, share, depth)
 
-    def __init__(self) -> None:
-        self._left = MOST_VALUES
 
-    def weigh(self, value: Any, depth: int) -> int:
-        """Returns the bytes of a value that is nested so deep."""
-        self._left -= 1
-        if isinstance(value, _PLAIN):
-            return len(value)
-        if value is None or isinstance(value, (int, float, complex, enum.Enum)):
-            return _NUMBER
-        size = getattr(value, "nbytes", None)  # an array of numpy's, or a memoryview
-        if isinstance(size, int):
-            return size
-        if self._left <= 0 or depth >= MOST_DEPTH:
-            return _NUMBER
-        if isinstance(value, dict):
-            return self._all(value, depth) + self._all(value.values(), depth)
-        if isinstance(value, (list, tuple, set, frozenset)):
-            return self._all(value, depth)
-        return sum(self.weigh(getattr(value, name, None), depth + 1) for name in field_names(type(value)))
+def _weigh_strange(value: Any, share: int, depth: int) -> int:
+    """Weighs what cannot travel, but may be published for this agent: an `array`, a `deque`, any mapping."""
+    try:
+        return memoryview(value).nbytes
+    except TypeError:
+        if isinstance(value, Mapping):
+            return _weigh_all(value, 0, depth) + _weigh_all(value.values(), share, depth)
+        return _weigh_all(value, share, depth) if isinstance(value, Collection) else _NUMBER
 
-    def _all(self, items: Collection[Any], depth: int) -> int:
-        """Weighs a sample, evenly spread, and returns what all are thought to weigh."""
-        count = len(items)
-        try:
-            some = list(islice(items, 0, None, -(-count // max(1, SAMPLE >> 2 * depth)) or 1))
-        except RuntimeError:  # its owner changes it meanwhile, which no publisher should
-            return _NUMBER * count
-        if some and type(some[0]) in _NUMBERS and type(some[-1]) in _NUMBERS:
-            return _NUMBER * count
-        weighed = sum(_POINTER + self.weigh(item, depth + 1) for item in some)
-        return weighed * count // len(some) if some else 0
+
+def _weigh_all(items: Collection[Any], share: int, depth: int) -> int:
+    """Weighs texts, bytes and numbers all, of other things a sample; of many items only a sample is looked at."""
+    count = len(items)
+    try:
+        is_whole = count <= max(SAMPLE, min(LOOKED_THROUGH, 8 * share))
+        some = list(items) if is_whole else list(islice(items, 0, None, _step(count, SAMPLE)))
+    except RuntimeError:  # its owner changes it meanwhile, which no publisher should
+        return _NUMBER * count
+    kinds = set(map(type, some))
+    if kinds <= _OF_NUMBERS:
+        return _NUMBER * count
+    weighed = _POINTER * len(some)
+    if kinds <= _OF_PLAIN:
+        weighed += sum(map(len, some))
+    else:
+        others = []
+        for item in some:
+            kind = type(item)
+            if kind in _OF_PLAIN:
+                weighed += len(item)
+            elif kind in _OF_NUMBERS:
+                weighed += _NUMBER
+            else:
+                others.append(item)
+        if others:
+            weighed += _weigh_others(others, share, depth)
+    return weighed * count // len(some)
+
+
+def _weigh_others(items: Sequence[Any], share: int, depth: int) -> int:
+    """Weighs things that have others in them: each gets as much of the share as its siblings."""
+    some = items[:: _step(len(items), max(1, min(SAMPLE, share // 2)))]
+    each = (share - len(some)) // len(some)
+    return sum([_weigh(item, each, depth + 1) for item in some]) * len(items) // len(some)
+
+
+def _step(count: int, most: int) -> int:
+    """Returns how far apart a sample of so many at the most is taken.
+
+    Never a multiple of 2 or 3: of a list in which small and large things take turns, it would see one kind only.
+    """
+    step = -(-count // most) or 1
+    if step > 1:
+        step |= 1
+        if step % 3 == 0:
+            step += 2
+    return step

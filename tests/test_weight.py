@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import enum
-from collections import OrderedDict
+from array import array
+from collections import OrderedDict, UserDict, deque
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
@@ -90,6 +92,66 @@ def test_the_weight_is_about_what_it_takes(body, least, most):
     assert measure is not None
     assert least <= measure(body) <= most
     assert measure(body) > LIGHT_BYTES or most < LIGHT_BYTES
+
+
+IMAGE = bytes(1 << 20)
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        {"width": 640, "data": IMAGE, "height": 480},
+        {"camera": {"front": {"frame": {"width": 640, "data": IMAGE, "height": 480}}}},
+        {**{f"setting{n}": n for n in range(40)}, "data": IMAGE, "number": 1},
+        {**{f"setting{n}": "on" for n in range(200)}, "data": IMAGE, "name": "front"},
+        {"cameras": {f"camera{n}": {"on": False, "data": IMAGE if n == 3 else b"", "number": n} for n in range(8)}},
+        [1, IMAGE, 2],
+        [{"number": 1}, {"number": 2}, {"data": IMAGE}],
+    ],
+)
+def test_something_large_is_found_wherever_it_lies(what):
+    """Also between numbers, deep inside, and among many small things."""
+    assert len(IMAGE) <= weigh(what) <= 1.01 * len(IMAGE)
+    assert len(IMAGE) <= weigh(events.Event("frame", {"what": what})) <= 1.01 * len(IMAGE)
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        array("d", IMAGE),
+        deque([1, IMAGE]),
+        MappingProxyType({"data": IMAGE}),
+        UserDict(data=IMAGE),
+        {1: IMAGE}.values(),
+    ],
+)
+def test_what_cannot_travel_is_weighed_as_well(what):
+    """It may be published for tasks of the same agent."""
+    assert len(IMAGE) <= weigh(Anything(1, what)) <= 1.01 * len(IMAGE)
+
+
+@pytest.mark.parametrize("pairs", [20, 50, 500])
+def test_where_small_and_large_take_turns_the_sample_has_both(pairs):
+    large = bytes(10_000)
+    for row in ([b"head", large] * pairs, [[b"head"], [large]] * pairs, [[large], [b"head"]] * pairs):
+        assert pairs * 8_000 <= weigh(row) <= pairs * 12_000
+
+
+@dataclass(frozen=True)
+class Part:
+    text: str
+
+
+@dataclass(frozen=True)
+class Parts:
+    parts: list[Part]
+
+
+def test_where_small_and_large_rows_take_turns_the_sample_has_both():
+    measure = weigher(Parts)
+    assert measure is not None
+    for row in ([Part(""), Part("x" * 10_000)], [Part("x" * 10_000), Part("")]):
+        assert 300_000 <= measure(Parts(row * 40)) <= 500_000
 
 
 def test_an_array_weighs_what_its_numbers_take():

@@ -31,7 +31,8 @@ def counts_of(latenesses_s: list[float]) -> dict[int, int]:
     while at < len(latenesses_s):  # a step for each bucket, and not for each tick
         bucket = bucket_of(latenesses_s[at])
         end = bisect_right(latenesses_s, LEAST_S * STEP**bucket, at + 1)
-        counts[bucket] = end - at
+        # At the very edge of a bucket the two may differ by a rounding, and the same bucket comes again.
+        counts[bucket] = counts.get(bucket, 0) + end - at
         at = end
     return counts
 

@@ -24,7 +24,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
     cls = body_class(type_name)
     try:
         told: dict[str, Any] = schema_of(cls) if cls is not None else {}
-    except TypeError:  # it holds what JSON Schema has no word for, such as an array
+    except (TypeError, NameError):  # it holds what JSON Schema has no word for, or what is imported for checks only
         told = {}
     body = viewable(told, told.get("$defs", {}))
     return {

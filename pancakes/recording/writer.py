@@ -55,10 +55,10 @@ class RecordingWriter:
         """Adds packets.
 
         Returns:
-            Why those are left out that hold what no packet may hold.
+            Why those are left out that cannot be recorded.
 
         Raises:
-            OSError: the disk is full, ...
+            OSError: the disk is full, ...; all of them are written where a later call succeeds.
         """
         refused = []
         for entry, data in zip(entries, data_of([entry.packet for entry in entries]), strict=True):
@@ -69,6 +69,7 @@ class RecordingWriter:
             channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
             # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
             self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
+        self._chunks.end_large_chunk()
         return refused
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
@@ -82,6 +83,7 @@ class RecordingWriter:
             number = self._chunks.add_schema(schema_name, json.dumps(schema).encode())
             self._channels[key] = self._chunks.add_channel(topic, number)
         self._chunks.add_message(self._channels[key], time_ns, data)
+        self._chunks.end_large_chunk()
 
     def size_bytes(self) -> int:
         """Returns how large the file is so far."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 from msgspec.structs import replace
 
@@ -75,6 +76,8 @@ class Postbox:
         self._owed: dict[TaskId, dict[str, tuple[int, str]]] = {}
         self._kept: dict[TaskId, _Kept] = {}  # acknowledged before that
         self._failures: dict[_Key, int] = {}
+        # What each task has still to look at: which letter, and what its sender said then of those before it.
+        self._given: WeakKeyDictionary[Task, set[tuple[str, int, int]]] = WeakKeyDictionary()
 
     def arrived(self, letter: Letter, packet: Packet | None) -> None:
         """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again.
@@ -115,8 +118,14 @@ class Postbox:
         if packet is not None and self._failures.get(key, 0) < ATTEMPTS:
             # To its handlers it is as any other packet that names them.
             addressed = replace(packet, destination=slot.address)
+        given = self._given.setdefault(task, set())
+        place = (letter.stream, letter.seq, letter.first)
+        if place in given:
+            return  # it comes again and again while the task computes or waits, and would fill the memory
+        given.add(place)
 
         def give() -> None:
+            given.discard(place)
             try:
                 took = task.take_letter(letter.stream, letter.seq, letter.first, addressed)
             except BaseException:

@@ -44,7 +44,8 @@ def offer_tasks(
     lines += ["[pancakes.services]", "bench.Crowd = benchmarks.many_tasks:Crowd"]
     lines += ["[pancakes.packets]", *(f"{name} = {value}" for name, value in packets.items())]
     (info / "entry_points.txt").write_text("\n".join(lines) + "\n")
-    path = [str(directory), str(Path(__file__).resolve().parents[1])]
+    # The last for a clone that borrows another's environment: its agents are to run its own code as well.
+    path = [str(directory), *(str(Path(__file__).resolve().parents[up]) for up in (1, 2))]
     runtime = directory / "run"
     runtime.mkdir(mode=0o700)
     return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}

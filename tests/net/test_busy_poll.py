@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import msgspec
 import pytest
 
+from pancakes.agent import Agent
+from pancakes.config import ServiceConfig
+from pancakes.errors import PancakesError
 from pancakes.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
 from pancakes.net.tcp import TcpTransport
-from pancakes.testing import threaded_agent
+from pancakes.testing import config_of, no_thread_left, threaded_agent
 
 AWAKE_S = 0.0002
 LOOK_S = 0.00001
@@ -116,6 +121,18 @@ def test_the_configuration_says_how_long_it_stays_awake(table: dict[str, float],
         transport = agent.kernel.transport
         assert isinstance(transport, TcpTransport)
         assert transport.loop.busy_poll.busy_poll_s == busy_poll_s
+
+
+@pytest.mark.parametrize("key", ["busy_poll_s", "heartbeat_s"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, 3600.0, "much", None, True])
+def test_a_configuration_made_in_code_is_checked_before_the_thread_begins(
+    tmp_path: Path, key: str, value: object
+) -> None:
+    """Nobody has read it from a file; with infinity the thread would stay awake for ever after one dialogue."""
+    network = ServiceConfig("network", "network", settings={key: value})
+    config = msgspec.structs.replace(config_of("a", state_dir=str(tmp_path)), services={"network": network})
+    with no_thread_left(), pytest.raises(PancakesError, match=f"bad settings for NetworkService: {key}: "):
+        Agent(config)
 
 
 def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:

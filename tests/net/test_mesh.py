@@ -79,6 +79,15 @@ def test_a_third_agent_is_found_through_the_second(rig, agent):
     assert c.packets == []
 
 
+def test_links_are_told_by_the_names_of_the_peers_whoever_came_first(rig, agent):
+    a = agent("a")
+    agent("z", [a.mesh.listen])
+    rig.until(lambda: a.knows("z"))
+    agent("b", [a.mesh.listen])
+    rig.until(lambda: a.knows("b", "z"))
+    assert [link["name"] for link in a.mesh.links()] == ["b", "z"]
+
+
 def test_an_address_can_be_named_while_the_mesh_runs(rig, agent):
     a, b = agent("a"), agent("b")
     b.mesh.learn([a.mesh.listen])

@@ -1,11 +1,12 @@
 """How late ticks were is counted while an agent is recorded, and percentiles are found in what was counted."""
 
+import math
 import random
 
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.recording.latenesses import Latenesses, bucket_of, counts_of, quantile_s
+from pancakes.recording.latenesses import LEAST_S, STEP, Latenesses, bucket_of, counts_of, quantile_s
 from pancakes.recording.reader import RecordingReader
 from pancakes.report.rates import Rates
 from pancakes.task import Task, every
@@ -38,6 +39,14 @@ def test_many_are_counted_as_each_would_be():
     values = [0.0, 1e-6, *(draw.lognormvariate(-8.0, 3.0) for _ in range(1000))]
     assert counts_of([*values]) == counted(values)
     assert counts_of([]) == {}
+
+
+def test_ticks_at_the_edge_of_a_bucket_are_all_counted():
+    for step in range(120):
+        edge_s = LEAST_S * STEP**step
+        for lateness_s in (edge_s, math.nextafter(edge_s, 0.0), math.nextafter(edge_s, math.inf)):
+            assert counts_of([lateness_s] * 3) == counted([lateness_s] * 3)
+    assert counts_of([2e-6] * 3) == {4: 3}  # round numbers, such as there are in virtual time
 
 
 def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():

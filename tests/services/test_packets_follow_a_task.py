@@ -108,6 +108,20 @@ class TestOnOneAgent:
         assert agent.task("Other").state.numbers == []
         assert agent.probe.packets(Numbered) == []
 
+    def test_it_waits_once_while_the_task_comes_to_nothing_although_it_is_sent_again_and_again(self, fleet):
+        agent = fleet.start("a", tasks={"Sink": Sink})
+        inbox = agent.task("Sink").actor_inbox
+        assert inbox.token.acquire(blocking=False), "it is at rest"  # and has no turn from now on
+        fleet.run_for(60.0)
+        before = len(inbox.control)
+        for n in upto(5):
+            agent.publish("system", Numbered(n), to=SINK)
+        fleet.run_for(60.0)
+        assert len(inbox.control) <= 2 * before + 5
+        inbox.dispatch.ready(inbox)
+        fleet.run_for(5.0)
+        assert numbers(fleet) == upto(5)
+
     def test_it_waits_while_the_task_is_stopped(self, fleet):
         agent = fleet.start("a", tasks={"Sink": Sink})
         assert agent.ask(Stop("Sink")).ok
