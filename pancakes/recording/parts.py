@@ -48,15 +48,17 @@ class Parts:
         goes_on: bool = False,
     ) -> None:
         before = parts_of(path) if goes_on else []
-        self.first = path if goes_on else _unused(path)
         self._about = about
         self._split_bytes = split_mib * MIB
         self._limit_bytes = limit_mib * MIB
         self._drop_oldest = drop_oldest
         self._free_bytes = free_mib * MIB
         self._synced_bytes = 0
-        file = part_path(self.first, part_number(before[-1]) + 1 if before else 1)
+        self.first = path
         try:
+            if not goes_on:
+                self.first = _unused(path)
+            file = part_path(self.first, part_number(before[-1]) + 1 if before else 1)
             self._done = [(path, path.stat().st_size) for path in before]
             path.parent.mkdir(parents=True, exist_ok=True)
             lacking = self._lacking()
@@ -166,11 +168,15 @@ def parts_of(first: Path) -> list[Path]:
 
 
 def _unused(path: Path) -> Path:
-    """Returns a path beside this one at which nothing is."""
+    """Returns a path beside this one at which nothing is, nor a later part of a recording whose first is gone.
+
+    Raises:
+        OSError: it is no path, or nothing may be looked up there.
+    """
     stem = path.name.removesuffix(SUFFIX)
     number = 1
     candidate = path.with_name(stem + SUFFIX)
-    while candidate.exists():
+    while os.path.lexists(candidate) or parts_of(candidate):
         number += 1
         candidate = path.with_name(f"{stem}-{number}{SUFFIX}")
     return candidate

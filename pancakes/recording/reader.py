@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import heapq
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO
 
-from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.recording.chunks import MAGIC
 from pancakes.recording.entry import Entry, RecordingError, packet_from_data
 from pancakes.recording.mission_time import MissionTime
 from pancakes.recording.parts import SUFFIX, first_name, part_number, parts_of
+from pancakes.recording.records import READ_ERRORS, Damage, is_being_written, opened, records_of
 from pancakes.recording.schemas import SCHEMAS
 from pancakes.recording.writer import METADATA
-
-READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
-"""What reading a file raises that was cut off, torn, or never a recording."""
 
 
 @dataclass
@@ -33,6 +28,7 @@ class Reading:
         path: the file.
         about: what the recorder wrote about the recording.
         cut: why it could not be read to its end; empty where it could.
+        damage: what could not be read before that.
         strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
             each holds.
     """
@@ -40,7 +36,13 @@ class Reading:
     path: Path
     about: dict[str, str] = field(default_factory=dict)
     cut: str = ""
+    damage: Damage = field(default_factory=Damage)
     strange: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of it could be read."""
+        return not self.cut and not self.damage.chunks
 
 
 class RecordingReader:
@@ -76,12 +78,21 @@ class RecordingReader:
         Raises:
             RecordingError: a file is no recording at all.
         """
-        opened = [Reading(file) for file in self.files]
-        return MissionTime.of((reading.about, _entries(reading)) for reading in opened)
+        again = [Reading(file) for file in self.files]
+        return MissionTime.of((reading.about, _entries(reading)) for reading in again)
 
     def notes(self) -> Sequence[str]:
         """Returns sentences on all that could not be read so far."""
         notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
+        notes += [
+            f"{reading.path} is damaged: {reading.damage.chunks} of its chunks cannot be read"
+            for reading in self.readings
+            if reading.damage.chunks
+        ]
+        virtual = [reading.path for reading in self.readings if reading.about.get("clock") == "mission time"]
+        live = [reading.path for reading in self.readings if reading.about.get("clock") == "time of day"]
+        if virtual and live:
+            notes.append(f"{virtual[0]} is in virtual time and {live[0]} is not: their times do not go together")
         return notes + [
             f"{reading.path}: {text}" + (f" ({count} times)" if count > 1 else "")
             for reading in self.readings
@@ -93,24 +104,30 @@ def files_of(path: Path) -> list[Path]:
     """Returns the files of a recording, in their order.
 
     Raises:
-        RecordingError: there is none.
+        RecordingError: there is none, or nothing may be looked up there.
     """
-    if path.is_dir():
-        files = sorted(path.glob(f"*{SUFFIX}"), key=lambda file: (first_name(file), part_number(file)))
-        if not files:
-            raise RecordingError(f"{path} holds no recording (*{SUFFIX})")
-        return files
-    if not path.is_file():
-        raise RecordingError(f"there is no recording {path}")
-    return parts_of(path)
+    try:
+        is_folder = path.is_dir()
+        # Of a file, the first part may be gone: `at_limit = "drop_oldest"` drops it.
+        files = [file for file in path.glob(f"*{SUFFIX}") if file.is_file()] if is_folder else parts_of(path)
+    except OSError as error:
+        raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
+    if not files:
+        raise RecordingError(f"{path} holds no recording (*{SUFFIX})" if is_folder else f"there is no recording {path}")
+    return sorted(files, key=lambda file: (first_name(file), part_number(file)))
 
 
 def _entries(reading: Reading) -> Iterator[Entry]:
-    with reading.path.open("rb") as file:
+    with opened(reading.path) as file:
         for schema, channel, message in messages(reading, file):
             if not schema.startswith(SCHEMAS):
                 continue  # what a viewer shows
-            _, agent, name, kind = channel.topic.split("/")
+            try:
+                _, agent, name, kind = channel.topic.split("/")
+            except ValueError:
+                text = f"its topic {channel.topic!r} does not read /AGENT/CHANNEL/TYPE"
+                reading.strange[text] = reading.strange.get(text, 0) + 1
+                continue
             try:
                 packet = packet_from_data(name, kind, message.data)
             except RemoteProtocolError as error:
@@ -129,7 +146,7 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
     schemas: dict[int, str] = {}
     begun = False
     try:
-        for record in StreamReader(file, validate_crcs=True).records:
+        for record in records_of(file, reading.damage):
             begun = True
             if isinstance(record, Channel):
                 channels[record.id] = record
@@ -138,12 +155,19 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
             elif isinstance(record, Metadata) and record.name == METADATA:
                 reading.about.update(record.metadata)
             elif isinstance(record, Message):
-                channel = channels[record.channel_id]
+                channel = channels.get(record.channel_id)
+                if channel is None and reading.damage.chunks:
+                    continue  # what it was is told in a chunk that is damaged
+                if channel is None:
+                    raise KeyError(f"it does not say what its channel {record.channel_id} is")
                 yield schemas[channel.schema_id], channel, record
     except READ_ERRORS as error:
         if not begun and not _was_begun(file):
             raise RecordingError(f"{reading.path} is no recording: it does not begin as an MCAP file does") from None
-        reading.cut = (str(error) or "its end is missing") if begun else "it holds nothing yet"
+        if is_being_written(file):
+            reading.cut = "it is being recorded"
+        else:
+            reading.cut = (str(error) or "its end is missing") if begun else "it holds nothing yet"
 
 
 def _was_begun(file: BinaryIO) -> bool:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Channel, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pancakes.recording.entry import RecordingError
-from pancakes.recording.reader import READ_ERRORS, Reading, messages
+from pancakes.recording.reader import Reading, messages
+from pancakes.recording.records import READ_ERRORS, Damage, is_being_written, opened, records_of
 from pancakes.recording.writer import CHUNK_BYTES, LIBRARY, METADATA
 
 
@@ -25,7 +25,7 @@ class Repaired:
         path: the file.
         whole: whether there was nothing to mend, and it was left alone.
         messages: how many messages are in it.
-        bytes_lost: how much at its end could not be used.
+        bytes_lost: how much of it could not be used.
     """
 
     path: Path
@@ -42,12 +42,15 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
         into: the new file; None: it takes the place of the old one, once it is complete.
 
     Raises:
-        RecordingError: it is no recording, or the new file cannot be written.
+        RecordingError: it is no recording, it is still being recorded, or the new file cannot be written.
     """
     reading = Reading(path)
-    with path.open("rb") as file:
+    with opened(path) as file:
+        if into is None and is_being_written(file):
+            # Its recorder would write on into a file that nobody finds any more.
+            raise RecordingError(f"{path} is being recorded: end that first (pancakes record stop), or name --out")
         count = sum(1 for _ in messages(reading, file))
-    if not reading.cut:
+    if reading.whole:
         return Repaired(path, True, count, 0)
     made = into or path.with_name(path.name + ".repaired")
     begun = False
@@ -67,6 +70,7 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
 
 def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
     """Copies what is whole; returns how many bytes of the old file that took."""
+    damage = Damage()
     writer = Writer(out, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE, index_types=IndexType.ALL)
     writer.start(profile="", library=LIBRARY)
     writer.add_metadata(METADATA, dict(about))
@@ -74,7 +78,7 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
     channels: dict[int, int] = {}
     used = 0
     try:
-        for record in _readable(file):
+        for record in _readable(file, damage):
             if isinstance(record, Schema):
                 if record.id not in schemas:
                     schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
@@ -84,9 +88,11 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
                         record.topic, record.message_encoding, schemas[record.schema_id], dict(record.metadata)
                     )
             elif isinstance(record, Message):
+                if record.channel_id not in channels and damage.chunks:
+                    continue
                 channel = channels[record.channel_id]
                 writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
-            used = file.tell()
+            used = file.tell() - damage.size_bytes
     except KeyError:  # its channel or schema is missing: it is torn
         pass
     writer.finish()
@@ -95,9 +101,9 @@ def _copy(file: BinaryIO, out: BinaryIO, about: Mapping[str, str]) -> int:
     return used
 
 
-def _readable(file: BinaryIO) -> Iterator[McapRecord]:
+def _readable(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
     """Gives what can be read. Apart from the writing, whose errors do not say that the file ends here."""
     try:
-        yield from StreamReader(file, validate_crcs=True).records
+        yield from records_of(file, damage)
     except READ_ERRORS:
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -38,6 +39,8 @@ class RecordingWriter:
     def __init__(self, path: Path, about: Mapping[str, str]) -> None:
         self.path = path
         self._file = path.open("xb")
+        with suppress(OSError):  # a file system without locks: who repairs there has to know
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         try:
             self._chunks = ChunkedFile(self._file, LIBRARY, CHUNK_BYTES)
             self._chunks.add_metadata(METADATA, about)
@@ -107,7 +110,9 @@ class RecordingWriter:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Writes the index and closes the file."""
+        """Writes the index and closes the file, where that is not done yet."""
+        if self._file.closed:
+            return  # the next one could not be begun
         try:
             self._chunks.finish()
             self._file.flush()

@@ -245,8 +245,7 @@ class PageServer:
             page.trusted = bool(self.token) and hmac.compare_digest(given.encode(), self.token.encode())
             return {"control": page.trusted and shown.order is not None, "title": shown.title}
         if what == "chunk":
-            t = asked.get("t")
-            return msgspec.Raw(shown.feed.chunk(float(t) if isinstance(t, float | int) else 0.0))
+            return msgspec.Raw(shown.feed.chunk(_moment_of(asked)))
         if what == "explain":
             return await self._loop.run_in_executor(None, shown.explain, *_command_of(asked))
         if what == "order":
@@ -261,6 +260,14 @@ class PageServer:
             except TimeoutError:
                 raise NoAnswer(f"{order.agent} did not answer in time") from None
         raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+
+
+def _moment_of(asked: dict[str, Any]) -> float:
+    """Returns the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
+    try:
+        return msgspec.convert(asked.get("t"), float)
+    except msgspec.ValidationError:
+        return 0.0
 
 
 def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | None, int]:

@@ -9,6 +9,13 @@ import pytest
 from processes import PATIENCE_S, Rig
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 50\n'
+IDLE = """
+from pancakes.task import Task
+
+
+class Idle(Task):
+    pass
+"""
 
 
 @pytest.fixture
@@ -69,6 +76,17 @@ def test_a_channel_that_nobody_has_is_refused_and_of_one_that_some_have_it_is_to
     assert {row["path"] for row in rows(rig, "list")} == {None}
     result = rig.pancakes("record", "start", "--channel", "map", "--channel", "recording", "--path", "{agent}.mcap")
     assert (result.returncode, result.stderr) == (0, "b: no channel 'map', so nothing of it is recorded there\n")
+
+
+def test_of_a_task_that_runs_nowhere_it_is_told(rig):
+    rig.install("records", "[pancakes.tasks]\nrecords.Idle = plugin_records:Idle\n", IDLE)
+    rig.ready("a", '[task.Idle]\ntype = "records.Idle"\n')
+    told = "no task {} runs there now: of it nothing is recorded before it comes\n"
+    for task in ("b/Idle", "a/Idel"):
+        result = rig.pancakes("record", "start", "--task", task, "--path", "r.mcap")
+        assert (result.returncode, result.stderr) == (0, told.format(task))
+        rows(rig, "stop")
+    assert rig.pancakes("record", "start", "--task", "a/Idle", "--path", "r.mcap").stderr == ""
 
 
 def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):

@@ -311,6 +311,38 @@ def test_a_whole_file_is_left_alone_by_a_repair(tmp_path):
     assert (tmp_path / "r.mcap").read_bytes() == before
 
 
+def test_what_is_damaged_in_the_middle_costs_a_chunk_and_not_what_comes_after_it(tmp_path):
+    path = tmp_path / "r.mcap"
+    written(path, [pose(number) for number in range(500)])
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path.write_bytes(data)
+    before, reader = read(path)
+    assert reader.notes() == [f"{path} is damaged: 1 of its chunks cannot be read"]
+    assert [entry.packet.seq for entry in before if entry.packet.seq > 400] == list(range(401, 501))
+    assert len(before) == 450
+    mended = repair(path)
+    assert (mended.whole, mended.messages) == (False, 450)
+    assert 0 < mended.bytes_lost < len(data) / 5
+    after, reader = read(path)
+    assert (after, reader.notes()) == (before, [])
+
+
+def test_what_is_being_recorded_is_not_repaired_under_its_recorders_hands(tmp_path):
+    path = tmp_path / "r.mcap"
+    writer = RecordingWriter(path, {"agent": "a"})
+    writer.write([pose(0)])
+    writer.flush()
+    assert read(path)[1].notes() == [f"{path} is cut off: it is being recorded"]
+    with pytest.raises(RecordingError, match=r"r\.mcap is being recorded: end that first"):
+        repair(path)
+    assert repair(path, tmp_path / "copy.mcap").messages == 1
+    writer.write([pose(1)])
+    writer.close()
+    assert len(read(path)[0]) == 2
+    assert repair(path).whole
+
+
 @pytest.mark.parametrize("full_after_bytes", [0, 20_000])
 def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later(
     tmp_path, monkeypatch, full_after_bytes
@@ -379,6 +411,60 @@ def test_what_is_no_recording_is_named(tmp_path):
         read(tmp_path / "empty")
 
 
+def test_a_topic_that_another_program_has_changed_is_named(tmp_path):
+    with (tmp_path / "r.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel(
+            "/robot/a/system/pose", "json", writer.register_schema("pancakes.pose", "", b"")
+        )
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    entries, reader = read(tmp_path / "r.mcap")
+    told = f"{tmp_path}/r.mcap: its topic '/robot/a/system/pose' does not read /AGENT/CHANNEL/TYPE"
+    assert (entries, reader.notes()) == ([], [told])
+
+
+def test_only_files_are_files_of_a_recording(tmp_path):
+    written(tmp_path / "r.mcap", [pose(0)])
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "gone.mcap").symlink_to(tmp_path / "nowhere")
+    os.mkfifo(tmp_path / "pipe.mcap")  # opening it would wait for ever
+    assert read(tmp_path)[0] == [pose(0)]
+
+
+def test_a_file_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    written(tmp_path / "r.mcap", [pose(0)])
+
+    def forbidden(path, mode):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr("pathlib.Path.open", forbidden)  # root may read anything
+    for use in (read, repair):
+        with pytest.raises(RecordingError, match=r"the recording .*/r\.mcap cannot be read: Permission denied"):
+            use(tmp_path / "r.mcap")
+
+
+def test_a_folder_in_which_nothing_may_be_looked_up_is_named(tmp_path, monkeypatch):
+    def forbidden(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr("pathlib.Path.is_dir", forbidden)
+    with pytest.raises(RecordingError, match=r"the recording .*/r\.mcap cannot be read: Permission denied"):
+        RecordingReader(tmp_path / "r.mcap")
+
+
+def test_recordings_in_virtual_time_and_of_the_day_are_told_apart(tmp_path):
+    written(tmp_path / "virtual.mcap", [pose(0)])
+    RecordingWriter(tmp_path / "live.mcap", {"agent": "b", "clock": "time of day"}).close()
+    _, reader = read(tmp_path)
+    [note] = reader.notes()
+    assert (
+        note
+        == f"{tmp_path}/virtual.mcap is in virtual time and {tmp_path}/live.mcap is not: their times do not go together"
+    )
+
+
 def test_a_type_that_has_changed_since_is_told_and_the_rest_is_read(tmp_path):
     written(tmp_path / "r.mcap", [pose(0), pose(1, body={"x_m": "far"}), pose(2, body={"x_m": "far"}), pose(3)])
     found, reader = read(tmp_path / "r.mcap")
@@ -429,6 +515,28 @@ def test_at_its_limit_a_recording_ends_or_forgets_its_oldest(tmp_path):
     assert sum(path.stat().st_size for path in left) < 0.09 * 2**20
     last = RecordingReader(left[-1])
     assert list(last.entries())[-1].packet.seq == 2000
+
+
+def test_a_recording_that_forgot_its_first_file_is_found_by_that_and_the_next_one_is_another(tmp_path):
+    parts = make_parts(tmp_path / "r.mcap", limit_mib=0.05, drop_oldest=True)
+    assert filled(parts, 500) == ""
+    left = parts_of(tmp_path / "r.mcap")
+    assert parts.first not in left
+    assert RecordingReader(parts.first).files == left
+    again = make_parts(tmp_path / "r.mcap", limit_mib=0.05, drop_oldest=True)
+    assert again.first == tmp_path / "r-2.mcap"
+    assert filled(again, 2000) == ""
+    assert parts_of(tmp_path / "r.mcap") == left
+
+
+def test_where_the_next_file_cannot_be_begun_the_last_one_is_whole(tmp_path, monkeypatch):
+    parts = make_parts(tmp_path / "r.mcap")
+    (tmp_path / "r.002.mcap").mkdir()
+    with pytest.raises(FileExistsError):
+        filled(parts, 500)
+    parts.close()  # as a recorder does then
+    entries, reader = read(tmp_path / "r.mcap")
+    assert (len(entries) > 50, reader.notes()) == (True, [])
 
 
 def test_a_recording_ends_before_the_disk_is_full_and_does_not_begin_after_that(tmp_path, monkeypatch):

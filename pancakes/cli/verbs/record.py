@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import accepted
-from pancakes.cli.errors import sentences
+from pancakes.cli.errors import REFUSED, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
@@ -80,6 +81,8 @@ def start(
         rows = []
         there = _survey(client, agents)
         _check_channels(channels, there)
+        if task and not _runs(client, task, there):
+            click.echo(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
         for agent in [described["agent"] for described in there]:
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
@@ -181,7 +184,7 @@ def info(path: Path, format_: str) -> None:
         "to_s": round(time.at(summary.last_ns), 3),
         "duration_s": round((summary.last_ns - summary.first_ns) / 1e9, 3),
         "packets": summary.packets,
-        "whole": not any(reading.cut for reading in reader.readings),
+        "whole": all(reading.whole for reading in reader.readings),
     }
     topics = [topic.row() for _, topic in sorted(summary.topics.items())]
     if format_ == "json":
@@ -203,24 +206,37 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
     Example:
         pancakes record repair recordings/agent1.mcap
     """
+    from pancakes.recording.entry import RecordingError
     from pancakes.recording.reader import Reading, files_of, messages
+    from pancakes.recording.records import opened
     from pancakes.recording.repair import repair as mend
 
-    if out is not None and len(paths) > 1:
-        raise click.UsageError("--out goes with one file")
+    files = [file for given in paths for file in files_of(given)]
+    if out is not None and len(files) > 1:
+        raise click.UsageError(f"--out goes with one file, these are {len(files)}")
     rows: list[dict[str, Any]] = []
-    for path in [file for given in paths for file in files_of(given)]:
+    failed = False
+    for path in files:
         if dry_run:
             reading = Reading(path)
-            with path.open("rb") as file:
+            with opened(path) as file:
                 count = sum(1 for _ in messages(reading, file))
-            done = DRY_RUN if reading.cut else "whole already"
+            done = "whole already" if reading.whole else DRY_RUN
             rows.append({"file": str(path), "done": done, "messages": count, "bytes_lost": None})
             continue
-        made = mend(path, out)
+        try:
+            made = mend(path, out)
+        except RecordingError as error:
+            if len(files) == 1:
+                raise
+            click.echo(str(error), err=True)  # the others can be mended all the same
+            failed = True
+            continue
         done = "whole already" if made.whole else "repaired"
         rows.append({"file": str(made.path), "done": done, "messages": made.messages, "bytes_lost": made.bytes_lost})
     show(rows, ("file", "done", "messages", "bytes_lost"), format_)
+    if failed:
+        sys.exit(REFUSED)
 
 
 def _survey(client: Client, agents: tuple[str, ...]) -> list[dict[str, Any]]:
@@ -246,6 +262,16 @@ def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> 
         if len(lacking) == len(agents):
             raise ControlRefused(f"no agent has a channel {channel!r}, only {', '.join(known)}")
         click.echo(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
+
+
+def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
+    """Returns whether a task runs on any of these agents, in whatever service."""
+    for row in [row for agent in agents for row in agent["tasks"]]:
+        if row["state"] == "running" and row["task"] == task_id.partition("/")[2]:
+            told = client.request(row["agent"], Describe(f"{row['service']}/{row['task']}"))
+            if told.ok and (told.result["fence"] or {}).get("task_id") == task_id:
+                return True
+    return False
 
 
 def _path(client: Client, agent: str) -> str | None:

@@ -9,7 +9,7 @@ import click
 
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType
-from pancakes.cli.options import Duration, dry_run_option, orders_agents
+from pancakes.cli.options import Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
 from pancakes.cli.streaming import say, until_ended
 from pancakes.client import Client
@@ -27,7 +27,7 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
 @click.option(
     "--speed",
     metavar="TIMES",
-    type=click.FloatRange(min=0.0, min_open=True, max=1000.0),
+    type=FiniteRange(min=0.0, min_open=True, max=1000.0),
     default=1.0,
     show_default=True,
     help="So many times as fast as then, in mission time.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.cli.errors import OK, REFUSED, sentences
-from pancakes.cli.options import Duration, format_option
+from pancakes.cli.options import Duration, FiniteRange, format_option
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import one_line, say
 from pancakes.cli.verbs import param_file
@@ -35,7 +35,7 @@ LONGEST: Final = 100
 @click.option(
     "--tolerance",
     metavar="SHARE",
-    type=click.FloatRange(min=0.0),
+    type=FiniteRange(min=0.0),
     default=1e-6,
     show_default=True,
     help="Numbers are equal that differ by less, as a share of themselves, or from 0.",
