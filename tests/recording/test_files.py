@@ -16,6 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+import pancakes.packet
 from pancakes.devices.types import Motion, Pose
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
@@ -79,7 +80,6 @@ class Told:
         self.made.append("")
 
 
-@packet_type("test.own_code")
 @dataclass(frozen=True, eq=False)
 class OwnCode:
     """Has code of its own that goes wrong where two are compared."""
@@ -91,13 +91,21 @@ class OwnCode:
         return np.array([True, True])  # whose truth is no boolean
 
 
-@packet_type("test.for_checks_only")
 @dataclass(frozen=True)
 class ForChecksOnly:
     """Names a type that is imported for checks only."""
 
     value: int
     what: "NotImported | None" = None  # noqa: F821
+
+
+@pytest.fixture(autouse=True)
+def types_that_go_wrong(monkeypatch):
+    """Registers what goes wrong for these tests alone: others look at all types that there are."""
+    monkeypatch.setattr(pancakes.packet, "_CLASSES", dict(pancakes.packet._CLASSES))
+    monkeypatch.setattr(pancakes.packet, "_NAMES", dict(pancakes.packet._NAMES))
+    packet_type("test.own_code")(OwnCode)
+    packet_type("test.for_checks_only")(ForChecksOnly)
 
 
 def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
