@@ -71,23 +71,6 @@ class Backlog(Generic[Item]):
             return item.item
         return item
 
-    def take_some(self, limit: int, enough_bytes: int) -> list[Item]:
-        """Takes the oldest out, in order: at most so many, and no more once the heavy ones among them weigh so much."""
-        some: list[Item] = []
-        weight = 0
-        while len(some) < limit and weight < enough_bytes:
-            try:
-                item = self._items.popleft()
-            except IndexError:
-                break
-            if isinstance(item, _Heavy):
-                weight += item.weight
-                self._load(-item.weight)
-                some.append(item.item)
-            else:
-                some.append(item)
-        return some
-
     def clear(self) -> None:
         """Forgets what waits, without counting it as fallen out."""
         while self.take() is not None:

@@ -47,7 +47,7 @@ class ChunkedFile:
     Args:
         file: where it goes to.
         library: who writes it.
-        chunk_bytes: so much is worth a chunk.
+        chunk_bytes: a chunk ends once it is larger than this.
 
     Raises:
         OSError: the disk is full, ...
@@ -88,7 +88,7 @@ class ChunkedFile:
         return number
 
     def add_message(self, channel: int, time_ns: int, data: bytes, sequence: int = 0) -> None:
-        """Adds a message, published and recorded at the same time. Nothing is written yet: it cannot fail."""
+        """Adds a message, published and recorded at the same time. Where writing fails, a later call writes it."""
         chunk = self._chunk
         index = self._index.get(channel)
         if index is None:
@@ -96,10 +96,7 @@ class ChunkedFile:
         index += (time_ns, len(chunk))
         chunk += _MESSAGE.pack(Opcode.MESSAGE, _MESSAGE_LENGTH + len(data), channel, sequence, time_ns, time_ns)
         chunk += data
-
-    def end_large_chunk(self) -> None:
-        """Writes what has been added into the file, if it is worth a chunk."""
-        if len(self._chunk) > self._chunk_bytes:
+        if len(chunk) > self._chunk_bytes:
             self.end_chunk()
 
     def size_bytes(self) -> int:

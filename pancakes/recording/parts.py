@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from pancakes.errors import LocalProtocolError
 from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.writer import RecordingWriter
 
@@ -69,9 +68,9 @@ class Parts:
         if lacking:
             raise RecordingError(f"the recording {self.first} does not begin: {lacking}")
 
-    def write(self, entries: Sequence[Entry]) -> list[LocalProtocolError]:
-        """Adds packets; see `RecordingWriter.write`."""
-        return self._writer.write(entries)
+    def write(self, entry: Entry) -> None:
+        """Adds a packet; see `RecordingWriter.write`."""
+        self._writer.write(entry)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
         """Adds a message that is no packet; see `RecordingWriter.add`."""

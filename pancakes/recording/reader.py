@@ -12,7 +12,8 @@ from mcap.records import Channel, Message, Metadata, Schema
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.recording.chunks import MAGIC
-from pancakes.recording.entry import Entry, RecordingError, packet_from_data
+from pancakes.recording.entry import Entry, RecordingError
+from pancakes.recording.message import packet_from_data
 from pancakes.recording.mission_time import MissionTime
 from pancakes.recording.parts import SUFFIX, first_name, part_number, parts_of
 from pancakes.recording.records import READ_ERRORS, Damage, is_being_written, opened, records_of

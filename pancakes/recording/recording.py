@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -26,10 +26,6 @@ from pancakes.recording.viewing import SHOWN, Viewer
 
 WAITING: Final = 20_000
 """So many packets wait for the disk, of large ones fewer; then the oldest are left out and counted."""
-TOGETHER: Final = 250
-"""So many packets are encoded before they are added to the file, ..."""
-TOGETHER_BYTES: Final = 64 * 1024
-"""... and of large ones no more than this, or one: 250 images of 256 KiB took 170 MiB."""
 FLUSH_S: Final = 0.49
 """How often, in host time, all that has come is given to the operating system: that is not lost where the agent is
 killed, and half of the second is left that this may cost."""
@@ -212,32 +208,26 @@ class Recording:
             self._say("warning", f"the recording {self.first} could not be closed: {error.strerror or error}")
 
     def _write_waiting(self) -> None:
-        left = len(self._waiting)
-        while left > 0:
-            some = self._waiting.take_some(min(left, TOGETHER), TOGETHER_BYTES)
-            if not some:  # old ones fell out just now
+        for _ in range(len(self._waiting)):
+            seen = self._waiting.take()
+            if seen is None:  # old ones fell out just now
                 return
-            left -= len(some)
-            self._put(
-                [
-                    Entry(self._time_ns(seen.host_s), self._agent, seen.packet)
-                    for seen in some
-                    if self._everything or self._wanted(seen.packet)
-                ]
-            )
+            if self._everything or self._wanted(seen.packet):
+                self._put(Entry(self._time_ns(seen.host_s), self._agent, seen.packet))
 
     def _time_ns(self, host_s: float) -> int:
         return self._epoch_ns + int(host_s * NANOSECONDS)
 
-    def _put(self, entries: Sequence[Entry]) -> None:
-        for refused in self._parts.write(entries):
-            self._say("warning", str(refused))
-        if self._settings.viewer:
-            for entry in entries:
-                if entry.packet.type in SHOWN:
-                    with suppress(TypeError, ValueError, AttributeError):  # its fields are not what its class says
-                        for message in self._viewer.messages(entry):
-                            self._parts.add(*message)
+    def _put(self, entry: Entry) -> None:
+        try:
+            self._parts.write(entry)
+        except PancakesError as error:
+            self._say("warning", str(error))
+            return
+        if self._settings.viewer and entry.packet.type in SHOWN:
+            with suppress(TypeError, ValueError, AttributeError):  # its fields are not what its class says
+                for message in self._viewer.messages(entry):
+                    self._parts.add(*message)
 
     def _wanted(self, packet: Packet) -> bool:
         settings = self._settings

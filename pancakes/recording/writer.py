@@ -5,15 +5,15 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from pancakes import __version__
-from pancakes.errors import LocalProtocolError
 from pancakes.recording.chunks import ChunkedFile
-from pancakes.recording.entry import Entry, data_of
+from pancakes.recording.entry import Entry
+from pancakes.recording.message import data_of
 from pancakes.recording.schemas import SCHEMAS, schema_for
 
 CHUNK_BYTES: Final = 128 * 1024
@@ -54,26 +54,18 @@ class RecordingWriter:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
 
-    def write(self, entries: Sequence[Entry]) -> list[LocalProtocolError]:
-        """Adds packets.
-
-        Returns:
-            Why those are left out that cannot be recorded.
+    def write(self, entry: Entry) -> None:
+        """Adds a packet.
 
         Raises:
-            OSError: the disk is full, ...; all of them are written where a later call succeeds.
+            LocalProtocolError: it cannot be recorded; the file is as it was.
+            OSError: the disk is full, ...; it is written where a later call succeeds.
         """
-        refused = []
-        for entry, data in zip(entries, data_of([entry.packet for entry in entries]), strict=True):
-            if isinstance(data, LocalProtocolError):
-                refused.append(data)
-                continue
-            packet = entry.packet
-            channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
-            # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
-            self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
-        self._chunks.end_large_chunk()
-        return refused
+        packet = entry.packet
+        data = data_of(packet)
+        channel = self._packet_channels.get((entry.agent, packet.channel, packet.type)) or self._channel(entry)
+        # Published and recorded at the same moment, as far as is known: the stamp is of the mission's clock.
+        self._chunks.add_message(channel, entry.time_ns, data, packet.seq & 0xFFFFFFFF)
 
     def add(self, topic: str, schema_name: str, schema: Mapping[str, object], time_ns: int, data: bytes) -> None:
         """Adds a message that is no packet, such as a pose in the schema of a viewer.
@@ -86,7 +78,6 @@ class RecordingWriter:
             number = self._chunks.add_schema(schema_name, json.dumps(schema).encode())
             self._channels[key] = self._chunks.add_channel(topic, number)
         self._chunks.add_message(self._channels[key], time_ns, data)
-        self._chunks.end_large_chunk()
 
     def size_bytes(self) -> int:
         """Returns how large the file is so far."""

@@ -45,7 +45,7 @@ def recording(tmp_path):
     for agent in ("world", "a"):
         writer = RecordingWriter(folder / f"{agent}.mcap", {"agent": agent, "clock": "time of day", "speed": "1.0"})
         for entry in reactions(agent):
-            writer.write([entry])
+            writer.write(entry)
         writer.close()
     return folder
 
@@ -164,7 +164,7 @@ def test_only_one_agents_recording_begins_the_chain_where_it_arrived(recording):
 def test_an_agent_that_was_started_again_goes_on_in_the_recordings_mission_time(recording, found):
     writer = RecordingWriter(recording / "a.002.mcap", {"agent": "a", "clock": "time of day", "speed": "1.0"})
     again = Packet("ctrl", "motors", "a/client/Scan", "", 0.25, 1, Twist(0.0, 0.0))
-    writer.write([Entry(5000 * MS, "a", again)])
+    writer.write(Entry(5000 * MS, "a", again))
     writer.close()
     assert [(it["mission_s"], it["seq"]) for it in found("--at", "3s", "--type", "motors")] == [(2.025, 20)]
     assert [(it["mission_s"], it["seq"]) for it in found("--at", "6s", "--type", "motors")] == [(5.0, 1)]

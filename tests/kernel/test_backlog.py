@@ -74,14 +74,3 @@ def test_what_is_cleared_was_not_lost(backlog):
     put(backlog, 1, kib=30)
     backlog.clear()
     assert (len(backlog), backlog.heavy_bytes, backlog.dropped) == (0, 0, 0)
-
-
-def test_some_are_taken_in_order_and_of_large_ones_no_more_than_are_enough(backlog):
-    for number, kib in enumerate((None, 30, None, 30, None, 30, None)):
-        put(backlog, number, kib)
-    assert backlog.take_some(2, enough_bytes=60 * KIB) == [0, 1]
-    assert backlog.heavy_bytes == 60 * KIB
-    assert backlog.take_some(9, enough_bytes=60 * KIB) == [2, 3, 4, 5]
-    assert backlog.take_some(9, enough_bytes=60 * KIB) == [6]
-    assert backlog.take_some(9, enough_bytes=60 * KIB) == []
-    assert (backlog.heavy_bytes, backlog.dropped) == (0, 0)

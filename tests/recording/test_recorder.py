@@ -13,7 +13,6 @@ from pancakes.recording.description import TaskDescription
 from pancakes.recording.parts import Parts, parts_of
 from pancakes.recording.reader import RecordingReader
 from pancakes.recording.recorder import _Question
-from pancakes.recording.recording import TOGETHER
 from pancakes.recording.summary import Summary, Topic
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
@@ -240,24 +239,6 @@ def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(flee
     (warning,) = [line for line in agent.lines("warning") if "lacks" in line]
     assert "the recording lacks" in warning and "the disk is too slow" in warning
     assert len(finish(agent, tmp_path / "r.mcap")) == 64
-
-
-def test_of_large_packets_few_are_encoded_at_once(fleet, tmp_path, monkeypatch):
-    """All that are encoded together are in memory twice."""
-    batches = []
-    write = Parts.write
-    monkeypatch.setattr(Parts, "write", lambda its, entries: batches.append(entries) or write(its, entries))
-    agent = fleet.start("a")
-    record(agent, tmp_path / "r.mcap", types=["test_recorder.picture", "load"])
-    for _ in range(20):
-        agent.publish("system", Picture(bytes(40 * 1024)))
-        agent.publish("system", Load(0.5))
-    for _ in range(600):
-        agent.publish("system", Load(0.5))
-    entries = finish(agent, tmp_path / "r.mcap")
-    assert len(entries) == 640
-    assert max(len(batch) for batch in batches) == TOGETHER
-    assert max(sum(entry.packet.type != "load" for entry in batch) for batch in batches) == 2
 
 
 def test_a_pose_that_is_none_costs_a_warning_and_not_the_recording(fleet, tmp_path):

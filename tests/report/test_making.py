@@ -69,7 +69,7 @@ def mission(agent):
 def written(path, entries, clock="time of day"):
     writer = RecordingWriter(path, {"agent": path.stem, "clock": clock, "speed": "1.0"})
     for number, entry in enumerate(entries):
-        writer.write([entry])
+        writer.write(entry)
         if number % 20 == 19:
             writer.flush()
     writer.close()

@@ -1,0 +1,177 @@
+"""The data of a message of a recording: one packet as JSON, and back."""
+
+from __future__ import annotations
+
+import base64
+import types
+from collections.abc import Callable
+from enum import Enum
+from functools import cache
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgpack
+import msgspec
+
+from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.packet import Cause, Fence, Packet, body_from_plain, field_names, has_fields
+from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
+
+
+class _Row(msgspec.Struct, omit_defaults=True, gc=False):
+    """The data of a message. A structure takes half as long to make and to encode as a mapping."""
+
+    source: str
+    destination: str
+    stamp: float
+    seq: int
+    cause: Cause | None
+    fence: Fence | None
+    body: Any
+    exact: str = ""
+
+
+def data_of(packet: Packet) -> bytes:
+    """Returns a packet as JSON, the data of a message.
+
+    What JSON cannot hold (arrays, infinity and NaN, bytes where the class does not say so) is written as well as it
+    goes, and the packet is added as it travels between agents, in the field `exact`. What does not travel either, such
+    as a date in a field of any type, is written as well as it goes, if that can be read again.
+
+    Raises:
+        LocalProtocolError: its body cannot be recorded.
+    """
+    cls: type = type(packet.body)
+    row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
+    try:
+        data = _PLAIN.encode(row)
+    except _CANNOT_ENCODE:
+        return _exact_data(row, packet)
+    # JSON says null for what is no number: most nulls are a None.
+    if _is_told(cls) and data.count(b"null") == (packet.cause is None) + (packet.fence is None):
+        return data
+    return data if _holds_body(data, packet.body) else _exact_data(row, packet)
+
+
+def _holds_body(data: bytes, body: Any) -> bool:
+    """Returns whether the data of a message says all about the body of its packet."""
+    cls: type = type(body)
+    decode = _decode_of(cls)
+    if decode is None:
+        return False
+    try:
+        return bool(decode(data).body == body)
+    except Exception:  # a class may run code of its own where it is made, and where it is compared
+        return False
+
+
+@cache
+def _is_told(cls: type) -> bool:
+    """Returns whether JSON says all about each body of a class, but for numbers that are none.
+
+    To look at what was written costs as much as writing it, which of a long list is much.
+    """
+    return has_fields(cls) and _comes_back(cls, ())
+
+
+def _comes_back(hint: Any, inside: tuple[type, ...]) -> bool:
+    if hint in _TOLD:
+        return True
+    origin, parts = get_origin(hint), [part for part in get_args(hint) if part is not Ellipsis]
+    if origin is Annotated:
+        return _comes_back(parts[0], inside)
+    if origin is Literal:
+        return True
+    if origin is dict:
+        return parts[0] is str and _comes_back(parts[1], inside)
+    if origin in (list, tuple):
+        return all(_comes_back(part, inside) for part in parts)
+    if origin in (Union, types.UnionType):
+        there = [part for part in parts if part is not type(None)]
+        return len(there) == 1 and _comes_back(there[0], inside)
+    if not isinstance(hint, type) or hint in inside:
+        return False
+    if issubclass(hint, Enum):
+        return True
+    if not has_fields(hint):
+        return False
+    try:
+        hints = get_type_hints(hint)
+    except Exception:  # a class may name a type that is imported for checks only: nothing is known of its fields
+        return False
+    return all(_comes_back(hints.get(name, Any), (*inside, hint)) for name in field_names(hint))
+
+
+@cache
+def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
+    """Returns what makes something with the body of a class of a message's data; None where that cannot be."""
+    try:
+        alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
+        decode: Callable[[bytes], Any] = msgspec.json.Decoder(alone).decode
+    except Exception:  # as above, and there are classes that msgspec makes of nothing
+        return None
+    return decode
+
+
+def _exact_data(row: _Row, packet: Packet) -> bytes:
+    try:
+        row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
+        return _LISTS.encode(row)
+    except (*_CANNOT_ENCODE, LocalProtocolError) as error:
+        reason = error
+    row.exact = ""
+    try:
+        data = _PLAIN.encode(row)
+        packet_from_data(packet.channel, packet.type, data)
+        return data
+    except (*_CANNOT_ENCODE, RemoteProtocolError):
+        raise LocalProtocolError(
+            f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be recorded: {reason}"
+        ) from None
+
+
+def _list(array: Any) -> Any:
+    if hasattr(array, "tolist"):
+        return array.tolist()
+    raise TypeError(f"a {type(array).__name__} is no plain value")
+
+
+_TOLD: Final = (str, bytes, int, float, bool, type(None))
+# RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
+_CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, msgspec.MsgspecError)
+_PLAIN: Final = msgspec.json.Encoder()
+_LISTS: Final = msgspec.json.Encoder(enc_hook=_list)
+_WIRE: Final = Encoder()
+
+
+def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
+    """Makes a packet of the data of a message; its body becomes the registered dataclass, where there is one.
+
+    Raises:
+        RemoteProtocolError: it is no packet, or the body does not fit its type.
+    """
+    try:
+        row = msgspec.json.decode(data)
+        exact = row.get("exact")
+        if exact is not None:
+            packed = base64.b64decode(exact, validate=True)
+            return packet_from_row(rows_from_payload(msgpack.packb([msgpack.unpackb(packed, ext_hook=_keep)]))[0])
+        cause = row["cause"]
+        return Packet(
+            channel,
+            type_name,
+            row["source"],
+            row["destination"],
+            float(row["stamp"]),
+            int(row["seq"]),
+            body_from_plain(type_name, row["body"]),
+            (cause[0], cause[1]) if cause else None,
+            msgspec.convert(row["fence"], Fence | None),
+        )
+    except RemoteProtocolError:
+        raise
+    except Exception as error:  # a registered class may run code of its own in __post_init__
+        raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {error}") from None
+
+
+def _keep(code: int, data: bytes) -> msgpack.ExtType:
+    return msgpack.ExtType(code, data)

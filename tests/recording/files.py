@@ -1,0 +1,28 @@
+"""What tests of recordings write, and how they read it."""
+
+from pancakes.devices.types import Pose
+from pancakes.packet import Packet
+from pancakes.recording.entry import Entry
+from pancakes.recording.reader import RecordingReader
+from pancakes.recording.writer import RecordingWriter
+
+S = 1_000_000_000
+
+
+def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
+    body = body or Pose(float(number), 0.5, -0.25)
+    return Entry(number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence))
+
+
+def written(path, entries):
+    writer = RecordingWriter(path, {"agent": "a", "clock": "mission time"})
+    for number, entry in enumerate(entries):
+        writer.write(entry)
+        if number % 50 == 49:
+            writer.flush()
+    writer.close()
+
+
+def read(path):
+    reader = RecordingReader(path)
+    return list(reader.entries()), reader
