@@ -102,8 +102,17 @@ def agent_process(
         with process(command, environment, core, pass_fds) as started:
             yield started
         return
+    with ready_process(command, environment, core, pass_fds) as started:
+        yield started
+
+
+@contextmanager
+def ready_process(
+    command: list[str], environment: Mapping[str, str], core: int | None = None, pass_fds: tuple[int, ...] = ()
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Runs `pancakes-agent` from this command, and waits until all runs that it is to start with; see `process`."""
     reader, writer = os.pipe()
-    command += ["--ready-fd", str(writer)]
+    command = [*command, "--ready-fd", str(writer)]
     with open(reader, "rb"), process(command, environment, core, (*pass_fds, writer)) as started:
         os.close(writer)
         _read_line(reader)

@@ -32,12 +32,11 @@ from statistics import mean
 from typing import Any
 
 import psutil
-from benchmarks.agent_process import offer_tasks, process
+from benchmarks.agent_process import listening_at, offer_tasks, ready_process
 from benchmarks.figure import Figure, Plan
 
 from pancakes.client import Client
 from pancakes.control import Begin, Configure, Describe, Start, Stop
-from pancakes.errors import PancakesError
 from pancakes.launch.ports import claim_ports
 from pancakes.web.feed import Feed
 from pancakes.web.watch import Watch
@@ -241,32 +240,14 @@ def running_demo(fleet: str) -> Iterator[Demo]:
                 sets += [f"task.World.settings.robots.agent{n}.battery.capacity_j=1e6" for n in (1, 2)]
             command = [str(Path(sys.executable).with_name("pancakes-agent")), "--config", str(path)]
             command += [part for one in sets for part in ("--set", one)]
-            processes[agent] = stack.enter_context(process(command, environment))
-        address = next((one.split('"')[1] for one in moved.get("world", ()) if one.startswith("agent.listen=")), "")
-        client = stack.enter_context(_client(address or "tcp://127.0.0.1:7400"))
+            processes[agent] = stack.enter_context(ready_process(command, environment))
+        address = listening_at(environment, "world", processes["world"])
+        client = stack.enter_context(Client((address,), READY_S))
         for agent in AGENTS:
             client.request(agent, Begin(0.5), READY_S)
         demo = Demo(directory, client, processes)
         time.sleep(READY_SETTLE_S)
         yield demo
-
-
-@contextmanager
-def _client(address: str) -> Iterator[Client]:
-    """Waits until the whole fleet is there and ready."""
-    until_s = time.monotonic() + READY_S
-    while True:
-        with Client((address,), 2.0) as client:
-            try:
-                found = client.survey().agents
-            except PancakesError:  # nobody answers yet
-                found = []
-            if sum(row["ready"] for row in found) == len(AGENTS):
-                yield client
-                return
-        if time.monotonic() > until_s:
-            raise TimeoutError(f"only {len(found)} agents were ready within {READY_S:g} s")
-        time.sleep(0.2)
 
 
 @contextmanager
