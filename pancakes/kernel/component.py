@@ -6,7 +6,7 @@ import random
 import sys
 from collections import deque
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import pykka
@@ -16,6 +16,7 @@ from pykka.messages import _ActorStop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import Event, LogLine
 from pancakes.kernel.channel_queue import ChannelQueue
+from pancakes.kernel.dispatch import Deferred, run_deferred
 from pancakes.kernel.handlers import Period, Subscription, period_of
 from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
@@ -341,32 +342,90 @@ class Component(pykka.Actor):
     def _start_actor_loop(self) -> None:
         self.kernel.attach(self)
 
-    def take_turn(self, slice_s: float | None, timer: TaskTimer | None = None) -> None:
-        """Handles what waits, control first; the dispatcher calls it, one thread at a time.
+    def take_turn(self, slice_s: float | None, deferred: Deferred) -> None:
+        """Handles what waits, control first; then hands the token of the mailbox back.
+
+        The dispatcher calls it, in the thread that holds the token.
 
         Args:
             slice_s: after this time the turn ends even if more waits; None: no limit.
-            timer: one that is armed: its tick comes after the control that waits; None: there is none.
+            deferred: what the turns of the calling thread put off (`begin_turns`); done at the end of this one.
         """
+        mailbox = self.actor_inbox
+        control, waiting = mailbox.control, mailbox.waiting
         try:
             if not self.__started:
                 self.__begin()
-            mailbox = self.actor_inbox
-            control = mailbox.control
-            if timer is not None and timer.component is self:
-                if control:
-                    control.append(timer)
-                else:
-                    timer.run()
             if control:
                 self.__handle_control(control)
             # Whoever has ended has no mailbox any more.
-            if mailbox.waiting and not mailbox.paused and mailbox.component is self:
-                self.__handle_data(mailbox, slice_s)
+            if waiting and not mailbox.paused and mailbox.component is self:
+                queue = waiting[0]
+                if len(waiting) > 1 or len(queue.items) != 1 or queue.shared:
+                    self.__handle_data(mailbox, slice_s)
+                else:
+                    # Most turns are of one packet, and share no time with others: 0.56 µs in all, by `__work_off` 0.81.
+                    del waiting[0]
+                    queue.listed = False
+                    try:
+                        packet = queue.items.popleft()
+                    except IndexError:  # somebody else has emptied it
+                        pass
+                    else:
+                        queue.handled += 1
+                        if queue.heavy:
+                            queue.lighten(packet)
+                        self.__in_hand = packet
+                        for handler in self.__handlers.get(queue.channel, NO_HANDLERS)[packet.type]:
+                            handler(self, packet)
+                        self.__in_hand = None
+                        if control:
+                            self.__handle_control(control)
         except BaseException as error:  # SystemExit in one actor must not end the others.
-            self.__fail(error)
+            self.__finish(partial(self.__fail, error))
         if self.after_turn is not None:
-            self.after_turn()
+            self.__finish(self.after_turn)
+        if deferred:
+            run_deferred(deferred, self)
+        # Whoever has ended keeps the token, so that what comes now waits for the successor.
+        if mailbox.component is self:
+            # As `put_token_back`, without a call for each turn.
+            mailbox.held = False
+            mailbox.token = True
+            if (control or (waiting and not mailbox.paused)) and mailbox.take_token():
+                mailbox.dispatch.ready(mailbox)
+
+    def take_tick(self, timer: TaskTimer, deferred: Deferred) -> None:
+        """A turn that is one tick and no more, for a component that runs and has no control waiting; see `take_turn`.
+
+        It takes 0.68 µs, and 0.77 by way of `take_turn`, which has more to look at.
+
+        Args:
+            timer: one of its own, armed.
+            deferred: as above.
+        """
+        try:
+            timer.run()
+        except BaseException as error:
+            self.__finish(partial(self.__fail, error))
+        if self.after_turn is not None:
+            self.__finish(self.after_turn)
+        if deferred:
+            run_deferred(deferred, self)
+        mailbox = self.actor_inbox
+        if mailbox.component is self:
+            mailbox.held = False
+            mailbox.token = True
+            if (mailbox.control or (mailbox.waiting and not mailbox.paused)) and mailbox.take_token():
+                mailbox.dispatch.ready(mailbox)
+
+    def __finish(self, function: Callable[[], None]) -> None:
+        """Does what ends a turn, or this actor. The thread, which may be the timer's, outlives whatever that does."""
+        try:
+            function()
+        except BaseException as error:
+            text = f"the end of {self.address}'s turn failed: {type(error).__name__}: {error}"
+            self.kernel.log("error", text)
 
     def __begin(self) -> None:
         self.__started = True
@@ -438,52 +497,20 @@ class Component(pykka.Actor):
     def __handle_data(self, mailbox: Mailbox, slice_s: float | None) -> None:
         waiting = mailbox.waiting
         number = len(waiting)
-        try:
-            while number > 0:
-                number -= 1
-                queue = waiting.pop(0)
-                queue.listed = False
-                self.__in_hand = None
-                handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
-                if len(queue.items) == 1:
-                    # Most turns are of one packet, and share no time with others: 0.75 µs in all, by `__work_off` 0.81.
-                    goes_on = self.__handle_one(mailbox, queue, handlers)
-                else:
-                    goes_on = self.__work_off(mailbox, queue, handlers, slice_s)
-                if queue.items and not queue.listed:
-                    queue.listed = True
-                    waiting.append(queue)
-                if not goes_on:
-                    return
-        except BaseException:
-            if self.__in_hand is not None:  # else it was a tick or a call between two packets
-                self.kernel.letters.failed(self.address, queue, self.__in_hand)
-            raise
-        finally:
+        goes_on = True
+        while number > 0 and goes_on:
+            number -= 1
+            queue = waiting.pop(0)
+            queue.listed = False
+            handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
+            goes_on = self.__work_off(mailbox, queue, handlers, slice_s)
             self.__in_hand = None
-
-    def __handle_one(self, mailbox: Mailbox, queue: ChannelQueue, handlers: Handlers) -> bool:
-        """Handles one packet of a queue, if there still is one. Returns whether the turn may go on."""
-        try:
-            packet = queue.take()
-        except IndexError:  # somebody else has emptied it
-            return True
-        queue.handled += 1
-        if queue.heavy:
-            queue.lighten(packet)
-        self.__in_hand = packet
-        for handler in handlers[packet.type]:
-            handler(self, packet)
-        if mailbox.control:
-            self.__in_hand = None
-            self.__handle_control(mailbox.control)
-            if self.actor_stopped.on:
-                return False
-        return not mailbox.paused
+            if queue.items and not queue.listed:
+                queue.listed = True
+                waiting.append(queue)
 
     def __work_off(self, mailbox: Mailbox, queue: ChannelQueue, handlers: Handlers, slice_s: float | None) -> bool:
         """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
-        # Not by `__handle_one`: a call for each packet would take a fifth more.
         control, take = mailbox.control, queue.take
         left = len(queue.items)
         until_s = self.kernel.host.now() + slice_s if slice_s is not None else None
@@ -546,6 +573,10 @@ class Component(pykka.Actor):
         self.end_actor(error)
 
     def __fail(self, error: BaseException) -> None:
+        packet = self.__in_hand
+        if packet is not None:  # else it was a tick or a call
+            self.__in_hand = None
+            self.kernel.letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
         if self.actor_stopped.on:
             self.kernel.log("error", f"{self.address} failed while it stopped: {describe(error)}")
             return

@@ -16,7 +16,6 @@ from pancakes.kernel.mailbox import Mailbox
 
 if TYPE_CHECKING:
     from pancakes.kernel.component import Component
-    from pancakes.kernel.task_timer import TaskTimer
 
 _LOG: Final = logging.getLogger("pancakes.kernel")
 
@@ -78,6 +77,20 @@ def end_turns() -> None:
     _THREAD.turns.given = False
 
 
+def run_deferred(deferred: Deferred, component: Component | None) -> None:
+    """Runs what a turn of `component` has put off; None: what its thread has put off between two turns."""
+    for function in deferred:
+        try:
+            function()
+        except Exception as error:  # the thread, and the component's right to turns, must outlive it
+            if component is None:
+                _LOG.exception("what was put off between two turns failed")
+                continue
+            text = f"what a turn of {component.address} had put off failed: {type(error).__name__}: {error}"
+            component.kernel.log("error", text)
+    deferred.clear()
+
+
 class Dispatcher(ABC):
     """Gives turns to components whose mailboxes have something in them."""
 
@@ -96,43 +109,14 @@ class Dispatcher(ABC):
     def stop(self) -> None:
         """Ends the dispatcher's threads. Not to be called from one of them."""
 
-    def give_turn(
-        self, mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None, timer: TaskTimer | None = None
-    ) -> None:
-        """Gives the component of `mailbox` one turn in this thread, then hands its token back.
+    def give_turn(self, mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None) -> None:
+        """Gives the component of `mailbox` one turn in this thread, if it has one.
 
         Args:
             mailbox: its mailbox, whose token is held.
             deferred: what this thread's turns put off (`begin_turns`).
             slice_s: after this time the turn ends even if more waits; None: no limit.
-            timer: one of the component's, armed: its tick is part of the turn.
         """
         component = mailbox.component
-        if component is None:
-            return
-        try:
-            component.take_turn(slice_s, timer)
-        except BaseException as error:  # whoever was told of its end failed; the thread may be the timer's
-            component.kernel.log(
-                "error", f"the end of {component.address}'s turn failed: {type(error).__name__}: {error}"
-            )
-        if deferred:
-            self.run_deferred(deferred, component)
-        # A stopped component keeps the token, so that what comes now waits for its successor.
-        if mailbox.component is component:
-            mailbox.token.release()
-            if (mailbox.control or (mailbox.waiting and not mailbox.paused)) and mailbox.token.acquire(False):
-                self.ready(mailbox)
-
-    def run_deferred(self, deferred: Deferred, component: Component | None) -> None:
-        """Runs what a turn of `component` has put off; None: what its thread has put off between two turns."""
-        for function in deferred:
-            try:
-                function()
-            except Exception as error:  # the thread, and the component's right to turns, must outlive it
-                if component is None:
-                    _LOG.exception("what was put off between two turns failed")
-                    continue
-                text = f"what a turn of {component.address} had put off failed: {type(error).__name__}: {error}"
-                component.kernel.log("error", text)
-        deferred.clear()
+        if component is not None:
+            component.take_turn(slice_s, deferred)

@@ -11,13 +11,14 @@ or another guest is at work instead. Whoever holds one for long is named.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
-from pancakes.kernel.dispatch import Dispatcher, begin_turns
+from pancakes.kernel.dispatch import Deferred, Dispatcher, begin_turns
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.shift import SLICE_S, Shift
 
@@ -50,22 +51,11 @@ class _Worker(threading.Thread):
 
     def run(self) -> None:
         pool = self.pool
-        work = pool.work
-        shift = self.shift
         deferred = begin_turns()
         while True:
-            try:
-                mailbox = work.popleft()
-            except IndexError:
-                if pool.retire(self):
-                    return
-                continue
-            shift.turns += 1
-            shift.mailbox = mailbox
-            pool.give_turn(mailbox, deferred, SLICE_S)
-            shift.mailbox = None
-            if shift.held:
-                pool.come_back(shift)
+            pool.give_turns(self.shift, deferred)
+            if pool.retire(self):
+                return
 
 
 class PoolDispatcher(Dispatcher):
@@ -106,6 +96,32 @@ class PoolDispatcher(Dispatcher):
         # A racy read is enough: a worker looks at `work` once more, under the lock, before it lies down.
         if self._active == 0:
             self._lend()
+
+    def give_turns(self, shift: Shift, deferred: Deferred, until_s: float = math.inf) -> None:
+        """Gives turns in this thread to those who have waited longest, until nobody waits or it is late enough.
+
+        Args:
+            shift: who gives them.
+            deferred: what this thread's turns put off (`begin_turns`).
+            until_s: after the first turn that ends at this host time or later it gives no other.
+        """
+        work, now = self.work, self.clock.now
+        limited = until_s < math.inf
+        while work:
+            try:
+                mailbox = work.popleft()
+            except IndexError:  # another thread was faster
+                return
+            shift.turns += 1
+            shift.mailbox = mailbox
+            component = mailbox.component
+            if component is not None:
+                component.take_turn(SLICE_S, deferred)
+            shift.mailbox = None
+            if shift.held:
+                self.come_back(shift)
+            if limited and now() >= until_s:
+                return
 
     def _lend(self) -> None:
         """Puts a worker to work, if nobody is at it."""

@@ -1,14 +1,19 @@
 """A kernel on threads, and a pool whose watchdog looks when it is told to, for the tests of what runs on them."""
 
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 
 from pancakes.kernel.guest import Guest
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.pool import WATCH_S, PoolDispatcher
 from pancakes.testing import no_thread_left
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from kernel.actors import Actor
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
@@ -35,25 +40,6 @@ class HandClock:
         self._asked += 1
         assert self._asked < 10_000, "it spins"
         return self.now_s
-
-
-class Actor:
-    """As much of a component as a dispatcher needs: does in its turns what it is told."""
-
-    def __init__(self, pool, address):
-        self.address = address
-        self.slices_s = []
-        self.actor_inbox = Mailbox()
-        pool.attach(self)
-
-    def take_turn(self, slice_s, timer=None):
-        self.slices_s.append(slice_s)
-        control = self.actor_inbox.control
-        if control:
-            control.popleft()()
-
-    def do(self, function):
-        self.actor_inbox.put(function)
 
 
 class Interposed:

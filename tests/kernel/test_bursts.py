@@ -63,6 +63,16 @@ def arrived(kernel):
     raise AssertionError("the pool is never at rest")
 
 
+def taken_from(task):
+    """Takes the token, as the thread does that gives a turn; waits until the one before has ended."""
+    moment = threading.Event()
+    for _ in range(int(PATIENCE_S * 1000)):
+        if task.actor_inbox.take_token():
+            return
+        moment.wait(0.001)
+    raise AssertionError(f"the turn of {task.name} never ends")
+
+
 def spawned(kernel, *names, cls=Ticked):
     """Spawns some that run, and returns them."""
     made = [kernel.spawn(cls, f"a/client/{name}") for name in names]
@@ -101,12 +111,11 @@ def test_lateness_is_heard_of_each(kernel, burst, monkeypatch):
 
 def test_who_has_its_turn_elsewhere_gets_the_tick_there_and_counts_what_it_missed(kernel, burst):
     busy, idle = spawned(kernel, "Busy", "Idle")
-    token = busy.actor_inbox.token
-    assert token.acquire(timeout=PATIENCE_S)  # as the thread does that gives it a turn
+    taken_from(busy)
     burst(busy, idle)
     burst(busy, idle, missed=1)
     assert busy.done == [] and len(idle.done) == 2
-    token.release()
+    busy.actor_inbox.put_token_back()
     done = threading.Event()
     busy.call(done.set)
     assert done.wait(PATIENCE_S)
@@ -117,9 +126,9 @@ def test_what_a_turn_elsewhere_has_left_goes_before_the_tick(kernel, burst):
     """A stop, say, that came while the turn went on."""
     ends, goes_on = spawned(kernel, "Ends", "GoesOn")
     for task, ask in ((ends, ends.stop), (goes_on, lambda: goes_on.call(lambda: goes_on.done.append("call")))):
-        assert task.actor_inbox.token.acquire(timeout=PATIENCE_S)  # as the thread does that gives it a turn
+        taken_from(task)
         ask()
-        task.actor_inbox.token.release()  # it has not looked yet whether something came meanwhile
+        task.actor_inbox.put_token_back()  # it has not looked yet whether something came meanwhile
     burst(ends, goes_on)
     assert (ends.done, goes_on.done) == ([], ["call", (0.5, 0)])
 
@@ -127,15 +136,15 @@ def test_what_a_turn_elsewhere_has_left_goes_before_the_tick(kernel, burst):
 def test_a_tick_that_is_late_in_its_turn_is_replaced_by_the_next_and_not_doubled(kernel, burst):
     """The system may let a thread stand still there, and another thread may be the timer's until it goes on."""
     (task,) = spawned(kernel, "A")
-    take_turn = task.take_turn
+    take_tick = task.take_tick
 
-    def late(slice_s, timer):
-        task.timers["tick"].fire(0.6, 0)
-        take_turn(slice_s, timer)
+    def late(timer, deferred):
+        timer.fire(0.6, 0)
+        take_tick(timer, deferred)
 
-    task.take_turn = late
+    task.take_tick = late
     burst(task)
-    del task.take_turn
+    del task.take_tick
     burst(task)
     assert task.done == [(0.6, 1), (0.5, 0)]
 

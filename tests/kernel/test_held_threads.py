@@ -82,8 +82,8 @@ class TwiceHeld:
             arrived.set()
             assert self.seen.wait(PATIENCE_S)
             # Not by way of `ready`, which would have a worker do it.
-            assert actor.actor_inbox.token.acquire(False)
-            actor.actor_inbox.control.append(lambda: (self.holds.set(), self.gate.wait(PATIENCE_S)))
+            assert actor.actor_inbox.take_token()
+            actor.do(lambda: (self.holds.set(), self.gate.wait(PATIENCE_S)))
             rig.pool.work.append(actor.actor_inbox)
             guest.turn()
             guest.leave()

@@ -93,23 +93,14 @@ def test_a_guest_gives_no_turns_after_its_time(rig):
 
 
 def test_nobody_has_more_than_a_slice_of_a_thread_at_a_time(rig):
-    class Timer:
-        """As much of a task's timer as a guest needs."""
-
-        def __init__(self, actor):
-            self.mailbox = actor.actor_inbox
-            self.pending = False
-            self.missed = 0
-
     actor = rig.actor()
     guest = rig.visiting()
     actor.do(lambda: None)
     guest.turn()
     actor.do(lambda: None)
     guest.work(rig.clock.now_s + 1.0)
-    guest.tick(iter([Timer(actor)]), 0.0, 0, rig.clock.now_s + 1.0)
     guest.leave()
-    assert actor.slices_s == [SLICE_S] * len(actor.slices_s) and len(actor.slices_s) >= 5
+    assert actor.slices_s == [SLICE_S] * len(actor.slices_s) and len(actor.slices_s) >= 3
 
 
 def test_a_guest_without_work_does_not_wait_for_any(rig):

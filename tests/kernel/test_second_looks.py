@@ -1,9 +1,9 @@
 """Mailboxes and turns where two threads meet: each interleaving that a second look is there for, forced."""
 
 from collections import deque
-from types import SimpleNamespace
 
 import pytest
+from kernel.actors import Actor
 from msgspec import structs
 
 from pancakes.events import LogLine
@@ -11,8 +11,10 @@ from pancakes.kernel import plan as plan_module
 from pancakes.kernel import stream as stream_module
 from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.handlers import Period
 from pancakes.kernel.keep import queue
 from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import Packet
 
 
@@ -24,21 +26,6 @@ class ByHand(Dispatcher):
 
     def ready(self, mailbox):
         self.due.append(mailbox)
-
-
-class Actor:
-    """Does in its turn what a test has in mind."""
-
-    def __init__(self, dispatcher, turn=lambda: None):
-        self.address = "a/client/A"
-        self.said = []
-        self.kernel = SimpleNamespace(log=lambda level, text: self.said.append(text))
-        self.actor_inbox = Mailbox()
-        self._turn = turn
-        dispatcher.attach(self)
-
-    def take_turn(self, slice_s, timer=None):
-        self._turn()
 
 
 def packet(text="x"):
@@ -66,41 +53,70 @@ def given(dispatcher, actor):
 # Turns
 
 
-def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher):
-    actor = Actor(dispatcher)
+@pytest.fixture
+def actor(dispatcher):
+    """Waits for its first turn."""
+    return Actor(dispatcher, "a/client/A")
+
+
+def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher, actor):
     assert not given(dispatcher, actor)
-    assert actor.actor_inbox.token.acquire(blocking=False), "nobody could give it another turn"
+    assert actor.actor_inbox.take_token(), "nobody could give it another turn"
 
 
-def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher):
-    actor = Actor(dispatcher)
+def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher, actor):
     mailbox = actor.actor_inbox
     waiting = mailbox.subscribe("system", {"line": queue(8)})
+    actor.subscribe("system", "line", lambda packet: waiting.put(packet))
+    assert not given(dispatcher, actor)
     waiting.put(packet())
     assert given(dispatcher, actor), "nobody will come to what waits, until something else comes"
     mailbox.paused = True
     assert not given(dispatcher, actor), "it stands still"
 
 
-def test_a_message_that_comes_in_the_middle_of_a_turn_is_for_another_turn(dispatcher):
-    actor = Actor(dispatcher)
-    actor._turn = lambda: actor.actor_inbox.put("a message")
+def test_a_message_that_comes_in_the_middle_of_a_turn_is_for_another_turn(dispatcher, actor):
+    actor.do(lambda: actor.do(lambda: None))
     assert given(dispatcher, actor)
-
-
-def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher):
-    actor = Actor(dispatcher, failing)
     assert not given(dispatcher, actor)
-    assert actor.said == ["the end of a/client/A's turn failed: SystemExit: 3"]
-    actor.actor_inbox.put("a message")
+
+
+def test_what_comes_while_a_tick_goes_on_is_for_a_turn(dispatcher, actor):
+    given(dispatcher, actor)
+    timer = TaskTimer(actor, "tick", Period(1.0))
+    timer.arm(0.0, 0)
+    assert actor.actor_inbox.take_token()
+    actor.take_tick(timer, [])
     assert dispatcher.due == [actor.actor_inbox]
 
 
-def test_the_turn_of_an_actor_that_is_no_more_is_nobody_s(dispatcher):
-    actor = Actor(dispatcher, lambda: pytest.fail("it has ended"))
+def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher, actor):
+    actor.after_turn = failing
+    assert not given(dispatcher, actor)
+    assert actor.kernel.said == ["the end of a/client/A's turn failed: SystemExit: 3"]
+    actor.do(lambda: None)
+    assert dispatcher.due == [actor.actor_inbox]
+
+
+def test_the_turn_of_an_actor_that_is_no_more_is_nobody_s(dispatcher, actor):
+    actor.do(lambda: pytest.fail("it has ended"))
     actor.actor_inbox.component = None
     assert not given(dispatcher, actor)
-    assert not actor.actor_inbox.token.acquire(blocking=False), "what comes now waits for its successor"
+    assert not actor.actor_inbox.take_token(), "what comes now waits for its successor"
+
+
+def test_a_token_that_two_want_is_one_s():
+    mailbox = Mailbox()
+    assert not mailbox.take_token(), "nobody reads it yet"
+    mailbox.put_token_back()
+    assert mailbox.take_token() and not mailbox.take_token()
+    mailbox.put_token_back()
+    mailbox.held = True  # somebody has just taken it
+    assert not mailbox.take_token()
+    mailbox.held = False
+    assert mailbox.take_token()
+    mailbox.held = False  # he has not said so yet
+    assert not mailbox.take_token()
 
 
 # Mailboxes
@@ -123,7 +139,7 @@ def test_two_threads_may_clear_what_nobody_will_handle():
 
 def test_a_reader_may_take_the_oldest_while_room_is_made_for_a_heavy_packet():
     waiting = ChannelQueue(Mailbox(), "system", {"line": queue(1)})
-    waiting.items = Emptied([packet()], maxlen=1)
+    waiting.items = Emptied([packet()])
     waiting.put_heavy(heavy := packet("heavy"), 5000)
     assert list(waiting.items) == [heavy] and waiting.heavy_bytes == 5000
 

@@ -37,7 +37,7 @@ class Reader:
     def __init__(self, stream: InformationStream, name: str, keeps: dict[str | None, Keep]) -> None:
         self.mailbox = Mailbox()
         self.mailbox.dispatch = Dispatcher()
-        self.mailbox.token.release()
+        self.mailbox.put_token_back()
         self.keeps = keeps
         self.read: list[int] = []
         for kind, keep in keeps.items():

@@ -1,0 +1,49 @@
+"""Components that need no kernel, for the tests of what gives them turns."""
+
+from pancakes.kernel.component import Component
+from pancakes.kernel.counter import Counter
+from pancakes.kernel.stream import InformationStream
+
+
+class NoKernel:
+    """As much of a kernel as a component needs that neither publishes nor ticks nor ends.
+
+    Attributes:
+        said: what was logged.
+    """
+
+    agent = "a"
+
+    def __init__(self):
+        self.said = []
+        self.lateness_heard = ()
+        self.stream = InformationStream("a")
+
+    def now(self):
+        return 0.0
+
+    def seq_of(self, address):
+        return Counter(1)
+
+    def log(self, level, text):
+        self.said.append(text)
+
+
+class Actor(Component):
+    """Does in its turns what it is told."""
+
+    def __init__(self, dispatcher, address):
+        super().__init__(NoKernel(), address)
+        self.slices_s = []
+        dispatcher.attach(self)
+
+    def take_turn(self, slice_s, deferred):
+        self.slices_s.append(slice_s)
+        super().take_turn(slice_s, deferred)
+
+    def do(self, function):
+        self.call(function)
+
+    def tick(self, tick):
+        """Does one thing more, after this."""
+        self.call(lambda: None)
