@@ -19,8 +19,8 @@ WINDOW_BYTES = 4 * 1024 * 1024
 
 With a quarter as many, the acknowledgements would disturb the sender so often that a twelfth less went through.
 """
-BURST = 64
-"""Packets published in one turn."""
+BURST = 256
+"""Packets published in one turn, which takes 0.3 ms. With 64 a tenth less goes through, for the system calls."""
 FAR = "far/client/Far"
 
 

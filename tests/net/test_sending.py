@@ -7,6 +7,8 @@ import threading
 import weakref
 from typing import Any
 
+import msgspec
+import numpy
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,9 +18,14 @@ from pancakes.errors import LocalProtocolError, PeerLost
 from pancakes.net.outbox import PeerBusy
 from pancakes.net.sending import MOST_WAYS, Sending
 from pancakes.net.session import BATCH_BYTES
-from pancakes.packet import NEIGHBOURS, Fence, Packet
-from pancakes.wire.framing import frame
+from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
+from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.wire.runs import messages_from_payload, packets_of, run_of
+
+
+@packet_type("sending test level")
+class Level(msgspec.Struct, frozen=True):
+    level: float
 
 
 class Peer:
@@ -155,6 +162,33 @@ def test_what_cannot_travel_or_has_no_way_is_told_to_the_publisher(sending, turn
         sending.send(packet(2, "nobody/x"))
     turn.end()
     assert peers["b"].sent == []
+
+
+@pytest.mark.parametrize("how", ["alone", "behind another", "to a slow peer"])
+def test_a_packet_that_fits_no_frame_is_refused_though_others_like_it_went_before(sending, turn, peers, how):
+    sending.send(packet(1))
+    if how != "behind another":
+        turn.end()
+    peers["b"].congested = how == "to a slow peer"
+    with pytest.raises(LocalProtocolError, match="a frame holds"):
+        sending.send(packet(2, body="x" * MAX_MESSAGE_BYTES))
+    sending.send(packet(3))
+    turn.end()
+    assert [it.seq for it in (*peers["b"].got(), *peers["b"].taken)] == [1, 3]
+
+
+@pytest.mark.parametrize(("body", "arrives"), [(Level(numpy.float64(0.5)), 0.5), (Level(object()), None)])
+def test_a_body_that_does_not_keep_to_its_class_is_looked_at_though_others_like_it_went_before(
+    sending, turn, peers, body, arrives
+):
+    sending.send(packet(1, kind="sending test level", body=Level(0.25)))
+    if arrives is None:
+        with pytest.raises(LocalProtocolError, match="level is of the type object"):
+            sending.send(packet(2, kind="sending test level", body=body))
+    else:
+        sending.send(packet(2, kind="sending test level", body=body))
+    turn.end()
+    assert [it.body.level for it in peers["b"].got()] == [0.25, arrives][: 1 + (arrives is not None)]
 
 
 def test_other_links_are_other_ways(sending, turn, peers):
