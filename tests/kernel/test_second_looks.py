@@ -90,6 +90,32 @@ def test_what_comes_while_a_tick_goes_on_is_for_a_turn(dispatcher, actor):
     assert dispatcher.due == [actor.actor_inbox]
 
 
+class Joined(deque):
+    """Somebody puts one thing more in just after the first look at how much there is."""
+
+    joins = None
+
+    def __len__(self):
+        number = super().__len__()
+        join, self.joins = self.joins, None
+        if join is not None:
+            join()
+        return number
+
+
+def test_what_comes_after_the_look_at_how_much_waits_and_before_the_mark_is_for_another_turn(dispatcher, actor):
+    heard = []
+    waiting = actor.actor_inbox.subscribe("system", {"line": queue(8)})
+    actor.subscribe("system", "line", lambda packet: heard.append(packet.body.text))
+    given(dispatcher, actor)
+    waiting.items = Joined()
+    waiting.put(packet("one"))
+    waiting.items.joins = lambda: waiting.put(packet("two"))
+    assert given(dispatcher, actor)
+    assert not given(dispatcher, actor)
+    assert heard == ["one", "two"]
+
+
 def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher, actor):
     actor.after_turn = failing
     assert not given(dispatcher, actor)
