@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
+from pancakes.kernel.counter import Counter
 from pancakes.kernel.keep import MOST_BYTES, Keep
 from pancakes.packet import Packet
 from pancakes.weight import heavy_weight
@@ -15,36 +15,37 @@ from pancakes.weight import heavy_weight
 if TYPE_CHECKING:
     from pancakes.kernel.mailbox import Mailbox
 
-# Held for a few operations, and only where a packet is heavy or lost, so one for all queues will do.
-_BOOKS: Final = threading.Lock()
+# Held for a few operations, and only for a heavy packet, so one for all queues will do.
+_SCALES: Final = threading.Lock()
+
+# Held while the packets of a run are counted, which `Counter` would do one by one.
+_RUNS: Final = threading.Lock()
 
 
 class ChannelQueue:
     """What waits for one reader on one channel, under one subscription.
 
     Attributes:
-        items: what waits, the oldest first.
-        limit: how many packets may wait, as far as the queue has to see to that.
         shared: whether packets under several bounds wait here (`SharedQueue`).
-        listed: whether its reader knows that something waits, or soon will.
-        handled: how many packets its reader has taken out.
-        dropped: how many were lost: they fell out, or came from another agent and found no room.
         heavy: the bytes of each heavy packet that waits, by its `id`; None until the first has come.
         heavy_bytes: their sum.
+        refused: packets from other agents that found no room under a `reliable` subscription.
     """
 
     __slots__ = (
+        "_offered",
         "bounds",
         "channel",
-        "dropped",
         "handled",
         "heavy",
         "heavy_bytes",
+        "in_runs",
         "items",
         "keep",
-        "limit",
         "listed",
         "mailbox",
+        "numbers",
+        "refused",
         "shared",
         "take",
     )
@@ -54,17 +55,17 @@ class ChannelQueue:
         self.channel = channel
         self.bounds = bounds
         self.keep = keep = next(iter(bounds.values()))
-        # Not bounded by `maxlen`: what falls out is to be counted, and weighs no more. Whoever puts too much does that.
-        # To count all that is put, and to derive from that what was lost, costs each delivery 50 ns more.
-        self.items: deque[Packet] = deque()
-        # Under `reliable` a publisher asks before he puts.
-        self.limit = sys.maxsize if keep.reliable else keep.limit
+        self.items: deque[Packet] = deque(maxlen=None if keep.reliable else keep.limit)
         self.shared = False
         self.listed = False
         self.handled = 0
-        self.dropped = 0
+        self.in_runs = 0
+        self.refused = 0
         self.heavy: dict[int, int] | None = None
         self.heavy_bytes = 0
+        self._offered = Counter()
+        # `put` takes one, and so does a publisher that has many to do it for (`Route.give`).
+        self.numbers = self._offered.numbers
         # What `pop` does, for the reader's turn.
         self.take: Callable[[], Packet] = self.items.popleft
 
@@ -85,32 +86,35 @@ class ChannelQueue:
         return waiting >= self.keep.limit or (waiting > 0 and weight > 0 and self.heavy_bytes + weight > MOST_BYTES)
 
     def put(self, packet: Packet) -> None:
+        next(self.numbers)
         self.items.append(packet)
-        if len(self.items) > self.limit:
-            self.shorten()
         # Whoever finds it listed need not ask for a turn: who listed it does, and a reader unlists before it counts.
         if not self.listed:
             self.enlist()
 
     def put_all(self, packets: Sequence[Packet]) -> None:
         """Puts several packets, none of them heavy, in their order."""
+        if len(packets) == 1:
+            next(self.numbers)
+        else:
+            with _RUNS:
+                self.in_runs += len(packets)
         self.items.extend(packets)
-        if len(self.items) > self.limit:
-            self.shorten()
         if not self.listed:
             self.enlist()
 
     def put_heavy(self, packet: Packet, weight: int) -> None:
         """Puts a packet of so many bytes; the oldest fall out until there is room, except under `reliable`."""
-        with _BOOKS:
+        with _SCALES:
             if self.heavy is None or not self.items:
                 self.heavy = {}
                 self.heavy_bytes = 0
             if not self.keep.reliable:
                 self._make_room(weight)
-            # The same packet may have been published twice.
+            # One that was pushed out unseen may have borne this `id`.
             self.heavy_bytes += weight - self.heavy.get(id(packet), 0)
             self.heavy[id(packet)] = weight
+            next(self.numbers)
             self.items.append(packet)
         if not self.listed:
             self.enlist()
@@ -118,40 +122,26 @@ class ChannelQueue:
     def lighten(self, packet: Packet) -> None:
         """Forgets the weight of a packet that was taken out; called where `heavy` has something in it."""
         if self.heavy is not None and id(packet) in self.heavy:
-            with _BOOKS:
+            with _SCALES:
                 self._unload(packet)
 
-    def shorten(self) -> None:
-        """Lets the oldest fall out until no more wait than may; for who has put something in and finds too much."""
-        while len(self.items) > self.limit:
-            try:
-                oldest = self.items.popleft()
-            except IndexError:  # its reader was faster
-                return
-            with _BOOKS:
-                self.dropped += 1
-                if self.heavy:
-                    self._unload(oldest)
-
-    def lose(self, number: int) -> None:
-        """Counts packets that were lost."""
-        with _BOOKS:
-            self.dropped += number
-
     def _make_room(self, weight: int) -> None:
-        """Lets the oldest fall out until there is room for another packet of so many bytes. Under the lock."""
-        while self.items and (len(self.items) >= self.limit or self.heavy_bytes + weight > MOST_BYTES):
+        while self.items and (len(self.items) >= self.keep.limit or self.heavy_bytes + weight > MOST_BYTES):
             try:
                 oldest = self.items.popleft()
             except IndexError:  # its reader was faster
                 return
-            self.dropped += 1
-            self._unload(oldest)
+            if not self._unload(oldest) and self.heavy_bytes + weight > MOST_BYTES:
+                # Light packets are put without a lock, and may have pushed heavy ones out whose weight is still here.
+                waiting = {id(packet) for packet in list(self.items)}
+                self.heavy = {key: its for key, its in (self.heavy or {}).items() if key in waiting}
+                self.heavy_bytes = sum(self.heavy.values())
 
-    def _unload(self, packet: Packet) -> None:
-        """Forgets the weight of a packet, if it has one. Under the lock."""
-        if self.heavy is not None:
-            self.heavy_bytes -= self.heavy.pop(id(packet), 0)
+    def _unload(self, packet: Packet) -> bool:
+        """Returns whether the packet was heavy."""
+        weight = self.heavy.pop(id(packet), 0) if self.heavy is not None else 0
+        self.heavy_bytes -= weight
+        return weight > 0
 
     def enlist(self) -> None:
         """Tells the reader that something waits here; for who has put something in and found it not listed."""
@@ -178,7 +168,7 @@ class ChannelQueue:
         self.handled -= 1
         weight = heavy_weight(packet)
         if weight:
-            with _BOOKS:
+            with _SCALES:
                 self.heavy = self.heavy or {}
                 self.heavy[id(packet)] = weight
                 self.heavy_bytes += weight
@@ -186,3 +176,11 @@ class ChannelQueue:
 
     def __len__(self) -> int:
         return len(self.items)
+
+    def offered(self) -> int:
+        """Returns how many packets were ever put."""
+        return self._offered.value + self.in_runs
+
+    def dropped(self) -> int:
+        """Returns how many packets fell out (derived, so that no publisher counts under a lock), or were refused."""
+        return max(0, self.offered() - self.handled - len(self.items)) + self.refused

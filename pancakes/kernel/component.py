@@ -364,7 +364,7 @@ class Component(pykka.Actor):
                 if len(waiting) > 1 or len(queue.items) != 1 or queue.shared:
                     self.__handle_data(mailbox, slice_s)
                 else:
-                    # Most turns are of one packet, and share no time with others: 0.50 µs in all, by `__work_off` 0.73.
+                    # Most turns are of one packet, and share no time with others: 0.5 µs in all, and not 0.7.
                     del waiting[0]
                     queue.listed = False
                     try:
@@ -392,7 +392,7 @@ class Component(pykka.Actor):
             run_deferred(deferred, self)
         # Whoever has ended keeps the token, so that what comes now waits for the successor.
         if mailbox.component is self:
-            # As `put_token_back`, without a call for each turn.
+            # In this order: whoever takes it says that it is held, and nobody says the opposite after that.
             mailbox.held = False
             mailbox.token = True
             if (control or (waiting and not mailbox.paused)) and mailbox.take_token():
@@ -401,7 +401,7 @@ class Component(pykka.Actor):
     def take_tick(self, timer: TaskTimer, deferred: Deferred) -> None:
         """A turn that is one tick and no more, for a component that runs and has no control waiting; see `take_turn`.
 
-        It takes 0.61 µs, and 0.75 by way of `take_turn`, which has more to look at.
+        Its end is that of `take_turn` once more: as one method both would take a tenth longer, 0.68 µs and not 0.61.
 
         Args:
             timer: one of its own, armed.

@@ -65,7 +65,7 @@ def begin_turns() -> Deferred:
     """Says that the calling thread gives turns from now on.
 
     Returns:
-        What they put off, for `Dispatcher.give_turn`.
+        What they put off, for `Component.take_turn`.
     """
     turns = _THREAD.turns
     turns.deferred, turns.given = [], True

@@ -91,7 +91,7 @@ class Guest:
             elif mailbox.control or mailbox.component is not timer.component:
                 # What waits goes first, and who has ended gets none.
                 timer.fire(deadline_s, missed)
-                pool.ready(mailbox)
+                mailbox.dispatch.ready(mailbox)
             else:
                 # As `timer.arm`, without the call.
                 timer.missed += missed

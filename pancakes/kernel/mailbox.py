@@ -98,12 +98,6 @@ class Mailbox:
         self.held = True
         return True
 
-    def put_token_back(self) -> None:
-        """Hands the token back; who does so looks afterwards whether anything came meanwhile."""
-        # In this order: whoever takes it says that it is held, and nobody says the opposite after that.
-        self.held = False
-        self.token = True
-
     def clear_control(self) -> None:
         """Empties the control lane, as pykka's teardown does: who waits for an answer is told that none will come."""
         while self.control:
@@ -127,10 +121,6 @@ class Mailbox:
         """Returns whether the control lane is empty (pykka's teardown)."""
         return not self.control
 
-    def has_work(self) -> bool:
-        """Returns whether anything waits that may be handled now."""
-        return bool(self.control or (self.waiting and not self.paused))
-
     def subscribe(self, channel: str, bounds: Mapping[str | None, Keep]) -> ChannelQueue:
         """Returns the queue for a channel, bounded as `bounds` says for each type; None means any other type.
 
@@ -151,7 +141,7 @@ class Mailbox:
                     made.put_heavy(packet, weight)
                 else:
                     made.put(packet)
-            self._dropped += before.dropped
+            self._dropped += before.dropped()
         return made
 
     def clear_data(self) -> None:
@@ -173,4 +163,4 @@ class Mailbox:
 
     def dropped(self) -> int:
         """Returns how many packets fell out of all queues."""
-        return self._dropped + sum(queue.dropped for queue in list(self.queues.values()))
+        return self._dropped + sum(queue.dropped() for queue in list(self.queues.values()))

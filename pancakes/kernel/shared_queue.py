@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -41,7 +42,7 @@ class _Lane:
 
     def __init__(self, keep: Keep) -> None:
         self.keep = keep
-        self.most = math.inf if keep.reliable else keep.limit  # as `ChannelQueue.limit`
+        self.most = math.inf if keep.reliable else keep.limit  # a publisher asks before he puts under `reliable`
         self.first = 0
         self.next = 0
         self.fallen = 0
@@ -61,6 +62,7 @@ class SharedQueue(ChannelQueue):
 
     def __init__(self, mailbox: Mailbox, channel: str, bounds: Mapping[str | None, Keep]) -> None:
         super().__init__(mailbox, channel, bounds)
+        self.items = deque()
         self._lanes = {name: _Lane(keep) for name, keep in bounds.items()}
         self._others = self._lanes.get(None)
         self._lock = threading.Lock()
@@ -123,7 +125,6 @@ class SharedQueue(ChannelQueue):
         if lane.weights:
             for fallen in range(lane.first, lane.first + number):
                 self._fallen_bytes += self._unweigh(lane, fallen)
-        self.lose(number)
         lane.first += number
         lane.fallen += number
         self._fallen += number
@@ -184,6 +185,13 @@ class SharedQueue(ChannelQueue):
 
     def __len__(self) -> int:
         return sum(lane.next - lane.first for lane in self._lanes.values())
+
+    def offered(self) -> int:
+        return sum(lane.next for lane in self._lanes.values())
+
+    def dropped(self) -> int:
+        with self._lock:
+            return max(0, self.offered() - self.handled - len(self)) + self.refused
 
 
 def _is_full(lane: _Lane, weight: int) -> bool:

@@ -63,7 +63,7 @@ class _Reader(msgspec.Struct):
             "limit": sum(keep.limit for keep in bounds),
             "waiting": len(self.queue) if self.queue is not None else 0,
             "waiting_bytes": self.queue.heavy_bytes if self.queue is not None else 0,
-            "dropped": self.queue.dropped if self.queue is not None else 0,
+            "dropped": self.queue.dropped() if self.queue is not None else 0,
         }
 
 
@@ -104,10 +104,8 @@ class Route(msgspec.Struct, frozen=True):
         # As `ChannelQueue.put`, `enlist` and `Mailbox.take_token`, but without calls: half of what a delivery costs the
         # publisher.
         for queue in self.queues:
-            items = queue.items
-            items.append(packet)
-            if len(items) > queue.limit:
-                queue.shorten()
+            next(queue.numbers)
+            queue.items.append(packet)
             if not queue.listed:
                 queue.listed = True
                 mailbox = queue.mailbox
@@ -151,7 +149,7 @@ class Route(msgspec.Struct, frozen=True):
         weight = weight if weight > LIGHT_BYTES else 0
         for queue in (*self.queues, *self.shared):
             if queue.full(packet, weight):
-                queue.lose(1)
+                queue.refused += 1
             elif weight:
                 queue.put_heavy(packet, weight)
             else:

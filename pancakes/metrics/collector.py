@@ -139,7 +139,7 @@ class AgentMetrics(Collector):
                 where = [*_place(component), channel]
                 waiting.add_metric(where, len(box))
                 handled.add_metric(where, box.handled)
-                dropped.add_metric(where, box.dropped)
+                dropped.add_metric(where, box.dropped())
         yield from (waiting, handled, dropped)
 
     def _tasks(self, components: list[Component]) -> Iterator[Metric]:

@@ -4,6 +4,7 @@ import math
 import threading
 
 import pytest
+from kernel.actors import put_back
 
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
@@ -115,7 +116,7 @@ def test_who_has_its_turn_elsewhere_gets_the_tick_there_and_counts_what_it_misse
     burst(busy, idle)
     burst(busy, idle, missed=1)
     assert busy.done == [] and len(idle.done) == 2
-    busy.actor_inbox.put_token_back()
+    put_back(busy.actor_inbox)
     done = threading.Event()
     busy.call(done.set)
     assert done.wait(PATIENCE_S)
@@ -128,7 +129,7 @@ def test_what_a_turn_elsewhere_has_left_goes_before_the_tick(kernel, burst):
     for task, ask in ((ends, ends.stop), (goes_on, lambda: goes_on.call(lambda: goes_on.done.append("call")))):
         taken_from(task)
         ask()
-        task.actor_inbox.put_token_back()  # it has not looked yet whether something came meanwhile
+        put_back(task.actor_inbox)  # it has not looked yet whether something came meanwhile
     burst(ends, goes_on)
     assert (ends.done, goes_on.done) == ([], ["call", (0.5, 0)])
 

@@ -5,6 +5,7 @@ import random
 from dataclasses import dataclass
 
 import pytest
+from kernel.actors import put_back
 from pykka import ActorDeadError
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
@@ -331,7 +332,7 @@ def test_ticks_do_not_pile_up_before_an_actor_that_is_late(rig):
     timer = metronome.timers["tick"]
     assert metronome.actor_inbox.take_token()  # its dispatcher is busy elsewhere
     rig.run_until(0.55)
-    metronome.actor_inbox.put_token_back()
+    put_back(metronome.actor_inbox)
     metronome.call(lambda: None)
     rig.settle()
     assert metronome.ticks == [Tick(pytest.approx(0.5), 4, pytest.approx(0.05))]

@@ -3,7 +3,7 @@
 from collections import deque
 
 import pytest
-from kernel.actors import Actor
+from kernel.actors import Actor, put_back
 from msgspec import structs
 
 from pancakes.events import LogLine
@@ -83,10 +83,7 @@ def test_a_message_that_comes_in_the_middle_of_a_turn_is_for_another_turn(dispat
 
 def test_what_comes_while_a_tick_goes_on_is_for_a_turn(dispatcher, actor):
     given(dispatcher, actor)
-    timer = TaskTimer(actor, "tick", Period(1.0))
-    timer.arm(0.0, 0)
-    assert actor.actor_inbox.take_token()
-    actor.take_tick(timer, [])
+    ticked(actor, [])
     assert dispatcher.due == [actor.actor_inbox]
 
 
@@ -116,6 +113,59 @@ def test_what_comes_after_the_look_at_how_much_waits_and_before_the_mark_is_for_
     assert heard == ["one", "two"]
 
 
+def test_the_one_packet_of_a_turn_is_counted_and_weighed_no_more(dispatcher, actor):
+    mailbox, heard = actor.actor_inbox, []
+    given(dispatcher, actor)
+    for types in (("line",), ("line", "pose")):  # then the queue is one for several types
+        for name in types:
+            actor.subscribe("system", name, lambda packet: heard.append(packet.body.text))
+        waiting = mailbox.subscribe("system", {name: queue(8) for name in types})
+        waiting.put_heavy(packet(), 5000)
+        assert not given(dispatcher, actor)
+        assert (waiting.handled, len(waiting), waiting.dropped(), waiting.heavy_bytes) == (1, 0, 0, 0)
+    assert heard == ["x"] * 3  # one handler, then two of them
+
+
+def test_somebody_else_may_empty_a_queue_just_before_its_reader_takes_from_it(dispatcher, actor):
+    waiting = actor.actor_inbox.subscribe("system", {"line": queue(8)})
+    given(dispatcher, actor)
+    waiting.items = Emptied()
+    waiting.put(packet())
+    assert not given(dispatcher, actor)
+    assert not actor.actor_stopped.is_set() and actor.kernel.said == []
+
+
+class Ended(Actor):
+    def tick(self, tick):
+        """Fails."""
+        raise SystemExit(3)
+
+
+def ticked(actor, deferred):
+    """Gives a component that is at rest a turn that is one tick."""
+    timer = TaskTimer(actor, "tick", Period(1.0))
+    timer.arm(0.0, 0)
+    assert actor.actor_inbox.take_token()
+    actor.take_tick(timer, deferred)
+
+
+def test_a_tick_s_turn_ends_as_any_other(dispatcher, actor):
+    given(dispatcher, actor)
+    done = []
+    actor.after_turn = lambda: done.append("after the turn")
+    deferred = [lambda: done.append("put off")]
+    ticked(actor, deferred)
+    assert done == ["after the turn", "put off"] and deferred == []
+
+
+def test_who_ends_in_a_tick_keeps_the_token_for_the_successor(dispatcher):
+    actor = Ended(dispatcher, "a/client/A")
+    given(dispatcher, actor)
+    actor.end_actor = lambda error: setattr(actor.actor_inbox, "component", None)
+    ticked(actor, [])
+    assert not actor.actor_inbox.take_token() and dispatcher.due == []
+
+
 def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher, actor):
     actor.after_turn = failing
     assert not given(dispatcher, actor)
@@ -134,9 +184,9 @@ def test_the_turn_of_an_actor_that_is_no_more_is_nobody_s(dispatcher, actor):
 def test_a_token_that_two_want_is_one_s():
     mailbox = Mailbox()
     assert not mailbox.take_token(), "nobody reads it yet"
-    mailbox.put_token_back()
+    put_back(mailbox)
     assert mailbox.take_token() and not mailbox.take_token()
-    mailbox.put_token_back()
+    put_back(mailbox)
     mailbox.held = True  # somebody has just taken it
     assert not mailbox.take_token()
     mailbox.held = False
@@ -165,7 +215,7 @@ def test_two_threads_may_clear_what_nobody_will_handle():
 
 def test_a_reader_may_take_the_oldest_while_room_is_made_for_a_heavy_packet():
     waiting = ChannelQueue(Mailbox(), "system", {"line": queue(1)})
-    waiting.items = Emptied([packet()])
+    waiting.items = Emptied([packet()], maxlen=1)
     waiting.put_heavy(heavy := packet("heavy"), 5000)
     assert list(waiting.items) == [heavy] and waiting.heavy_bytes == 5000
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import pytest
+from kernel.actors import put_back
 
 from pancakes.errors import MailboxFull, UnknownChannel
 from pancakes.kernel.handlers import Subscription
@@ -31,7 +32,7 @@ class Reader:
     def __init__(self, stream, address, **keeps):
         self.mailbox = Mailbox()
         self.mailbox.dispatch = self.dispatch = Dispatch()
-        self.mailbox.put_token_back()
+        put_back(self.mailbox)
         for name, keep in keeps.items():
             stream.subscribe(address, self.mailbox, Subscription("system", name, keep))
 
@@ -66,7 +67,7 @@ def test_all_come_in_their_order_and_the_reader_is_told_once(keeps, body):
     for run in (packets(1, 2, body=body), packets(3, body=body)):  # the second finds the way known
         stream.inject_all(run, nobody)
     assert reader.dispatch.readied == [reader.mailbox]
-    assert reader.got() == [1, 2, 3] and reader.queue.dropped == 0
+    assert reader.got() == [1, 2, 3] and reader.queue.dropped() == 0
 
 
 @pytest.mark.parametrize("keeps", KEEPS.values(), ids=KEEPS)
@@ -75,8 +76,8 @@ def test_where_there_are_too_many_the_oldest_fall_out_and_are_counted(keeps):
     reader = Reader(stream, "a/client/T", **keeps)
     stream.inject_all(packets(1), nobody)
     stream.inject_all(packets(*range(2, 10)), nobody)
-    assert reader.queue.dropped == 4
-    assert reader.got() == [5, 6, 7, 8, 9] and reader.queue.handled == 5
+    assert reader.queue.dropped() == 4
+    assert reader.got() == [5, 6, 7, 8, 9] and reader.queue.offered() == 9
 
 
 def test_a_destination_is_kept_to():
@@ -165,5 +166,5 @@ def test_who_begins_to_listen_while_somebody_has_no_room_costs_the_others_nothin
 
     full.mailbox.component = Component()
     stream.inject_all(packets(1, 2), lambda packet, error: refused.append(packet.seq))
-    assert refused == [2] and full.got() == [1] and full.queue.dropped == 1
+    assert refused == [2] and full.got() == [1] and full.queue.dropped() == 1
     assert other.got() == [1, 2]

@@ -311,7 +311,7 @@ def test_what_a_turn_has_handled_is_neither_counted_as_dropped_nor_weighed_any_m
     component = minded(kernel, lambda it, packet: None, "one", "x" * 5000, second=second)
     queues = component.actor_inbox.queues.values()
     assert len(component.heard) == sum(waiting.handled for waiting in queues) == 2
-    assert [(waiting.dropped, waiting.heavy_bytes) for waiting in queues] == [(0, 0)] * 2
+    assert [(waiting.dropped(), waiting.heavy_bytes) for waiting in queues] == [(0, 0)] * 2
 
 
 def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_successor(kernel):

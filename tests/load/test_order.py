@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from kernel.actors import put_back
 from torture.live import free_ports
 from torture.load_fleet import LoadedFleet
 from torture.proxy import Proxy
@@ -37,7 +38,7 @@ class Reader:
     def __init__(self, stream: InformationStream, name: str, keeps: dict[str | None, Keep]) -> None:
         self.mailbox = Mailbox()
         self.mailbox.dispatch = Dispatcher()
-        self.mailbox.put_token_back()
+        put_back(self.mailbox)
         self.keeps = keeps
         self.read: list[int] = []
         for kind, keep in keeps.items():
