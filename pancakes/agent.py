@@ -17,10 +17,10 @@ from msgspec.structs import asdict
 
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
 from pancakes.control import CONTROLS
-from pancakes.errors import PancakesError, PluginError
+from pancakes.errors import PancakesError, PluginError, describe
 from pancakes.events import Event
 from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
-from pancakes.kernel.component import Component, describe
+from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher

@@ -1,4 +1,4 @@
-"""Everything that Pancakes raises on purpose.
+"""Everything that Pancakes raises on purpose, and how an error reads that nobody foresaw (`describe`).
 
 Each message is a sentence that names what is at fault (file, key, peer, packet), because the command
 line prints it as it stands: a traceback in a user's terminal is a defect.
@@ -88,3 +88,15 @@ class NoCandidate(MigrationError):
 
 class PeerLost(MigrationError):
     """The peer went away before the hand-off was decided."""
+
+
+def describe(error: BaseException) -> str:
+    """Returns an error as a sentence with the place that raised it, without a traceback."""
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    if place is None:
+        return text
+    code = place.tb_frame.f_code
+    return f"{text} ({code.co_filename.rpartition('/')[2]}:{place.tb_lineno}, in {code.co_name})"

@@ -9,8 +9,7 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
-from pancakes.errors import ControlRefused, PancakesError
-from pancakes.kernel.component import describe
+from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
 from pancakes.packet import SYSCTRL, Packet

@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pancakes.control import Hold
-from pancakes.errors import ControlRefused, PancakesError
-from pancakes.kernel.component import Component, describe
+from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.kernel.component import Component
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
 from pancakes.schema import schema_of

@@ -185,7 +185,7 @@ def _listen_to_libraries(running: Agent) -> Callable[[], None]:
     import logging
     import threading
 
-    from pancakes.kernel.component import describe
+    from pancakes.errors import describe
 
     levels = {"DEBUG": "debug", "INFO": "info", "WARNING": "warning"}
 

@@ -13,10 +13,12 @@ import pykka
 from pykka._envelope import Envelope
 from pykka.messages import _ActorStop
 
-from pancakes.errors import ControlRefused, PancakesError
+from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.events import Event, LogLine
+from pancakes.kernel.call import Call
 from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.dispatch import Deferred, run_deferred
+from pancakes.kernel.flag import Flag
 from pancakes.kernel.handlers import Period, Subscription, period_of
 from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
@@ -36,33 +38,8 @@ a slow handler's turn takes twice its time at the most, and a quick one's hardly
 """
 
 
-class Flag:
-    """What pykka uses of a `threading.Event`, at a tenth of its cost: most actors' ends are awaited by nobody."""
-
-    __slots__ = ("on",)
-
-    def __init__(self) -> None:
-        self.on = False
-
-    def is_set(self) -> bool:
-        return self.on
-
-    def set(self) -> None:
-        self.on = True
-
-
 def _nobody_asks(component: Component, error: BaseException | None) -> None:
     """Is told of an end that nobody waits for."""
-
-
-class Call:
-    """A function to be called in a component's turn, and in no turn of its successor's."""
-
-    __slots__ = ("component", "function")
-
-    def __init__(self, component: Component, function: Callable[[], None]) -> None:
-        self.component = component
-        self.function = function
 
 
 class Component(pykka.Actor):
@@ -608,15 +585,3 @@ class Component(pykka.Actor):
         mailbox.closed = True
         mailbox.clear_control()
         self.exited(self, error)
-
-
-def describe(error: BaseException) -> str:
-    """Returns an error as a sentence with the place that raised it, without a traceback."""
-    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    place = error.__traceback__
-    while place is not None and place.tb_next is not None:
-        place = place.tb_next
-    if place is None:
-        return text
-    code = place.tb_frame.f_code
-    return f"{text} ({code.co_filename.rpartition('/')[2]}:{place.tb_lineno}, in {code.co_name})"

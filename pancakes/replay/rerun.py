@@ -9,8 +9,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from pancakes.errors import PancakesError, PluginError
-from pancakes.kernel.component import Component, describe
+from pancakes.errors import PancakesError, PluginError, describe
+from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.registry import DeviceEntry
 from pancakes.kernel.virtual import VirtualDispatcher

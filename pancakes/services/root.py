@@ -38,8 +38,8 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
-from pancakes.errors import ControlRefused, PancakesError
-from pancakes.kernel.component import Component, describe
+from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.service import WAITING, Service, ServiceSpec

@@ -3,7 +3,8 @@
 import pytest
 
 from pancakes.control import Describe
-from pancakes.kernel.component import Call, Component
+from pancakes.kernel.call import Call
+from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable

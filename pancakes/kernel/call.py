@@ -1,0 +1,19 @@
+"""A function that waits in a control lane for its turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pancakes.kernel.component import Component
+
+
+class Call:
+    """A function to be called in a component's turn, and in no turn of its successor's."""
+
+    __slots__ = ("component", "function")
+
+    def __init__(self, component: Component, function: Callable[[], None]) -> None:
+        self.component = component
+        self.function = function
