@@ -14,8 +14,8 @@ SWITCH_S: Final = 0.0002
 it twice, in the timer's thread and in the pool's: beside a task that computes without pause, 100 tasks at 100 Hz are
 late by 0.55 ms (p50) and not by 4, and their ticks come at all. With 0.5 ms that is 0.85, and beside a task that sends
 without pause the network's thread is overtaken 25 times before it runs: each system call lets go of the interpreter for
-a moment, too short to wake up in, and only who has waited for all of this time asks for more. With 0.1 ms two threads
-that compute get a tenth less done."""
+a moment, too short to wake up in, and only who has waited for all of this time asks for more. Two threads that compute
+get up to a tenth less done for it."""
 COLLECT_EACH: Final = (10_000, 10, 10)
 """Python looks for rubbish once so many things more are alive than after the last look, instead of 700. Little that an
 agent throws away needs to be looked for. Until 10,000 tasks run, looking takes 0.1 s instead of 0.3 of processor time;
