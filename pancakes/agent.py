@@ -30,7 +30,7 @@ from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
-from pancakes.service import ServiceSpec
+from pancakes.service import Service, ServiceSpec
 from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceSpec
 from pancakes.services.durable import DurableService
@@ -107,6 +107,7 @@ class Agent:
         self._on_shutdown: Callable[[], None] | None = None
         self._born_s = self.kernel.host.now()
         self._root: Root | None = None
+        self._closed = threading.Event()  # once all services have ended
         self._clients: set[str] = set()
         self._drop_said_s = -math.inf
         self._unsaid: deque[Callable[[], None]] = deque(maxlen=1024)
@@ -187,6 +188,7 @@ class Agent:
             migrations=self.ledgers.plain,
             ready=self._become_ready,
             shutdown=self._shut_down,
+            exited=self._root_ended,
         )
         assert isinstance(root, Root)
         self._root = root
@@ -202,6 +204,36 @@ class Agent:
             # What it carried is not lost with it.
             self.kernel.log("error", f"{courier.address} failed and is started again: {describe(error)}")
             self._spawn_courier()
+
+    def _root_ended(self, root: Component, error: BaseException | None) -> None:
+        """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
+        self.kernel.stream.unsubscribe(root.address)
+        if self._closed.is_set():
+            return
+        assert isinstance(root, Root)
+        why = f"has failed: {describe(error)}" if error is not None else "was stopped"
+        reason = f"{root.address}, which starts and watches the services, {why}"
+        root.refuse_all(f"{self.name} ends: {reason}")
+        self.kernel.stopping = True
+        self._close_next([service for service in self.kernel.registry.components() if isinstance(service, Service)])
+        self._stop_for(reason)
+
+    def _close_next(self, services: list[Service]) -> None:
+        """Stops services, the last first, each once the one before has ended. In any thread."""
+        if not services:
+            self._closed.set()
+            return
+        service = services.pop()
+        gone_on = threading.Lock()
+
+        def go_on() -> None:
+            if gone_on.acquire(blocking=False):
+                self._close_next(services)
+
+        service.exited = lambda component, error: go_on()
+        service.call(lambda: service.close(lambda: None))
+        if service.actor_stopped.is_set():  # it ended before it could be told
+            go_on()
 
     def _become_ready(self) -> None:
         # Only now does the Log Service listen to what was found wrong before.
@@ -220,13 +252,13 @@ class Agent:
             return
         self.stopping.set()
         self.kernel.stopping = True
-        ended = threading.Event()
+        closed = self._closed
         root = self._root
-        if root is not None and root.actor_ref.is_alive():
-            root.call(lambda: root.close(ended.set))
+        if root is not None:
+            root.call(lambda: root.close(closed.set))
             if self.kernel.virtual is not None:
-                self.kernel.virtual.run_while(lambda: not ended.is_set(), self.kernel.host.now() + CLOSE_S)
-            elif not ended.wait(CLOSE_S):
+                self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
+            elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
         courier = self.kernel.registry.get(join(self.name, COURIER))
         if courier is not None:

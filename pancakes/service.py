@@ -8,7 +8,8 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
+from pancakes.answers import Answers
+from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
@@ -54,7 +55,8 @@ class Service(Supervisor):
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
-        self._unanswered: dict[int, Request] = {}
+        self._answers = Answers(self)
+        self._newest_command = 0
 
     @on(SYSCTRL, Command, keep=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
@@ -64,7 +66,8 @@ class Service(Supervisor):
             self.close(lambda: None)
             return
         request = _request(command)
-        self._unanswered[request.number] = request
+        self._newest_command = request.number
+        self._answers.owe(request)
         slot = self.slots.get(command.task) if command.task else None
         if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
@@ -90,12 +93,7 @@ class Service(Supervisor):
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
-        self._unanswered.pop(request.number, None)
-        try:
-            self.publish(SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause)
-        except PancakesError as error:
-            # A service must not fail because whoever asked does not listen fast enough.
-            self.log("warning", f"the answer to {request.by} was lost: {error}")
+        self._answers.give(request, reason, result)
 
     def close(self, then: Callable[[], None]) -> None:
         def answered() -> None:
@@ -109,20 +107,21 @@ class Service(Supervisor):
         self._answer_all(f"{self.address} failed before it had done that: {describe(exception_value)}")
 
     def unheard(self) -> list[Request]:
-        """Returns, once it has ended, the commands that it never came to, and forgets them."""
+        """Returns, once it has ended, the commands that it has not answered, and forgets them."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
-        left = []
+        left = self._answers.forget_all()
         while queue is not None and (packet := queue.pop()) is not None:
-            if isinstance(packet.body, Command) and packet.body.body is not None:
-                left.append(_request(packet.body))
+            command = packet.body
+            # The one that it failed on lies here again.
+            if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:
+                left.append(_request(command))
         return left
 
     def _answer_all(self, reason: str) -> None:
         """Tells everybody who still waits for an answer that there will be none, as the service ends."""
         for slot in self.slots.values():
             slot.commands = ()
-        for request in list(self._unanswered.values()):
-            self.reply(request, reason)
+        self._answers.refuse_all(reason)
 
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)

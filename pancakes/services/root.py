@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.answers import Answers
 from pancakes.control import (
     CONTROLS,
     Adopt,
@@ -29,7 +30,6 @@ from pancakes.control import (
     History,
     Migrate,
     Migrations,
-    Reply,
     Reschedule,
     Restart,
     Shutdown,
@@ -127,6 +127,7 @@ class Root(Component):
         self._migrations = migrations
         self._on_ready = ready
         self._shutdown = shutdown
+        self._answers = Answers(self)
         self._number = 0
         self._closing = False
         self.ready = False
@@ -235,13 +236,20 @@ class Root(Component):
         assert isinstance(service, Service)
         for request in service.unheard():
             self.reply(request, f"{place.address} ended before it came to that")
-        if error is None and place.service is not None:
-            place.kept = place.service.keep()
+        if error is None:
+            place.kept = self._kept_by(service)
         place.service = None
         if error is not None and place.state is not ServiceState.STOPPING:
             self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
             return
         self._rest(place)
+
+    def _kept_by(self, service: Service) -> Mapping[str, Carried]:
+        try:
+            return service.keep()
+        except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
+            self.log("error", f"what the tasks of {service.address} carried is lost: {describe(error)}")
+            return {}
 
     def _rest(self, place: ServicePlace) -> None:
         place.state = ServiceState.STOPPED
@@ -285,9 +293,13 @@ class Root(Component):
 
     def on_control(self, packet: Packet) -> None:
         """Numbers a control packet and hands it on."""
-        self._number += 1
-        request = Request(packet.source, (packet.source, packet.seq), self._number)
+        request = self._numbered(packet)
+        self._answers.owe(request)
         self._attempt(request, lambda: self._resolve(packet.body, request))
+
+    def _numbered(self, packet: Packet) -> Request:
+        self._number += 1
+        return Request(packet.source, (packet.source, packet.seq), self._number)
 
     def _attempt(self, request: Request, do: Callable[[], None]) -> None:
         """Does what was asked for, and answers with the reason where that fails."""
@@ -302,16 +314,20 @@ class Root(Component):
 
     def refuse(self, packet: Packet, reason: str) -> None:
         """Answers a control packet that found no room here; it has its place in the order like any other."""
-        self._number += 1
-        self.reply(Request(packet.source, (packet.source, packet.seq), self._number), reason)
+        self.reply(self._numbered(packet), reason)
+
+    def refuse_all(self, reason: str) -> None:
+        """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
+        queue = self.actor_inbox.queues.get(SYSCTRL)
+        while queue is not None and (packet := queue.pop()) is not None:
+            # The one that it failed on lies here again, and has its number.
+            if not self._answers.owes((packet.source, packet.seq)):
+                self.refuse(packet, reason)
+        self._answers.refuse_all(reason)
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
-        try:
-            self.publish(SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause)
-        except PancakesError as error:
-            # The root must not fail because whoever asked does not listen fast enough.
-            self.log("warning", f"the answer to {request.by} was lost: {error}")
+        self._answers.give(request, reason, result)
 
     def _resolve(self, body: Any, request: Request) -> None:
         if isinstance(body, Begin):
@@ -390,12 +406,15 @@ class Root(Component):
         if place is None or place.service is None or place.state is not ServiceState.RUNNING:
             raise ControlRefused(f"{join(self.agent, service)} is {place.state.value if place else 'not there'}")
         self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
+        self._answers.pass_on(request)
 
     def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
         if isinstance(body, (Start, Stop, Restart)):
             if place.busy or place.commands:
                 # One after the other, so that the last of several that contradict each other is the one that holds.
-                place.commands.append(lambda: self._begin_command(place, body, request))
+                place.commands.append(
+                    lambda: self._attempt(request, lambda: self._change_service(place, body, request))
+                )
             else:
                 self._change_service(place, body, request)
         elif isinstance(body, (Reschedule, Configure, Migrate, Adopt)):
@@ -429,12 +448,6 @@ class Root(Component):
             if name == NETWORK and place.service is not None:
                 place.service.stopped_for_s = 0.0  # who is told goodbye shall dial again soon
             self._halt_as_asked(place, request, lambda answer: self.launch(place, answer))
-
-    def _begin_command(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
-        try:
-            self._change_service(place, body, request)
-        except ControlRefused as error:
-            self.reply(request, str(error))
 
     def _occupy(self, place: ServicePlace, request: Request, answered: bool = False) -> Callable[[str], None]:
         """Lets later commands for a service wait; returns what answers this one and lets them go on."""

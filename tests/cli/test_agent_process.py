@@ -126,6 +126,31 @@ def test_the_second_of_two_agents_of_one_name(rig: Rig):
     assert rig.pancakes("agent", "list").returncode == 0  # the first one runs on
 
 
+EXITS = """
+import sys
+from pancakes.service import Service
+
+class Exits(Service):
+    def refuse_stop(self):
+        sys.exit(3)
+"""
+
+
+def test_an_agent_whose_root_fails_ends_with_a_sentence_and_the_asker_gets_an_answer(rig: Rig):
+    rig.install("exits", "[pancakes.services]\nexits.Exits = plugin_exits:Exits\n", EXITS)
+    agent = rig.ready("a", '[service.own]\ntype = "exits.Exits"\n')
+
+    asked = rig.pancakes("service", "stop", "a/own")
+
+    why = "a/kernel, which starts and watches the services, has failed: SystemExit: 3 (plugin_exits.py:"
+    assert asked.returncode == 1
+    assert asked.stderr.startswith(f"a ends: {why}")
+    assert agent.ended() == 1
+    assert agent.said[-1].startswith(f"a cannot run: {why}")
+    assert any("error" in line and why in line for line in agent.said[:-1])
+    assert list(rig.runtime.iterdir()) == []
+
+
 def test_a_state_directory_in_use(rig: Rig):
     first = rig.ready("a")
 

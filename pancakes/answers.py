@@ -1,0 +1,67 @@
+"""What a component owes to those who asked it for something: each gets an answer, and each gets one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pancakes.control import Reply
+from pancakes.errors import PancakesError
+from pancakes.kernel.component import Component
+from pancakes.packet import SYSCTRL, Cause
+from pancakes.slot import Request
+
+
+class Answers:
+    """The requests that a component has taken and not answered yet. In that component's actor, or once it has ended.
+
+    Args:
+        component: the component; the answers are published in its name.
+    """
+
+    def __init__(self, component: Component) -> None:
+        self._component = component
+        self._owed: dict[int, Request] = {}
+
+    def owe(self, request: Request) -> None:
+        """A request has come in."""
+        self._owed[request.number] = request
+
+    def owes(self, cause: Cause) -> bool:
+        """Returns whether the asker of a packet still waits for the answer of this component."""
+        return any(request.cause == cause for request in self._owed.values())
+
+    def forget_all(self) -> list[Request]:
+        """Returns all requests that are not answered, and forgets them: another component answers them."""
+        owed, self._owed = list(self._owed.values()), {}
+        return owed
+
+    def pass_on(self, request: Request) -> None:
+        """Another component answers this request from now on."""
+        self._owed.pop(request.number, None)
+
+    def give(self, request: Request, reason: str = "", result: Any = None) -> None:
+        """Answers a request; where the answer cannot be sent, the asker is told that, and why.
+
+        Args:
+            request: whom to answer.
+            reason: why it is not done; empty: it is.
+            result: what was asked for, where that is something to know.
+        """
+        self._owed.pop(request.number, None)
+        try:
+            try:
+                self._send(request, Reply(not reason, reason, result, request.number))
+            except PancakesError as error:
+                # Too large for a frame, say: a short refusal fits.
+                self._send(request, Reply(False, f"the answer is lost: {error}", None, request.number))
+        except PancakesError as error:
+            # A component must not fail because an asker does not listen fast enough.
+            self._component.log("warning", f"the answer to {request.by} was lost: {error}")
+
+    def refuse_all(self, reason: str) -> None:
+        """Tells all askers who still wait that what they asked for is not done."""
+        for request in list(self._owed.values()):
+            self.give(request, reason)
+
+    def _send(self, request: Request, reply: Reply) -> None:
+        self._component.publish(SYSCTRL, reply, to=request.by, cause=request.cause)
