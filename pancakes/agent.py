@@ -436,7 +436,7 @@ class Agent:
             record = self.config.record
             arguments = {"record": asdict(record) if record is not None else None, "wanted": self.recording}
         elif config.name == "network":
-            hosting = Hosting(self.config.agent.role, self._has_type, self._costs)
+            hosting = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
             arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}
         if issubclass(cls, DurableService):
             arguments = {**arguments, "records": self.records, "catalogue": self}

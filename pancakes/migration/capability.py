@@ -26,6 +26,8 @@ class Capability(msgspec.Struct, frozen=True):
         role: its role on the mesh.
         devices: the types of its devices.
         types: the task types that it knows, with the version of the distribution they come from.
+        services: the services that run here and take tasks in.
+        records: for each task of which there is a record here, the service that has it.
         names: which task each name here belongs to: those that run, are stopped, or are about to arrive.
         costs: the cost functions that it knows.
         battery_level: what is left of its battery, 0 to 1; None where it has none.
@@ -34,6 +36,8 @@ class Capability(msgspec.Struct, frozen=True):
     role: str = HOST_ROLE
     devices: tuple[str, ...] = ()
     types: Mapping[str, str] = msgspec.field(default_factory=dict)
+    services: tuple[str, ...] = ("client",)
+    records: Mapping[TaskId, str] = msgspec.field(default_factory=dict)
     names: Mapping[str, TaskId] = msgspec.field(default_factory=dict)
     costs: tuple[str, ...] = ("tasks",)
     battery_level: float | None = None
@@ -45,6 +49,7 @@ class Capability(msgspec.Struct, frozen=True):
     def _reasons(self, request: Solicit) -> tuple[str, ...]:
         return (
             "" if self.role == HOST_ROLE else f"is no host of tasks but in the role {self.role!r}",
+            self._service(request),
             self._devices(request),
             self._type(request),
             self._name(request),
@@ -52,6 +57,15 @@ class Capability(msgspec.Struct, frozen=True):
             self._battery(request),
             self._size(request),
         )
+
+    def _service(self, request: Solicit) -> str:
+        if request.service not in self.services:
+            there = f"only {', '.join(self.services)}" if self.services else "nor any other"
+            return f"runs no service {request.service!r} that takes tasks in, {there}"
+        record = self.records.get(request.task_id, request.service)
+        if record != request.service:
+            return f"has a record of {request.task_id} in its service {record!r}, not in {request.service!r}"
+        return ""
 
     def _devices(self, request: Solicit) -> str:
         lacking = [device for device in request.requires if device not in self.devices]

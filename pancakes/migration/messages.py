@@ -29,6 +29,7 @@ class Solicit(msgspec.Struct, frozen=True):
         ask: number of this asking at the source; the answer repeats it.
         type: entry point name of the task's class.
         version: version of the distribution that it comes from.
+        service: name of the service that looks after it, here and there.
         requires: the device types that it depends on.
         size_bytes: size of its snapshot, about.
         cost: name of the cost function to use, or the weight of each of several.
@@ -41,6 +42,7 @@ class Solicit(msgspec.Struct, frozen=True):
     ask: int
     type: str
     version: str
+    service: str
     requires: tuple[str, ...] = ()
     size_bytes: int = 0
     cost: CostChoice = "tasks"

@@ -356,6 +356,8 @@ class DurableService(RecordedService):
             snapshot = Snapshot.decode(message.snapshot)
             if snapshot.task_id != message.task_id:
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
+            if snapshot.service != self.name:
+                return f"has a record of {message.task_id} in its service {self.name!r}, not in {snapshot.service!r}"
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
@@ -433,6 +435,7 @@ class DurableService(RecordedService):
             self._asks,
             slot.spec.type,
             slot.spec.version,
+            self.name,
             slot.spec.cls.requires,
             len(self.hand_off(task_id).record.snapshot),
             body.cost,

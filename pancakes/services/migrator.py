@@ -59,12 +59,13 @@ LOOK_S = 2.0
 
 
 class Hosting:
-    """What this agent could be to a task from elsewhere: which types and cost functions it has.
+    """What this agent could be to a task from elsewhere: which types, cost functions and records it has.
 
     Args:
         role: the agent's role.
         version: returns the version in which a task type is installed and can be imported; None where it is not.
         costs: returns the cost functions, by name.
+        recorded: returns the name of the service whose record of a task is on disk, running or not; empty: none.
     """
 
     def __init__(
@@ -72,10 +73,12 @@ class Hosting:
         role: str,
         version: Callable[[str], str | None],
         costs: Callable[[], Mapping[str, Cost]],
+        recorded: Callable[[TaskId], str],
     ) -> None:
         self.role = role
         self.version = version
         self.costs = costs
+        self.recorded = recorded
 
 
 class TaskMigrator(Task):
@@ -313,16 +316,21 @@ class TaskMigrator(Task):
     def _refusal(self, request: Solicit) -> str:
         registry = self.kernel.registry
         names: dict[str, TaskId] = {}
-        for service in self._durable_services():
+        services = self._durable_services()
+        for service in services:
             for slot in list(service.slots.values()):
                 names[slot.name] = service.id_of(slot)
         for task_id in self._slots.kept(self.kernel.host.now()):
             names.setdefault(task_id.name, task_id)
         version = self._hosting.version(request.type)
+        keeper = self._keeper(request.task_id)
+        recorded = keeper.name if keeper is not None else self._hosting.recorded(request.task_id)
         capability = Capability(
             role=self._hosting.role,
             devices=tuple(registry.device_types()),
             types={request.type: version} if version is not None else {},
+            services=tuple(service.name for service in services),
+            records={request.task_id: recorded} if recorded else {},
             names=names,
             costs=tuple(self._hosting.costs()),
             battery_level=self.battery_level,
@@ -330,17 +338,17 @@ class TaskMigrator(Task):
         refusal = capability.refusal_of(request)
         if refusal:
             return refusal
-        places = [join(service.address, request.task_id.name) for service in self._durable_services()]
+        place = join(self.agent, request.service, request.task_id.name)
         for device in registry.devices():
             if not device.actuator or device.type not in request.requires:
                 continue
             holder = registry.holder(device.name)
             if holder:
                 return f"{device.name} is held by {holder}"
-            reasons = [registry.taken(device.name, place) for place in places]
-            if reasons and all(reasons):
-                return reasons[0]
-        return "" if places else "has no service that could look after it"
+            taken = registry.taken(device.name, place)
+            if taken:
+                return taken
+        return ""
 
     def _measure(self) -> None:
         self.measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
@@ -380,8 +388,9 @@ class TaskMigrator(Task):
             return
         message = packet.body
         peer = agent_of(packet.source)
-        refusal = ""
+        refusal = name = ""
         if isinstance(message, Reserve):
+            name = message.request.service
             self._slots.free(message.task_id)
             refusal = self._refusal(message.request)
             if not refusal:
@@ -389,7 +398,7 @@ class TaskMigrator(Task):
                 self._slots.keep(message.task_id, Slot(peer, message.offer, until_s))
         elif isinstance(message, (Commit, Abort)):
             self._assembly.end(peer, message.task_id)
-        self._hand_over(peer, message, refusal, "")
+        self._hand_over(peer, message, refusal, name)
 
     @on(NETWORK, Piece, keep=KEEP)
     def on_piece(self, packet: Packet) -> None:
@@ -410,16 +419,26 @@ class TaskMigrator(Task):
         self._hand_over(peer, transfer, "", service)
 
     def _hand_over(self, peer: str, message: HandOffMessage, refusal: str, name: str) -> None:
-        services = self._durable_services()
-        owner = next((service for service in services if service.knows(message.task_id)), None)
-        owner = owner or next((service for service in services if service.name == (name or "client")), None)
+        """Gives a message to the service that has a record of its task, else to the one of the name that it says.
+
+        Of a message that names none any service can say that no record is left; but not while there is one, and the
+        service that has it does not run: its peer says it again.
+        """
+        owner = self._keeper(message.task_id)
+        if owner is None and (name or not self._hosting.recorded(message.task_id)):
+            services = self._durable_services()
+            owner = next((service for service in services if not name or service.name == name), None)
         if owner is None:
             if isinstance(message, (Reserve, Transfer)):
-                reason = f"has no service {name or 'client'!r} that tasks can move to"
+                reason = refusal or f"runs no service {name!r} that takes tasks in"
                 self._say(peer, Nak(message.task_id, message.offer, reason))
             return
         found = owner
         found.call(lambda: found.receive(peer, message, refusal))
+
+    def _keeper(self, task_id: TaskId) -> DurableService | None:
+        """Returns the service that runs and has a record of a task."""
+        return next((service for service in self._durable_services() if service.knows(task_id)), None)
 
     def _durable_services(self) -> list[DurableService]:
         return [

@@ -38,6 +38,11 @@ class Records:
         """Returns the records as they are on disk."""
         return dict(self._records)
 
+    def service_of(self, task_id: TaskId) -> str:
+        """Returns the name of the service whose record of a task is on disk; empty: there is none, or it says none."""
+        record = self._records.get(task_id)
+        return record.service if record is not None else ""
+
     def lost(self, task_id: TaskId) -> str:
         """Returns how a task's record was lost; empty where it was not.
 

@@ -12,7 +12,7 @@ from pancakes.migration.record import Epoch, TaskId
 from pancakes.migration.slots import Slot, Slots
 
 SCAN = TaskId("agent1", "ScanTarget")
-REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", ("pose", "motors"), moves_on_below=0.65)
+REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
 ROBOT = Capability(
     devices=("battery", "ir", "motors", "pose", "sonar"),
     types={"encirclement.ScanTarget": "0.1.0"},
@@ -35,6 +35,9 @@ def test_a_robot_with_all_that_is_asked_for_refuses_nothing() -> None:
         ({"battery_level": 0.74}, "has 74% of its battery"),
         ({"role": "environment"}, "is no host of tasks but in the role 'environment'"),
         ({"costs": ()}, "knows no cost function 'tasks'"),
+        ({"services": ("guide", "map")}, "runs no service 'client' that takes tasks in, only guide, map"),
+        ({"services": ()}, "runs no service 'client' that takes tasks in, nor any other"),
+        ({"records": {SCAN: "map"}}, "has a record of agent1/ScanTarget in its service 'map', not in 'client'"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
 )

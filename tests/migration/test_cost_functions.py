@@ -108,7 +108,7 @@ def test_weights_that_are_none(choice: str | dict[str, float], fault: str) -> No
 
 
 def test_a_candidate_refuses_functions_that_it_does_not_know_and_weights_that_are_none() -> None:
-    asked = Solicit(TaskId("a", "X"), 1, "x", "1", cost={"tasks": 1.0, "charm": 1.0, "wit": 1.0})
+    asked = Solicit(TaskId("a", "X"), 1, "x", "1", "client", cost={"tasks": 1.0, "charm": 1.0, "wit": 1.0})
     here = Capability(types={"x": "1"}, costs=("tasks",))
     assert here.refusal_of(asked) == "knows no cost functions 'charm', 'wit'"
     assert "not nan" in here.refusal_of(replace(asked, cost={"tasks": math.nan}))
@@ -116,7 +116,7 @@ def test_a_candidate_refuses_functions_that_it_does_not_know_and_weights_that_ar
 
 
 def test_the_choice_travels() -> None:
-    plain = {"task_id": ["a", "X"], "ask": 1, "type": "x", "version": "1"}
+    plain = {"task_id": ["a", "X"], "ask": 1, "type": "x", "version": "1", "service": "client"}
     weights = {"tasks": 1, "battery": 2.5}
     assert body_from_plain("migration.solicit", {**plain, "cost": weights}).cost == weights
     assert body_from_plain("migration.solicit", {**plain, "cost": "link"}).cost == "link"

@@ -12,7 +12,7 @@ from pancakes.migration.record import Epoch, Phase, Record, TaskId
 from pancakes.migration.volatile import Volatile
 
 SCAN = TaskId("agent1", "ScanTarget")
-REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0")
+REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client")
 BIRTH = Epoch(0, "agent1")
 OFFER = Epoch(1, "agent1")
 

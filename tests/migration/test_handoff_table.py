@@ -62,7 +62,7 @@ from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wa
 from pancakes.migration.volatile import Volatile
 
 SCAN = TaskId("agent1", "ScanTarget")
-REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", ("pose", "motors"))
+REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))
 BIRTH = Epoch(0, "agent1")
 OFFER = Epoch(1, "agent1")
 

@@ -11,7 +11,7 @@ from pancakes.migration.messages import Solicit
 from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation
 from pancakes.migration.record import TaskId
 
-REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", ("pose", "motors"))
+REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))
 
 
 def negotiation(*neighbours: str, to: str = "", dry_run: bool = False) -> Negotiation:

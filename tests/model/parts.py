@@ -16,7 +16,7 @@ from pancakes.migration.volatile import Volatile
 
 TASK: Final = TaskId("A", "ScanTarget")
 """The task that moves; it is born on A."""
-REQUEST: Final = Solicit(TASK, 1, "encirclement.ScanTarget", "1.0")
+REQUEST: Final = Solicit(TASK, 1, "encirclement.ScanTarget", "1.0", "client")
 STREAM: Final = "sender"
 """The stream of the packets that are sent to the task."""
 ALL: Final = 1 << 30
