@@ -50,6 +50,8 @@ from pancakes.wire.messages import Hello, Identity
 
 ORDER = ("log", "device", "network")
 """The default services that start before all others, in this order; the Client Service's tasks need them."""
+_TOLD_ONCE = ("name", "role", "fleet", "listen")
+"""What a description of the agent says by itself, and not again with its mesh."""
 CLOSE_S = 1.5
 """How long, in host time, an agent waits for its tasks to end before it stops all the same."""
 
@@ -309,7 +311,7 @@ class Agent:
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
-            "mesh": self.mesh.describe(),
+            "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
             "process": self._process() if self.kernel.virtual is None else None,

@@ -150,12 +150,14 @@ class Describe(msgspec.Struct, frozen=True):
         target: a task (the result is a mapping with all that is known about it, its settings and their JSON Schema
             among it), a service (a list with a row for each of its tasks); empty: the agent (a mapping with a row for
             each service and task).
-        state: of a task that runs: its state as well (`state`), as it is between two of its turns, when that was
-            (`mission_s`, and `host_s` on its agent's own clock), and when it began and what it carried then (`began`).
+        state: of a task that runs: its state as well (`state`), as it is between two of its turns, and when that was
+            (`mission_s`, and `host_s` on its agent's own clock).
+        began: of a task that runs: when it began as well, and what it carried then (`began`).
     """
 
     target: str = ""
     state: bool = False
+    began: bool = False
 
 
 @packet_type("channels")

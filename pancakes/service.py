@@ -268,8 +268,8 @@ class Service(Supervisor):
 
     def _describe_asked(self, slot: Slot, body: Describe, request: Request) -> None:
         detail = self.describe_in_detail(slot)
-        if body.state:
-            self.in_task(slot, request, "", lambda task: with_state(detail, task))
+        if body.state or body.began:
+            self.in_task(slot, request, "", lambda task: with_state(detail, task, body))
         else:
             self.reply(request, result=detail)
 
@@ -324,18 +324,21 @@ class Service(Supervisor):
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
 
 
-def with_state(detail: Mapping[str, Any], task: Task) -> dict[str, Any]:
-    """Returns what `describe_in_detail` says of a task, and its state as it is now. In the task's actor.
+def with_state(detail: Mapping[str, Any], task: Task, asked: Describe) -> dict[str, Any]:
+    """Returns what `describe_in_detail` says of a task, and its states as far as they are asked for. In its actor.
 
     Raises:
         ControlRefused: what it keeps in its state cannot be written down.
     """
+    told = {**detail, "began": task.began()} if asked.began else dict(detail)
+    if not asked.state:
+        return told
     try:
         carried = task.carry()
     except Exception as error:  # what a task keeps in its state may be anything
         raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
-    now = {"host_s": task.kernel.host.now(), "mission_s": task.now(), "began": task.began()}
-    return {**detail, **now, "settings": carried.settings, "state": carried.state}
+    now = {"host_s": task.kernel.host.now(), "mission_s": task.now()}
+    return {**told, **now, "settings": carried.settings, "state": carried.state}
 
 
 def _request(command: Command) -> Request:

@@ -51,7 +51,7 @@ class TaskDescription(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, told: Mapping[str, Any], time_ns: Callable[[float], int], seed: int, seen: bool) -> TaskDescription:
-        """Makes it of what an agent answers to `Describe(target, state=True)`.
+        """Makes it of what an agent answers to `Describe(target, state=True, began=seen)`.
 
         Args:
             told: the answer.

@@ -126,7 +126,8 @@ class Recorder(Task):
             self._recording.ended(f"{self.agent}/{target}")
 
     def _ask(self, question: _Question) -> None:
-        seq = self.publish(SYSCTRL, Describe(question.target, state=bool(question.target))).seq
+        about = Describe(question.target, state=bool(question.target), began=question.seen)
+        seq = self.publish(SYSCTRL, about).seq
         self._asked[seq] = _Question(question.target, question.seen, question.again, self.kernel.host.now())
 
     def _ask_about(self, target: str, seen: bool) -> None:

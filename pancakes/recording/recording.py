@@ -148,7 +148,7 @@ class Recording:
         """Takes what a task is.
 
         Args:
-            told: what its agent answers to `Describe(target, state=True)`.
+            told: what its agent answers to `Describe(target, state=True, began=seen)`.
             seen: whether the recording saw the task start.
         """
         described = TaskDescription.of(told, self._time_ns, self._kernel.seed, seen)
