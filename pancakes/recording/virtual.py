@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from pancakes.control import Describe
 from pancakes.errors import ControlRefused
 from pancakes.events import Event
 from pancakes.kernel.counter import Counter
@@ -77,7 +78,8 @@ class VirtualRecorder:
         if task is None or slot.state is not TaskState.RUNNING or not is_described(f"{service.name}/{slot.name}"):
             return
         try:
-            self._recording.describe(with_state(service.describe_in_detail(slot), task), seen)
+            asked = Describe(slot.name, state=True, began=seen)
+            self._recording.describe(with_state(service.describe_in_detail(slot), task, asked), seen)
         except ControlRefused as error:
             self._say(str(error))
 
