@@ -32,11 +32,12 @@ from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
 from pancakes.service import Service, ServiceSpec
 from pancakes.services.courier import Courier
-from pancakes.services.device import DeviceSpec
+from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.durable import DurableService
 from pancakes.services.fences import Fences
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.load import describe_process
+from pancakes.services.log import LogService
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
 from pancakes.services.postbox import COURIER
@@ -48,8 +49,8 @@ from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Hello, Identity
 
-ORDER = ("log", "device", "network")
-"""The default services that start before all others, in this order; the Client Service's tasks need them."""
+FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
+"""Services of these classes start before all others, in this order; the tasks of the user need them."""
 _TOLD_ONCE = ("name", "role", "fleet", "listen")
 """What a description of the agent says by itself, and not again with its mesh."""
 CLOSE_S = 1.5
@@ -140,8 +141,7 @@ class Agent:
         self.skipped.extend(self.ledgers.unread)
         self.fences = Fences(journal, store)
         self.skipped.extend(self.fences.unread)
-        self.recording = WantedRecording(journal, store)
-        self.skipped.extend(self.recording.unread)
+        self._journal = journal
         self.skipped.extend(str(aside) for aside in journal.set_aside)
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
@@ -419,9 +419,13 @@ class Agent:
             if spec is not None:
                 by_service.setdefault(task.service, []).append(spec)
         configs = self.config.services
-        order = [*(name for name in ORDER if name in configs), *(name for name in configs if name not in ORDER)]
-        specs = [self._service(configs[name], tuple(by_service.get(name, ()))) for name in order]
-        return [spec for spec in specs if spec is not None]
+        made = [self._service(config, tuple(by_service.get(name, ()))) for name, config in configs.items()]
+        specs = sorted([spec for spec in made if spec is not None], key=_turn_of)
+        hosts = [spec.name for spec in specs if issubclass(spec.cls, DeviceService)]
+        for device in self.config.devices.values():
+            if device.service not in hosts:
+                self.skipped.append(f"the device {device.name} does not run: no device service {device.service!r} does")
+        return specs
 
     def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
         try:
@@ -429,20 +433,34 @@ class Agent:
         except PluginError as error:
             self._skip(f"the service {config.name}", error)
             return None
+        if cls.only_name not in ("", config.name):
+            self.skipped.append(
+                f"the service {config.name} does not run: an agent has one {cls.__name__}, and that is {cls.only_name}"
+            )
+            return None
+        return ServiceSpec(
+            config.name, cls, config.settings, tasks, config.restart, self._arguments_of(config.name, cls)
+        )
+
+    def _arguments_of(self, name: str, cls: type[Service]) -> dict[str, Any]:
+        """Returns what a service is given besides its settings and tasks: that goes by its class, not by its name."""
         arguments: dict[str, Any] = {}
-        if config.name == "device":
-            devices = [self._device(device) for device in self.config.devices.values()]
+        if issubclass(cls, DeviceService):
+            devices = [self._device(device) for device in self.config.devices.values() if device.service == name]
             known = tuple(device for device in devices if device is not None)
             arguments = {"devices": known, "fences": self.fences}
-        elif config.name == "log":
-            record = self.config.record
-            arguments = {"record": asdict(record) if record is not None else None, "wanted": self.recording}
-        elif config.name == "network":
+        elif issubclass(cls, LogService):
+            # The table [record] is for one recorder: all packets need not be recorded twice.
+            record = self.config.record if name == "log" else None
+            wanted = WantedRecording(self._journal, self._store, name)
+            self.skipped.extend(wanted.unread)
+            arguments = {"record": asdict(record) if record is not None else None, "wanted": wanted}
+        elif issubclass(cls, NetworkService):
             hosting = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
             arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}
         if issubclass(cls, DurableService):
             arguments = {**arguments, "records": self.records, "catalogue": self}
-        return ServiceSpec(config.name, cls, config.settings, tasks, config.restart, arguments)
+        return arguments
 
     def _device(self, config: DeviceConfig) -> DeviceSpec | None:
         try:
@@ -501,6 +519,11 @@ class Agent:
             except Exception:  # one that cannot be made, for whatever reason, is one that this agent does not know
                 continue
         return costs
+
+
+def _turn_of(spec: ServiceSpec) -> int:
+    """Returns the place of a service in the order in which services start; those of one place keep their order."""
+    return next((place for place, cls in enumerate(FIRST) if issubclass(spec.cls, cls)), len(FIRST))
 
 
 def default_state_dir(fleet: str, name: str) -> Path:

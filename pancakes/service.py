@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import msgspec
 from msgspec.structs import replace
@@ -51,7 +51,13 @@ class Service(Supervisor):
 
     A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point
     group `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
+
+    Attributes:
+        only_name: the one name that it can have in a configuration, for a service that an agent can have only once;
+            empty: it may be there several times, under any names.
     """
+
+    only_name: ClassVar[str] = ""
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)

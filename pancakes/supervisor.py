@@ -526,7 +526,7 @@ class Supervisor(Component):
     def hold_actuators(self, slot: Slot, reason: str) -> None:
         """Brings the actuators that a task holds to their safe hold."""
         for device in self.kernel.registry.held_by(slot.address):
-            self.publish(CTRL, Hold(reason), to=join(self.agent, "device", device))
+            self.publish(CTRL, Hold(reason), to=self.kernel.registry.address_of(device))
 
 
 @lru_cache(maxsize=256)

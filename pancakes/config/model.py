@@ -85,6 +85,7 @@ class DeviceConfig(Struct, frozen=True):
     Attributes:
         name: the device's name on this agent.
         driver: the name of its driver, such as `sim.ir`.
+        service: the device service that looks after it.
         rate_hz: how often it is sampled; None where the driver itself says when there is a reading.
         settings: plain values for the driver's `Settings`.
         restart: what the device service does when it fails.
@@ -93,6 +94,7 @@ class DeviceConfig(Struct, frozen=True):
 
     name: str
     driver: str
+    service: str = "device"
     rate_hz: Positive | None = None
     settings: Mapping[str, Any] = {}
     restart: RestartSpec = field(default_factory=RestartSpec)

@@ -54,8 +54,7 @@ class _Check:
         config = self._config
         self._check_transports()
         device_types = self._check_devices()
-        for service in config.services.values():
-            self._check_part(SERVICES, service.type, service.settings, ("service", service.name), "type")
+        self._check_services()
         classes = {
             task.name: self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
             for task in config.tasks.values()
@@ -113,6 +112,22 @@ class _Check:
                 continue
             if scheme not in known:
                 self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
+
+    def _check_services(self) -> None:
+        from pancakes.services.device import DeviceService
+
+        classes = {
+            service.name: self._check_part(SERVICES, service.type, service.settings, ("service", service.name), "type")
+            for service in self._config.services.values()
+        }
+        for name, cls in classes.items():
+            if cls is not None and cls.only_name not in ("", name):
+                problem = f"an agent has one service of the type {self._config.services[name].type!r}, and that is"
+                self._fault(("service", name, "type"), f"{problem} [service.{cls.only_name}]")
+        for device in self._config.devices.values():
+            cls = classes.get(device.service)
+            if cls is not None and not issubclass(cls, DeviceService):
+                self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
 
     def _check_devices(self) -> list[str] | None:
         """Checks the devices and returns their types; None where not all of them can be known."""

@@ -112,6 +112,8 @@ class _Reader:
         for name in config.channels:
             if name in CORE_CHANNELS:
                 self._fault(("channel", name), f"the channel {name!r} is a core one and always there")
+        for device in config.devices.values():
+            self._check_service(("device", device.name, "service"), device.service, config)
         for task in config.tasks.values():
             self._check_task(task, config)
         return config
@@ -235,12 +237,15 @@ class _Reader:
         if not 0 < spec.within_s < inf:
             self._fault((*key, "within_s"), f"expected a number of seconds > 0, not {spec.within_s:g}")
 
+    def _check_service(self, key: KeyPath, service: str, config: Config) -> None:
+        if service not in config.services:
+            self._fault(key, f"there is no service {service!r}", suggestion(service, config.services))
+
     def _check_task(self, task: TaskConfig, config: Config) -> None:
         key = ("task", task.name)
-        if task.service not in config.services:
-            near = suggestion(task.service, config.services)
-            self._fault((*key, "service"), f"there is no service {task.service!r}", near)
-        elif task.service == "device" and task.name in config.devices:
+        self._check_service((*key, "service"), task.service, config)
+        device = config.devices.get(task.name)
+        if device is not None and device.service == task.service:
             self._fault(key, f"has the same address as [device.{task.name}]: give one of them another name")
         if task.migrate:
             for name, problem, near in faults_of_rule(task.migrate, task.name, config.tasks):

@@ -19,12 +19,14 @@ class DeviceEntry(msgspec.Struct, frozen=True):
         type: its type, as in a task's `requires`.
         actuator: whether it takes commands, and therefore has one holder at a time.
         networked: whether its readings come from another agent.
+        address: where it takes commands.
     """
 
     name: str
     type: str
     actuator: bool = False
     networked: bool = False
+    address: str = ""
 
 
 class Registry:
@@ -38,6 +40,9 @@ class Registry:
         self._lock = threading.Lock()
         self._components: dict[str, Component] = {}
         self._devices: dict[str, DeviceEntry] = {}
+        self._addresses: dict[
+            str, str
+        ] = {}  # of all devices that ever ran: one may be down, and is to hold all the same
         self._holders: dict[str, str] = {}
         self._reserved: dict[str, str] = {}
 
@@ -71,6 +76,7 @@ class Registry:
         """Enters a device that has come to run."""
         with self._lock:
             self._devices[device.name] = device
+            self._addresses[device.name] = device.address
 
     def remove_device(self, name: str) -> None:
         """Strikes a device out."""
@@ -152,6 +158,10 @@ class Registry:
         with self._lock:
             kept_for = self._reserved.get(device, address)
             return self._holders.setdefault(device, address) if kept_for == address else kept_for
+
+    def address_of(self, device: str) -> str:
+        """Returns the address of a device that runs or has run; empty where it never did."""
+        return self._addresses.get(device, "")
 
     def held_by(self, address: str) -> list[str]:
         """Returns the names of the devices that a task holds."""

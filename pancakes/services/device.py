@@ -155,7 +155,9 @@ class DeviceTask(Task):
         actuator = isinstance(self.driver, Actuator)
         if actuator:
             self.subscribe(CTRL, driver_class.type, self.command)
-        self.kernel.registry.add_device(DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked))
+        self.kernel.registry.add_device(
+            DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address)
+        )
 
     def on_settings(self) -> None:
         # A driver reads its settings when it is opened, so it is opened anew.
@@ -321,7 +323,7 @@ class DeviceService(Service):
     """Creates the device tasks and schedules them (paper §3.3).
 
     Args:
-        devices: the devices.
+        devices: the devices that it looks after.
         fences: what the actuators have seen of the tasks that command them.
     """
 
@@ -351,10 +353,12 @@ class DeviceService(Service):
         self._shared.close()
 
     def settings_class(self, slot: Slot) -> type:
-        device: DeviceSpec = slot.spec.arguments["device"]
-        return device.cls.Settings
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls.Settings if device is not None else super().settings_class(slot)
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
-        device: DeviceSpec = slot.spec.arguments["device"]
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        if device is None:  # a task of the configuration
+            return super().describe_task(slot)
         holder = self.kernel.registry.holder(slot.name)
         return {**super().describe_task(slot), "device": device.cls.type, **({"holder": holder} if holder else {})}

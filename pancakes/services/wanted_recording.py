@@ -10,7 +10,6 @@ import msgspec
 from pancakes.journal import Entry, Journal, RecordStore
 
 KIND = "recording"
-KEY = "Recorder"
 
 
 class Wanted(msgspec.Struct, frozen=True):
@@ -31,6 +30,7 @@ class WantedRecording:
     Args:
         journal: read once, here.
         store: what writes to that journal.
+        service: the Log Service whose recorder it is.
 
     Attributes:
         unread: what the journal has and could not be read, each a sentence.
@@ -38,11 +38,12 @@ class WantedRecording:
         on_disk: what is wanted as the disk knows it.
     """
 
-    def __init__(self, journal: Journal, store: RecordStore) -> None:
+    def __init__(self, journal: Journal, store: RecordStore, service: str = "log") -> None:
         self._store = store
+        self._key = f"{service}/Recorder"
         self.unread: list[str] = []
         self.now: Wanted | None = None
-        entry = journal.read(KIND, KEY)
+        entry = journal.read(KIND, self._key)
         if entry is not None:
             try:
                 found = msgspec.msgpack.decode(entry.data, type=Wanted)
@@ -65,4 +66,4 @@ class WantedRecording:
             self.on_disk = wanted
             then()
 
-        self._store.persist(Entry(KIND, KEY, msgspec.msgpack.encode(wanted or Wanted())), written, failed)
+        self._store.persist(Entry(KIND, self._key, msgspec.msgpack.encode(wanted or Wanted())), written, failed)

@@ -194,7 +194,9 @@ class FleetModel:
         for key in self.board.keys("task/"):
             _, agent, service, task = key.split("/", 3)
             row = self.board.get(key)
-            if service not in ("device", "network", "log") and row is not None and row["state"] == RUNNING:
+            if row is None or row["state"] != RUNNING or "device" in row:
+                continue
+            if service not in ("device", "network", "log"):
                 found.append((agent, service, task))
         return found
 

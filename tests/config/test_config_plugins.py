@@ -13,6 +13,8 @@ from pancakes.devices.types import Battery, Pose
 from pancakes.errors import ConfigError
 from pancakes.plugins import Plugins
 from pancakes.service import Service
+from pancakes.services.device import DeviceService
+from pancakes.services.network import NetworkService
 from pancakes.task import Task
 
 
@@ -52,7 +54,9 @@ class Watch(Task):
 
 
 PARTS = {
-    **{("pancakes.services", name): Service for name in ("device", "network", "log", "client")},
+    **{("pancakes.services", name): Service for name in ("log", "client")},
+    ("pancakes.services", "device"): DeviceService,
+    ("pancakes.services", "network"): NetworkService,
     ("pancakes.transports", "tcp"): object,
     ("pancakes.drivers", "test.compass"): Compass,
     ("pancakes.drivers", "test.wheels"): Wheels,
@@ -116,6 +120,39 @@ radius_m = -1
         "a.toml:8: [device.compass] settings.offset: unknown key, did you mean 'offset_rad'?",
         "a.toml:10: [service.log] settings.colour: unknown key",
         "a.toml:15: [task.Circle] settings.radius_m: expected a number > 0, not -1",
+    ]
+
+
+def test_a_second_network_service_is_refused_and_second_ones_of_the_others_are_not():
+    second = "".join(f'[service.{name}2]\ntype = "{name}"\n' for name in ("device", "log", "client", "network"))
+    assert faults(second) == [
+        "a.toml:11: [service.network2] type: an agent has one service of the type 'network', and that is"
+        " [service.network]"
+    ]
+
+
+def test_the_service_of_a_device_must_be_there_and_be_one_for_devices():
+    text = (
+        '[service.sensors]\ntype = "device"\n'
+        '[device.compass]\ndriver = "test.compass"\nservice = "sensors"\n'
+        '[device.other]\ndriver = "test.compass"\nservice = "sensor"\n'
+        '[device.wheels]\ndriver = "test.wheels"\nservice = "client"\n'
+    )
+    assert faults(text) == [
+        "a.toml:11: [device.other] service: there is no service 'sensor', did you mean 'sensors'?",
+        "a.toml:14: [device.wheels] service: 'client' is no service for devices",
+    ]
+
+
+def test_a_task_may_bear_the_name_of_a_device_of_another_service():
+    text = (
+        '[service.sensors]\ntype = "device"\n'
+        '[device.compass]\ndriver = "test.compass"\nservice = "{}"\n'
+        '[task.compass]\ntype = "test.Watch"\nservice = "sensors"\n'
+    )
+    assert faults(text.format("device")) == []
+    assert faults(text.format("sensors")) == [
+        "a.toml:9: [task.compass]: has the same address as [device.compass]: give one of them another name"
     ]
 
 

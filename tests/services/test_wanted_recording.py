@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.journal import Entry, MemoryJournal, VirtualStore
-from pancakes.services.wanted_recording import KEY, KIND, Wanted, WantedRecording
+from pancakes.services.wanted_recording import KIND, Wanted, WantedRecording
 
 
 @pytest.fixture
@@ -39,9 +39,19 @@ def test_what_is_not_wanted_any_more_does_not_go_on(disk):
     assert opened(disk)[0].now is None
 
 
+def test_each_log_service_has_a_recording_of_its_own(disk):
+    journal = MemoryJournal(disk, "3f0c2d8e-0000-4000-8000-000000000000")
+    store = VirtualStore(journal, lambda delay_s, write: None)
+    WantedRecording(journal, store, "audit").want(Wanted("/tmp/audit.mcap"), lambda: None, pytest.fail)
+    store.close()
+    journal = MemoryJournal(disk, "3f0c2d8e-0000-4000-8000-000000000000")
+    assert WantedRecording(journal, store).now is None
+    assert WantedRecording(journal, store, "audit").now == Wanted("/tmp/audit.mcap")
+
+
 def test_what_cannot_be_read_is_told_and_nothing_goes_on(disk):
     journal = MemoryJournal(disk, "3f0c2d8e-0000-4000-8000-000000000000")
-    journal.write([Entry(KIND, KEY, b"\xc1")])
+    journal.write([Entry(KIND, "log/Recorder", b"\xc1")])
     journal.close()
     wanted, _ = opened(disk)
     assert wanted.now is None
