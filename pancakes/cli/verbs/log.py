@@ -20,9 +20,10 @@ from pancakes.client import Client
 from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.events import LEVELS
+from pancakes.events import LEVELS, SAID_IN_A_LINE
 from pancakes.packet import LOG
-from pancakes.services.log import REMEMBERED, line_of, record_of
+from pancakes.services.log import REMEMBERED
+from pancakes.services.log_record import line_of, record_of
 
 COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
 
@@ -49,7 +50,7 @@ class Pattern(click.ParamType):
     type=click.Choice(LEVELS),
     default="info",
     show_default=True,
-    help="Only lines of this level and above; events count as info.",
+    help="Only lines of this level and above; events count as info, or as debug where a line says the same.",
 )
 @from_option
 @click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")
@@ -78,7 +79,7 @@ def log(
     Example:
         pancakes log --since 30s --level warning
         pancakes log -f agent1 --from agent1/client/ScanTarget
-        pancakes log --grep 'task_(failed|given_up)' --format json
+        pancakes log --level debug --grep 'task_(failed|given_up)' --format json
     """
     asks = Asks(level, sources, grep)
     with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, text_of) as printer:
@@ -113,8 +114,10 @@ class Asks:
 
 
 def level_of(record: Record) -> str:
-    """Returns the level of a record; events count as `info`."""
-    return str(record["level"]) if record["kind"] == "line" else "info"
+    """Returns the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
+    if record["kind"] == "line":
+        return str(record["level"])
+    return "debug" if record["kind"] in SAID_IN_A_LINE else "info"
 
 
 def words_of(record: Record) -> str:
