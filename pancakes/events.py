@@ -35,10 +35,12 @@ class LogLine(msgspec.Struct, frozen=True):
     Attributes:
         level: one of `LEVELS`.
         text: the line.
+        traceback: where it tells of a failure, the traceback of that, for whoever asks for it; else empty.
     """
 
     level: str
     text: str
+    traceback: str = ""
 
 
 def level_of(body: Any) -> str:

@@ -357,7 +357,7 @@ class DurableService(RecordedService):
             if snapshot.task_id != message.task_id:
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
             spec = spec_of(snapshot, self._catalogue)
-            make_settings(spec.cls.Settings, snapshot.settings)
+            make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)

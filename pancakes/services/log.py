@@ -43,6 +43,7 @@ class Console(LogWriter):
         """What is shown: lines of this level and above; see `LogService.Settings`."""
 
         level: Literal["debug", "info", "warning", "error"] = "info"
+        traceback: bool = False
         share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0
 
     @on(LOG, None, keep=KEEP)
@@ -63,6 +64,8 @@ class Console(LogWriter):
         else:
             text = f"{packet.type} {body}"
         line = f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}"
+        if self.settings.traceback and isinstance(body, LogLine):
+            line = "\n".join([line, *(f"          {row}" for row in body.traceback.splitlines())])
         try:
             print(line, file=sys.stderr, flush=True)
         except (OSError, ValueError):
@@ -101,6 +104,7 @@ class LogService(Service):
             console: whether it is shown on standard error.
             level: the lowest level that is shown there; an event counts as `info`, or as `debug` where a line says the
                 same.
+            traceback: whether a failure is shown there with its whole traceback.
             file: path of a JSON lines file that everything is appended to; empty: none.
             file_limit_mib: so many MiB it takes; then it becomes FILE.1, what was that FILE.2, and a new one begins.
             files: so many of them are kept; the oldest is removed.
@@ -113,6 +117,7 @@ class LogService(Service):
 
         console: bool = True
         level: Literal["debug", "info", "warning", "error"] = "info"
+        traceback: bool = False
         file: str = ""
         file_limit_mib: Annotated[float, Meta(gt=0.0)] = 4.0
         files: Annotated[int, Meta(ge=2, le=1000)] = 5
@@ -204,7 +209,8 @@ class LogService(Service):
         share = {"share_kib_s": asked.share_kib_s}
         tasks = []
         if asked.console:
-            tasks.append(TaskSpec("Console", Console, settings={"level": asked.level, **share}))
+            shown = {"level": asked.level, "traceback": asked.traceback, **share}
+            tasks.append(TaskSpec("Console", Console, settings=shown))
         if asked.file:
             from pancakes.services.log_file import LogFile  # only now: most agents have none
 

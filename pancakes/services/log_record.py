@@ -17,7 +17,8 @@ def record_of(packet: Packet) -> dict[str, Any]:
     if isinstance(body, Event):
         return {**record, "kind": body.kind, **body.fields}
     if isinstance(body, LogLine):
-        return {**record, "kind": "line", "level": body.level, "text": body.text}
+        record = {**record, "kind": "line", "level": body.level, "text": body.text}
+        return {**record, "traceback": body.traceback} if body.traceback else record
     return {**record, "kind": packet.type, "body": msgspec.to_builtins(body)}
 
 
