@@ -17,7 +17,7 @@ from msgspec.structs import asdict
 
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
 from pancakes.control import CONTROLS
-from pancakes.errors import PancakesError, PluginError, describe
+from pancakes.errors import PancakesError, PluginError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
 from pancakes.kernel.component import Component
@@ -204,7 +204,8 @@ class Agent:
         self.kernel.stream.unsubscribe(courier.address)
         if error is not None and not self.stopping.is_set():
             # What it carried is not lost with it.
-            self.kernel.log("error", f"{courier.address} failed and is started again: {describe(error)}")
+            text = f"{courier.address} failed and is started again: {describe(error, type(courier))}"
+            self.kernel.log("error", text, traceback_of(error))
             self._spawn_courier()
 
     def _root_ended(self, root: Component, error: BaseException | None) -> None:

@@ -6,8 +6,10 @@ line prints it as it stands: a traceback in a user's terminal is a defect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+from pancakes.frames import place_of, place_of_user
 
 
 class PancakesError(Exception):
@@ -90,13 +92,73 @@ class PeerLost(MigrationError):
     """The peer went away before the hand-off was decided."""
 
 
-def describe(error: BaseException) -> str:
-    """Returns an error as a sentence with the place that raised it, without a traceback."""
-    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    place = error.__traceback__
-    while place is not None and place.tb_next is not None:
-        place = place.tb_next
-    if place is None:
+LONGEST_TEXT: Final = 500
+"""Of what one error says, one line has so many characters at the most."""
+LONGEST_SENTENCE: Final = 4000
+"""And a sentence of Pancakes' own, which may name many mistakes at once."""
+LONGEST_CHAIN: Final = 5
+"""So many errors of a chain are named."""
+LONGEST_TRACEBACK: Final = 8000
+"""A traceback that is longer, in characters, is cut in its middle: it travels with a line of the log."""
+LINES_OF_TRACEBACK: Final = 60
+
+
+def describe(error: BaseException, cls: type | None = None) -> str:
+    """Returns an error and what led to it in one line, with the innermost line of the user's code.
+
+    For example `ValueError: bad colour (from KeyError: 'x') at blink.py:12 in on_tick`. An error of Pancakes' own is a
+    sentence already, and needs neither its type nor what led to it.
+
+    Args:
+        error: the error.
+        cls: the class of the task, service or driver that failed; None: it is not known.
+    """
+    chain = list(_chain(error))
+    sentence = isinstance(error, PancakesError)
+    found = (place_of_user(it.__traceback__, cls) for it in chain)
+    place = next((place for place in found if place is not None), None)
+    if place is None and not sentence:
+        place = place_of(error.__traceback__)
+    if sentence:
+        text = _text(error, LONGEST_SENTENCE) or type(error).__name__
+    else:
+        led = [f"from {_said(it)}" for it in chain[1:LONGEST_CHAIN]] + ["..."] * (len(chain) > LONGEST_CHAIN)
+        text = _said(error) + (f" ({', '.join(led)})" if led else "")
+    return text if place is None else f"{text} at {place}"
+
+
+def traceback_of(error: BaseException) -> str:
+    """Returns the whole traceback of an error, as Python shows it, so far as it fits `LONGEST_TRACEBACK`."""
+    from traceback import TracebackException  # only now: few agents ever need it
+
+    shown = TracebackException(type(error), error, error.__traceback__, limit=-LINES_OF_TRACEBACK)
+    text = "".join(shown.format()).rstrip("\n")
+    if len(text) <= LONGEST_TRACEBACK:
         return text
-    code = place.tb_frame.f_code
-    return f"{text} ({code.co_filename.rpartition('/')[2]}:{place.tb_lineno}, in {code.co_name})"
+    head, tail = LONGEST_TRACEBACK // 4, LONGEST_TRACEBACK * 3 // 4 - 100
+    left_out = len(text) - head - tail
+    return f"{text[:head]}\n... {left_out:,} characters were left out ...\n{text[-tail:]}"
+
+
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    """An error, the one that led to it, and so on, each once."""
+    seen: set[int] = set()
+    following: BaseException | None = error
+    while following is not None and id(following) not in seen:
+        seen.add(id(following))
+        yield following
+        context = None if following.__suppress_context__ else following.__context__
+        following = following.__cause__ or context
+
+
+def _said(error: BaseException) -> str:
+    text = _text(error, LONGEST_TEXT)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _text(error: BaseException, longest: int) -> str:
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # the author of an error may have written anything
+        return "(its text cannot be shown)"
+    return text if len(text) <= longest else text[: longest - 1] + "…"

@@ -11,6 +11,9 @@ from pancakes.packet import packet_type
 
 LEVELS: Final = ("debug", "info", "warning", "error")
 
+SAID_IN_A_LINE: Final = frozenset(("task_failed", "task_given_up", "task_stuck", "service_failed", "command_refused"))
+"""Kinds of events of which a line tells people the same, so that an event would tell them twice."""
+
 
 @packet_type("event")
 class Event(msgspec.Struct, frozen=True):
@@ -32,7 +35,16 @@ class LogLine(msgspec.Struct, frozen=True):
     Attributes:
         level: one of `LEVELS`.
         text: the line.
+        traceback: where it tells of a failure, the traceback of that, for whoever asks for it; else empty.
     """
 
     level: str
     text: str
+    traceback: str = ""
+
+
+def level_of(body: Any) -> str:
+    """Returns the level of what is said on `log`: an event is `info`, or `debug` where a line says the same."""
+    if isinstance(body, LogLine):
+        return body.level
+    return "debug" if isinstance(body, Event) and body.kind in SAID_IN_A_LINE else "info"

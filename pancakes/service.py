@@ -110,7 +110,7 @@ class Service(Supervisor):
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         super().on_failure(exception_type, exception_value, traceback)
-        self._answer_all(f"{self.address} failed before it had done that: {describe(exception_value)}")
+        self._answer_all(f"{self.address} failed before it had done that: {describe(exception_value, type(self))}")
 
     def unheard(self) -> list[Request]:
         """Returns, once it has ended, the commands that it has not answered, and forgets them."""
@@ -178,7 +178,7 @@ class Service(Supervisor):
             raise ControlRefused(f"{slot.address} is {slot.state.value} already")
         carried = self.carried_of(slot)
         if body.settings is not None:
-            change_plain(self.settings_class(slot), carried.settings, body.settings)
+            change_plain(self.settings_class(slot), carried.settings, body.settings, slot.name)
             carried = replace(carried, settings={**carried.settings, **body.settings})
         if body.dry_run:
             self.reply(request, self.refuse_start(slot))
@@ -265,7 +265,7 @@ class Service(Supervisor):
 
         def change(task: Task) -> dict[str, Any]:
             if body.dry_run:
-                change_settings(task.settings, body.settings)
+                change_settings(task.settings, body.settings, slot.name)
             else:
                 task.change_settings(body.settings)
             return {"settings": dict(body.settings)}

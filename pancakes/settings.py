@@ -107,8 +107,11 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
     return nans + [problem for problem in problems if all(problem.path != nan.path for nan in nans)]
 
 
-def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False) -> _T:
-    """Makes settings from plain values; see `check_settings` for the arguments.
+def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = False, owner: str = "") -> _T:
+    """Makes settings from plain values; see `check_settings` for the other arguments.
+
+    Args:
+        owner: the name of the task, device or service that they are for; empty: an error names the class.
 
     Raises:
         SettingsError: they do not fit; it names every mistake.
@@ -120,7 +123,7 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
             pass  # the walk says what is wrong, and where
     problems = check_settings(cls, settings, allow_nan)
     if problems:
-        raise SettingsError(_owner(cls), problems)
+        raise SettingsError(owner or _owner(cls), problems)
     return msgspec.convert(settings, cls)
 
 
@@ -142,25 +145,26 @@ def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
     return True
 
 
-def change_settings(settings: _T, changes: Mapping[str, Any]) -> _T:
+def change_settings(settings: _T, changes: Mapping[str, Any], owner: str = "") -> _T:
     """Makes new settings from present ones, with some keys changed; the present ones stay as they are.
 
     Args:
         settings: the present settings.
         changes: plain values by key. A key that is left out keeps its value; a table is replaced as a whole.
+        owner: see `make_settings`.
 
     Raises:
         SettingsError: the changes do not fit; it names every mistake.
     """
-    return change_plain(type(settings), msgspec.to_builtins(settings), changes)
+    return change_plain(type(settings), msgspec.to_builtins(settings), changes, owner)
 
 
-def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, Any]) -> _T:
+def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, Any], owner: str = "") -> _T:
     """Makes settings from plain values, with some keys changed; see `change_settings`."""
     merged = {**plain, **changes}
     problems = [_hinted(problem, cls, changes) for problem in check_settings(cls, merged)]
     if problems:
-        raise SettingsError(_owner(cls), problems)
+        raise SettingsError(owner or _owner(cls), problems)
     return msgspec.convert(merged, cls)
 
 

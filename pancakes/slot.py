@@ -27,6 +27,20 @@ class TaskState(Enum):
     """It failed too often, and its service gave up on it."""
 
 
+class Failure(msgspec.Struct, frozen=True):
+    """How a task failed.
+
+    Attributes:
+        text: in one line, with the line of its author's code.
+        traceback: the whole of it.
+        t_s: the mission time.
+    """
+
+    text: str
+    traceback: str
+    t_s: float
+
+
 class Request(msgspec.Struct, frozen=True):
     """Who asked for something, and which packet of theirs it was.
 
@@ -48,6 +62,7 @@ class Slot(msgspec.Struct):
     thousand tasks are 11 MiB.
 
     Attributes:
+        failure: how it failed the last time; None: it has not.
         carried: what its next actor begins with; None: what the configuration says.
         on_running: told when its task runs, or with the reason why it does not.
         on_ended: told when its task has ended.
@@ -67,6 +82,7 @@ class Slot(msgspec.Struct):
     fence: Fence | None = None
     incarnation: int = 0
     reason: str = ""
+    failure: Failure | None = None
     on_running: tuple[Callable[[str], None], ...] = ()
     on_ended: tuple[Callable[[], None], ...] = ()
     on_stuck: tuple[Callable[[str], None], ...] = ()

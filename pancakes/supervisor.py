@@ -8,14 +8,16 @@ from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import msgspec
+
 from pancakes.control import Hold
-from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.errors import ControlRefused, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
 from pancakes.schema import schema_of
 from pancakes.settings import SettingsError, make_settings, plain_settings
-from pancakes.slot import Slot, TaskState
+from pancakes.slot import Failure, Slot, TaskState
 from pancakes.supervision import Next, Supervision
 from pancakes.task import Carried, Nothing, Task, TaskSpec
 
@@ -60,7 +62,7 @@ class Supervisor(Component):
         kept: Mapping[str, Carried] | None = MappingProxyType({}),
     ) -> None:
         super().__init__(kernel, address, mailbox)
-        self.settings = make_settings(self.Settings, settings or {})
+        self.settings = make_settings(self.Settings, settings or {}, owner=self.name)
         self._configured = tuple(tasks)
         self._on_ready = ready
         self._kept = kept
@@ -162,7 +164,7 @@ class Supervisor(Component):
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
-            self._task_failed(slot, str(error) if isinstance(error, PancakesError) else describe(error))
+            self._task_failed(slot, error)
             return
         assert isinstance(component, Task)
         slot.task = component
@@ -301,8 +303,13 @@ class Supervisor(Component):
             "settings_schema": self.schema_of_settings(slot),
             "durability": slot.spec.durability,
             "restart": {"policy": restart.policy, "at_most": restart.at_most, "within_s": restart.within_s},
+            "failure": msgspec.to_builtins(slot.failure),
             "fence": {"task_id": slot.fence.task_id, "epoch": slot.fence.epoch[0]} if slot.fence is not None else None,
         }
+
+    def author_of(self, slot: Slot) -> type:
+        """Returns the class of which a task's author would say that it is theirs; see `Component._author_class`."""
+        return slot.spec.cls
 
     def settings_class(self, slot: Slot) -> type:
         """Returns the dataclass of a task's settings."""
@@ -447,22 +454,27 @@ class Supervisor(Component):
         slot.carried = task.last or slot.carried
         lost, slot.on_lost = slot.on_lost, ()
         for tell in lost:
-            tell(f"{slot.address} ended before it had done so" + (f": {describe(error)}" if error is not None else ""))
+            why = f": {describe(error, self.author_of(slot))}" if error is not None else ""
+            tell(f"{slot.address} ended before it had done so{why}")
         asked = slot.state in (TaskState.STOPPING, TaskState.STUCK)
         slot.on_stuck = ()
         if error is not None and not asked:
-            text = str(error) if isinstance(error, PancakesError) else describe(error)
-            self._task_failed(slot, text)
+            self._task_failed(slot, error)
             return
         if error is not None:
-            self.log("warning", f"{slot.address} failed while it stopped: {describe(error)}")
+            failure = self._note_failure(slot, error)
+            self.log("warning", f"{slot.address} failed while it stopped: {failure.text}", failure.traceback)
         if asked:
             self._rest(slot, slot.reason)
         else:
             self._decide(slot, failed=False, text="it stopped itself")
 
-    def _task_failed(self, slot: Slot, text: str) -> None:
-        self._decide(slot, failed=True, text=text)
+    def _task_failed(self, slot: Slot, error: BaseException) -> None:
+        self._decide(slot, failed=True, text=self._note_failure(slot, error).text)
+
+    def _note_failure(self, slot: Slot, error: BaseException) -> Failure:
+        slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
+        return slot.failure
 
     def _decide(self, slot: Slot, failed: bool, text: str) -> None:
         """A task ended unasked: restart it, let it rest, or give up on it."""
@@ -472,12 +484,13 @@ class Supervisor(Component):
         if restart:
             slot.state = TaskState.RESTARTING
         waiting, slot.on_running = slot.on_running, ()
+        traceback = slot.failure.traceback if failed and slot.failure is not None else ""
         if failed:
             self.event("task_failed", task=slot.name, error=text, then=following.value)
         for then in waiting:
             then(f"{slot.address} failed to start: {text}")
         if restart:
-            self.log("warning", f"{slot.address} is started again: {text}")
+            self.log("warning", f"{slot.address} is started again: {text}", traceback)
             # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.
             self.call(lambda: self._relaunch(slot))
             return
@@ -487,12 +500,15 @@ class Supervisor(Component):
             self.log(
                 "error",
                 f"{slot.address} is given up: {text} ({spec.policy}, {spec.at_most} restarts in {spec.within_s:g} s)",
+                traceback,
             )
             self.event("task_given_up", task=slot.name, error=text)
             self._let_go(slot)
             self.settle(slot)
             self.task_ended(slot)
             return
+        if failed:
+            self.log("warning", f"{slot.address} failed as its service stops: {text}", traceback)
         self._rest(slot, text)
 
     def _relaunch(self, slot: Slot) -> None:

@@ -143,7 +143,7 @@ class Task(Component):
     ) -> None:
         super().__init__(kernel, address, mailbox)
         carried = carried or Carried(_NONE, _NONE)
-        self.settings = make_settings(self.Settings, carried.settings)
+        self.settings = make_settings(self.Settings, carried.settings, owner=self.name)
         self.state = make_settings(self.State, carried.state, allow_nan=True)
         self.__heard = Incoming(carried.heard)
         self.__rate_hz = rate_hz
@@ -210,7 +210,7 @@ class Task(Component):
             PancakesError, ValueError: `on_settings` refuses them.
         """
         before = self.settings
-        self.settings = change_settings(before, changes)
+        self.settings = change_settings(before, changes, self.name)
         try:
             self.on_settings()
         except (PancakesError, ValueError):

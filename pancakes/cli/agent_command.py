@@ -22,6 +22,7 @@ from pancakes.cli.piped import Piped
     flag_value="",
     help="Record what is said on its channels; without FILE, where its configuration says.",
 )
+@click.option("--traceback", is_flag=True, help="Show a failure of a task with its whole traceback.")
 @click.option("--check", is_flag=True, help="Only check the configuration and the plug-ins; run nothing.")
 @click.option(
     "--die-with-parent",
@@ -40,7 +41,13 @@ from pancakes.cli.piped import Piped
 )
 @click.version_option(__version__, prog_name="pancakes-agent")
 def agent(
-    path: str, sets: tuple[str, ...], record: str | None, check: bool, parent_pid: int | None, ready_fd: int | None
+    path: str,
+    sets: tuple[str, ...],
+    record: str | None,
+    traceback: bool,
+    check: bool,
+    parent_pid: int | None,
+    ready_fd: int | None,
 ) -> None:
     """Run an agent.
 
@@ -51,4 +58,4 @@ def agent(
     Example:
         pancakes-agent --config configs/single.toml --set clock.speed=5
     """
-    run(Options(path, sets, record, check, parent_pid, ready_fd))
+    run(Options(path, sets, record, check, parent_pid, ready_fd, traceback))

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+SHOW_TRACEBACKS: Final = "service.log.settings.traceback=true"
+"""What `--traceback` changes of a configuration."""
 LOWEST_READY_FD: Final = 3
 """Those below are the standard streams."""
 
@@ -25,6 +27,7 @@ class Options(NamedTuple):
         check: whether the configuration is only checked.
         parent_pid: the process with which the agent ends, 0 for whichever launched it; None: it ends with none.
         ready_fd: the file descriptor that learns when the agent is ready; None: none.
+        traceback: whether failures are shown with their tracebacks.
     """
 
     path: str
@@ -33,6 +36,7 @@ class Options(NamedTuple):
     check: bool = False
     parent_pid: int | None = None
     ready_fd: int | None = None
+    traceback: bool = False
 
 
 def usual(arguments: Sequence[str]) -> Options | None:

@@ -11,7 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.cli import interpreter
-from pancakes.cli.agent_options import Options
+from pancakes.cli.agent_options import SHOW_TRACEBACKS, Options
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.clock import MonotonicClock
 
@@ -47,6 +47,8 @@ def run(options: Options) -> None:
 
         path = [f"record.path={value_text(options.record)}"] if options.record else []
         sets = (*sets, "record.start=true", *path)
+    if options.traceback:
+        sets = (*sets, SHOW_TRACEBACKS)
     config = load(options.path, sets, plugins)
     if orders is None:
         _check(config, plugins)
@@ -176,7 +178,8 @@ def _tell_when_ready(running: Agent, ready_fd: int) -> None:
 
 
 def _listen_to_libraries(running: Agent) -> Callable[[], None]:
-    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, never as a traceback.
+    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
+    for who asks for that.
 
     Returns:
         What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,
@@ -185,20 +188,23 @@ def _listen_to_libraries(running: Agent) -> Callable[[], None]:
     import logging
     import threading
 
-    from pancakes.errors import describe
+    from pancakes.errors import describe, traceback_of
 
     levels = {"DEBUG": "debug", "INFO": "info", "WARNING": "warning"}
 
     class ToLog(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             error = record.exc_info[1] if record.exc_info else None
-            text = f"{record.name}: {record.getMessage()}" + (f": {describe(error)}" if error is not None else "")
-            running.kernel.log(levels.get(record.levelname, "error"), text)
+            text, traceback = f"{record.name}: {record.getMessage()}", ""
+            if error is not None:
+                text, traceback = f"{text}: {describe(error)}", traceback_of(error)
+            running.kernel.log(levels.get(record.levelname, "error"), text, traceback)
 
     def died(args: Any) -> None:
         if args.exc_value is not None:
             name = args.thread.name if args.thread is not None else "a thread"
-            running.kernel.log("error", f"the thread {name} died: {describe(args.exc_value)}")
+            text = f"the thread {name} died: {describe(args.exc_value)}"
+            running.kernel.log("error", text, traceback_of(args.exc_value))
 
     def deafen() -> None:
         logging.getLogger().removeHandler(handler)

@@ -37,8 +37,10 @@ def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str
     _print(_table(picked, columns))
 
 
-def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]]]) -> None:
-    """Prints all about one thing, for people: under each title, facts (a mapping) or a table (rows of the same keys).
+def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]] | str]) -> None:
+    """Prints all about one thing, for people.
+
+    Under each title stand facts (a mapping), a table (rows of the same keys), or text as it is (a string).
 
     Where there is nothing under a title, it is left out.
     """
@@ -48,7 +50,10 @@ def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[st
     for title, content in sections.items():
         if not content:
             continue
-        if isinstance(content, Mapping):
+        table: Table | Text
+        if isinstance(content, str):
+            table = Text("\n".join(f"  {line}" for line in content.splitlines()))
+        elif isinstance(content, Mapping):
             table = Table.grid(padding=(0, 2), pad_edge=False)
             for name, value in content.items():
                 table.add_row(Text(f"  {name}"), Text(_text(value) or "-"))
@@ -105,7 +110,17 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}" if abs(value) < 1e-3 else f"{value:.3f}".rstrip("0").rstrip(".")
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_text(item)}" for key, item in value.items()) or "-"
+        return ", ".join(f"{key} {_inner(item)}" for key, item in value.items()) or "-"
     if isinstance(value, (list, tuple)):
-        return ", ".join(_text(item) for item in value) or "-"
+        nested = any(isinstance(item, (list, tuple, Mapping)) for item in value)
+        return _inner(value) if nested else ", ".join(_text(item) for item in value) or "-"
     return str(value)
+
+
+def _inner(value: Any) -> str:
+    """A value as it stands within another: a list or table keeps its brackets, so that its end can be seen."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} {_inner(item)}' for key, item in value.items())}}}"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_inner, value))}]"
+    return _text(value)

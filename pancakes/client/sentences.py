@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from pancakes.events import SAID_IN_A_LINE
+
 QUIET: Final = (
     "peer_up",
     "peer_down",
@@ -20,11 +22,11 @@ _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
 
 
 def is_quiet(record: Mapping[str, Any]) -> bool:
-    """Returns whether a person need not see a record of a log (`pancakes.services.log.record_of`)."""
+    """Returns whether a person need not see a record of a log (`pancakes.services.log_record.record_of`)."""
     kind = record["kind"]
     if kind == "line":
         return record["level"] not in ("warning", "error")
-    return kind in QUIET or record.get("service") in ("device", "network", "log")
+    return kind in QUIET or kind in SAID_IN_A_LINE or record.get("service") in ("device", "network", "log")
 
 
 def sentence_of(record: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from pancakes.control import Begin, Describe, Follow, History, Reply
 from pancakes.events import Event
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
-from pancakes.services.log import line_of, record_of
+from pancakes.services.log_record import line_of, record_of
 from pancakes.task import Task, Tick, every, on
 
 ASK_S = 0.25

@@ -13,7 +13,7 @@ import pykka
 from pykka._envelope import Envelope
 from pykka.messages import _ActorStop
 
-from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
 from pancakes.kernel.call import Call
 from pancakes.kernel.channel_queue import ChannelQueue
@@ -183,9 +183,15 @@ class Component(pykka.Actor):
             self.__stream.remember(packet)
         return packet
 
-    def log(self, level: str, text: str) -> None:
-        """Publishes a line for people on `log`; `level` is debug, info, warning or error. Any thread."""
-        self.__tell_log(LogLine(level, text))
+    def log(self, level: str, text: str, traceback: str = "") -> None:
+        """Publishes a line for people on `log`. Any thread.
+
+        Args:
+            level: debug, info, warning or error.
+            text: the line.
+            traceback: where it tells of a failure, what `pancakes.errors.traceback_of` returns; the log file has it.
+        """
+        self.__tell_log(LogLine(level, text, traceback))
 
     def event(self, kind: str, /, **fields: Any) -> None:
         """Publishes an event for programs on `log`. Any thread."""
@@ -299,6 +305,11 @@ class Component(pykka.Actor):
     # How it runs -----------------------------------------------------------------------------------------------
 
     @property
+    def _author_class(self) -> type:
+        """The class of which its author would say that it is theirs: a failure shows a line of its package."""
+        return type(self)
+
+    @property
     def actor_urn(self) -> str:  # type: ignore[override]
         """The address: pykka's name for an actor."""
         return self.address
@@ -404,8 +415,7 @@ class Component(pykka.Actor):
         try:
             function()
         except BaseException as error:
-            text = f"the end of {self.address}'s turn failed: {type(error).__name__}: {error}"
-            self.kernel.log("error", text)
+            self.__tell_failure(f"the end of {self.address}'s turn failed", error)
 
     def __begin(self) -> None:
         self.__started = True
@@ -558,13 +568,16 @@ class Component(pykka.Actor):
             self.__in_hand = None
             self.kernel.letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
         if self.actor_stopped.on:
-            self.kernel.log("error", f"{self.address} failed while it stopped: {describe(error)}")
+            self.__tell_failure(f"{self.address} failed while it stopped", error)
             return
         try:
             self.on_failure(type(error), error, error.__traceback__)
         except BaseException as second:
-            self.kernel.log("error", f"on_failure of {self.address} failed as well: {describe(second)}")
+            self.__tell_failure(f"on_failure of {self.address} failed as well", second)
         self.end_actor(error)
+
+    def __tell_failure(self, what: str, error: BaseException) -> None:
+        self.kernel.log("error", f"{what}: {describe(error, self._author_class)}", traceback_of(error))
 
     def on_failure(
         self,

@@ -165,9 +165,9 @@ class Kernel:
         self.mission.begin(in_s)
         self.timer.wake()
 
-    def log(self, level: str, text: str) -> None:
-        """Publishes a line on `log` in the kernel's own name. Any thread."""
-        self.say(LogLine(level, text))
+    def log(self, level: str, text: str, traceback: str = "") -> None:
+        """Publishes a line on `log` in the kernel's own name; see `Component.log`. Any thread."""
+        self.say(LogLine(level, text, traceback))
 
     def say(self, body: Any) -> None:
         """Publishes on `log` in the kernel's own name. Any thread."""

@@ -176,7 +176,7 @@ class Rerun:
                 fence=fence,
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
-            why = str(error) if isinstance(error, PancakesError) else describe(error)
+            why = describe(error, self._cls)
             raise RecordingError(f"{stay.task_id} cannot begin with what was recorded: {why}") from None
         assert isinstance(task, Task)
         self._dispatcher.settle()
@@ -184,7 +184,7 @@ class Rerun:
 
     def _ended(self, component: Component, error: BaseException | None) -> None:
         if error is not None:
-            self._outcome.failed = str(error) if isinstance(error, PancakesError) else describe(error)
+            self._outcome.failed = describe(error, self._cls)
             self._outcome.failed_s = self._kernel.mission.now()
 
     # What it publishes -----------------------------------------------------------------------------------------

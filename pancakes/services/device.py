@@ -148,6 +148,10 @@ class DeviceTask(Task):
         self._crowded = False
         self._refused: dict[str, str] = {}
 
+    @property
+    def _author_class(self) -> type:
+        return self.device.cls
+
     def on_start(self) -> None:
         driver_class = self.device.cls
         self._context = TaskContext(self, self._shared)
@@ -355,6 +359,10 @@ class DeviceService(Service):
     def settings_class(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")
         return device.cls.Settings if device is not None else super().settings_class(slot)
+
+    def author_of(self, slot: Slot) -> type:
+        device: DeviceSpec = slot.spec.arguments["device"]
+        return device.cls
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         device: DeviceSpec | None = slot.spec.arguments.get("device")

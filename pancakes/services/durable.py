@@ -359,7 +359,7 @@ class DurableService(RecordedService):
             if snapshot.service != self.name:
                 return f"has a record of {message.task_id} in its service {self.name!r}, not in {snapshot.service!r}"
             spec = spec_of(snapshot, self._catalogue)
-            make_settings(spec.cls.Settings, snapshot.settings)
+            make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)

@@ -7,23 +7,25 @@ import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
 from pancakes.control import History, Start, Traces
-from pancakes.events import LEVELS, Event, LogLine
+from pancakes.events import LEVELS, Event, LogLine, level_of
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
-from pancakes.packet import LOG, Packet, agent_of
+from pancakes.packet import LOG, Packet
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
+from pancakes.services.log_record import line_of, record_of
+from pancakes.services.log_writer import LogWriter
 from pancakes.services.wanted_recording import Wanted, WantedRecording
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.task import Carried, TaskSpec
 from pancakes.weight import weigher
 
 if TYPE_CHECKING:
@@ -34,83 +36,42 @@ KEEP = queue(4096)
 """A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
 
 
-def record_of(packet: Packet) -> dict[str, Any]:
-    """Returns a packet of `log` as one record of a JSON lines file."""
-    record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
-    body = packet.body
-    if isinstance(body, Event):
-        return {**record, "kind": body.kind, **body.fields}
-    if isinstance(body, LogLine):
-        return {**record, "kind": "line", "level": body.level, "text": body.text}
-    return {**record, "kind": packet.type, "body": msgspec.to_builtins(body)}
-
-
-def line_of(record: dict[str, Any]) -> str:
-    """Returns a record as one line of JSON, its keys in their order."""
-    import json  # takes 2 ms of an agent's start, for files and questions that most agents never see
-
-    return json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": "))
-
-
-class Console(Task):
+class Console(LogWriter):
     """Shows lines and events to whoever looks at the terminal."""
 
-    blocking = True  # a terminal or a pipe may make it wait
-
     class Settings(msgspec.Struct):
-        """What is shown: lines of this level and above; events count as `info`."""
+        """What is shown: lines of this level and above; see `LogService.Settings`."""
 
         level: Literal["debug", "info", "warning", "error"] = "info"
+        traceback: bool = False
+        share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0
 
     @on(LOG, None, keep=KEEP)
     def show(self, packet: Packet) -> None:
-        """Writes one line."""
+        """Writes one line, or counts it."""
+        level = level_of(packet.body)
+        if level not in LEVELS or LEVELS.index(level) >= LEVELS.index(self.settings.level):
+            self.write_some(packet)
+
+    def put(self, packet: Packet) -> int:
         body = packet.body
         if isinstance(body, LogLine):
-            level, text = body.level, body.text
+            text = body.text
         elif isinstance(body, Event):
-            level = "info"
             text = " ".join(
                 [body.kind, *(f"{key}={value}" for key, value in body.fields.items() if value not in (None, ""))]
             )
         else:
-            level, text = "info", f"{packet.type} {body}"
-        if level in LEVELS and LEVELS.index(level) < LEVELS.index(self.settings.level):
-            return
+            text = f"{packet.type} {body}"
+        line = f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}"
+        if self.settings.traceback and isinstance(body, LogLine):
+            line = "\n".join([line, *(f"          {row}" for row in body.traceback.splitlines())])
         try:
-            print(f"{packet.stamp:9.3f} {level:<7} {packet.source}: {text}", file=sys.stderr, flush=True)
+            print(line, file=sys.stderr, flush=True)
         except (OSError, ValueError):
-            # Whoever read us has gone; an agent does not stop for that.
+            # The reader of this terminal or pipe has gone; an agent does not stop for that.
             self.stop()
-
-    def on_stop(self) -> None:
-        self.drain()
-
-
-class LogFile(Task):
-    """Writes everything on `log` into a file, one JSON object a line."""
-
-    blocking = True  # a disk may make it wait
-
-    class Settings(msgspec.Struct):
-        """Where to."""
-
-        path: str = "agent.jsonl"
-
-    def on_start(self) -> None:
-        path = Path(self.settings.path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file: TextIO = path.open("a", encoding="utf-8")
-
-    @on(LOG, None, keep=KEEP)
-    def write(self, packet: Packet) -> None:
-        """Writes one line."""
-        self._file.write(line_of(record_of(packet)) + "\n")
-        self._file.flush()
-
-    def on_stop(self) -> None:
-        self.drain()
-        self._file.close()
+        return len(line)
 
 
 REMEMBERED = 2000
@@ -141,15 +102,26 @@ class LogService(Service):
 
         Attributes:
             console: whether it is shown on standard error.
-            level: the lowest level that is shown there.
+            level: the lowest level that is shown there; an event counts as `info`, or as `debug` where a line says the
+                same.
+            traceback: whether a failure is shown there with its whole traceback.
             file: path of a JSON lines file that everything is appended to; empty: none.
+            file_limit_mib: so many MiB it takes; then it becomes FILE.1, what was that FILE.2, and a new one begins.
+            files: so many of them are kept; the oldest is removed.
+            share_kib_s: of what one source says, so many KiB a second of host time are written to the file, and as much
+                to the console, counted over 5 s; its warnings and errors have as much again. The rest is left out, and
+                a line says how much that was. 0: there is no limit.
             remembered: so many of the newest lines and events are still known when somebody asks, at most 2000; fewer
                 where they are large.
         """
 
         console: bool = True
         level: Literal["debug", "info", "warning", "error"] = "info"
+        traceback: bool = False
         file: str = ""
+        file_limit_mib: Annotated[float, Meta(gt=0.0)] = 4.0
+        files: Annotated[int, Meta(ge=2, le=1000)] = 5
+        share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0
         remembered: Annotated[int, Meta(ge=1, le=REMEMBERED)] = REMEMBERED
 
     def __init__(
@@ -233,11 +205,17 @@ class LogService(Service):
         return page
 
     def own_tasks(self) -> Sequence[TaskSpec]:
+        asked = self.settings
+        share = {"share_kib_s": asked.share_kib_s}
         tasks = []
-        if self.settings.console:
-            tasks.append(TaskSpec("Console", Console, settings={"level": self.settings.level}))
-        if self.settings.file:
-            tasks.append(TaskSpec("File", LogFile, settings={"path": self.settings.file}))
+        if asked.console:
+            shown = {"level": asked.level, "traceback": asked.traceback, **share}
+            tasks.append(TaskSpec("Console", Console, settings=shown))
+        if asked.file:
+            from pancakes.services.log_file import LogFile  # only now: most agents have none
+
+            kept = {"path": asked.file, "limit_mib": asked.file_limit_mib, "files": asked.files, **share}
+            tasks.append(TaskSpec("File", LogFile, settings=kept))
         # What has made it stop, such as a full disk, has not changed a moment later.
         never = RestartSpec("temporary")
         start = self._records or self._goes_on is not None

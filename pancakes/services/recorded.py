@@ -180,7 +180,7 @@ class RecordedService(Service):
     def _report(self, slot: Slot, reason: str) -> None:
         if slot.state is TaskState.RESTARTING:
             return  # it failed, and is tried again
-        if reason:
+        if reason and slot.state is TaskState.STOPPED:  # else it failed, which has been told
             self.log("error", f"{slot.address} was not started: {reason}")
         self.settle(slot)
 
@@ -505,7 +505,7 @@ class RecordedService(Service):
 
         def launched(reason: str) -> None:
             waiting = self._starting.pop(task_id, [])
-            if reason and not waiting:
+            if reason and not waiting and slot.state is TaskState.STOPPED:  # else it failed, which has been told
                 self.log("error", f"{task_id} is ours, but was not started: {reason}")
             for then in waiting:
                 then(reason)

@@ -38,7 +38,7 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
-from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
@@ -173,7 +173,7 @@ class Root(Component):
                 **spec.arguments,
             )
         except Exception as error:  # what a service's author wrote in __init__ may raise anything
-            self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
+            self._service_failed(place, error)
             return
         assert isinstance(service, Service)
         place.service = service
@@ -240,7 +240,7 @@ class Root(Component):
             place.kept = self._kept_by(service)
         place.service = None
         if error is not None and place.state is not ServiceState.STOPPING:
-            self._service_failed(place, str(error) if isinstance(error, PancakesError) else describe(error))
+            self._service_failed(place, error)
             return
         self._rest(place)
 
@@ -261,17 +261,18 @@ class Root(Component):
         for then in waiting:
             then()
 
-    def _service_failed(self, place: ServicePlace, text: str) -> None:
+    def _service_failed(self, place: ServicePlace, error: BaseException) -> None:
+        text, traceback = describe(error, place.spec.cls), traceback_of(error)
         place.reason = text
         following = place.supervision.ended(True, self.kernel.host.now())
         self.event("service_failed", service=place.spec.name, error=text, then=following.value)
         if following is Next.RESTART and not self._closing:
-            self.log("warning", f"{place.address} is started again: {text}")
+            self.log("warning", f"{place.address} is started again: {text}", traceback)
             place.state = ServiceState.STARTING
             self._relaunch_when_clear(place)
             return
         place.state = ServiceState.FAILED
-        self.log("error", f"{place.address} is given up: {text}")
+        self.log("error", f"{place.address} is given up: {text}", traceback)
         if place.spec.name == LOG_SERVICE:
             # Nobody is left who would show that to whoever sits at the terminal.
             print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
@@ -309,7 +310,7 @@ class Root(Component):
             self.reply(request, str(error))
         except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
             text = f"what {request.by} asked for failed: {describe(error)}"
-            self.log("error", text)
+            self.log("error", text, traceback_of(error))
             self.reply(request, text)
 
     def refuse(self, packet: Packet, reason: str) -> None:

@@ -46,7 +46,7 @@ class Happenings:
         """Takes a record of a log.
 
         Args:
-            record: see `pancakes.services.log.record_of`.
+            record: see `pancakes.services.log_record.record_of`.
             timeline_s: where it lies on the timeline.
 
         Returns:

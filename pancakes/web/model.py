@@ -29,7 +29,7 @@ from typing import Any, Final, TypeGuard
 
 from pancakes.devices.types import Battery, Infrared, Motion, Pose, Sonar
 from pancakes.packet import LOG, Packet
-from pancakes.services.log import record_of
+from pancakes.services.log_record import record_of
 from pancakes.sim.models import robot_model
 from pancakes.sim.state import WorldState
 from pancakes.web.board import Board

@@ -5,7 +5,7 @@ import json
 import pytest
 from rich.console import Console
 
-from pancakes.cli.output import _table, show_json
+from pancakes.cli.output import _table, show, show_json
 
 
 def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
@@ -25,3 +25,20 @@ def test_nothing_is_cut_off_in_a_narrow_terminal():
 
     assert "…" not in text
     assert text.count("W") == 2
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (["pose", "motors"], "pose, motors"),
+        ([[0.0, 0.0], [1.5, 1.0]], "[[0, 0], [1.5, 1]]"),
+        ([(1.0, 2.0)], "[[1, 2]]"),
+        ([[]], "[[]]"),
+        ({"left": [1, 2], "right": None}, "left [1, 2], right -"),
+        ([{"x_m": 1.0, "y_m": 2.0}], "[{x_m 1, y_m 2}]"),
+        ([], "-"),
+    ],
+)
+def test_what_is_in_a_list_keeps_its_brackets(capsys: pytest.CaptureFixture[str], value: object, text: str):
+    show([{"value": value}], ["value"], "table")
+    assert capsys.readouterr().out.splitlines()[-2].strip() == text

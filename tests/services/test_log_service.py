@@ -7,7 +7,8 @@ from pancakes.control import History, Stop
 from pancakes.devices.types import Pose
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, packet_type
-from pancakes.services.log import REMEMBERED_BYTES, line_of, record_of
+from pancakes.services.log import REMEMBERED_BYTES
+from pancakes.services.log_record import line_of, record_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from pancakes.cli.agent_options import SHOW_TRACEBACKS
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show
@@ -43,11 +44,18 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 @click.option(
     "--hold", is_flag=True, help="Leave missions at 0 that wait there; else they begin once all agents are ready."
 )
+@click.option("--traceback", is_flag=True, help="Show failures of tasks with their whole tracebacks.")
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
 @sentences
 def launch(
-    paths: tuple[Path, ...], sets: tuple[str, ...], policy: Policy | None, hold: bool, dry_run: bool, format_: str
+    paths: tuple[Path, ...],
+    sets: tuple[str, ...],
+    policy: Policy | None,
+    hold: bool,
+    traceback: bool,
+    dry_run: bool,
+    format_: str,
 ) -> None:
     """Run a fleet: agents of this machine, each a process of its own, until Ctrl-C.
 
@@ -69,6 +77,8 @@ def launch(
     from pancakes.launch.plan import check_free, make_fleet
     from pancakes.plugins import Plugins
 
+    if traceback:
+        sets = (*sets, SHOW_TRACEBACKS)
     members = make_fleet(paths, sets, policy, Plugins())
     claim = check_free(members)
     try:

@@ -20,9 +20,10 @@ from pancakes.client import Client
 from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.events import LEVELS
+from pancakes.events import LEVELS, SAID_IN_A_LINE
 from pancakes.packet import LOG
-from pancakes.services.log import REMEMBERED, line_of, record_of
+from pancakes.services.log import REMEMBERED
+from pancakes.services.log_record import line_of, record_of
 
 COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
 
@@ -49,11 +50,12 @@ class Pattern(click.ParamType):
     type=click.Choice(LEVELS),
     default="info",
     show_default=True,
-    help="Only lines of this level and above; events count as info.",
+    help="Only lines of this level and above; events count as info, or as debug where a line says the same.",
 )
 @from_option
 @click.option("--since", "since_s", metavar="TIME", type=Duration(), help="Only what was said in the last 30s.")
 @click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
+@click.option("--traceback", is_flag=True, help="Show failures with their whole tracebacks.")
 @asks_agents
 @sentences
 def log(
@@ -63,6 +65,7 @@ def log(
     sources: tuple[str, ...],
     since_s: float | None,
     grep: re.Pattern[str] | None,
+    traceback: bool,
     format_: str,
     at: tuple[str, ...],
     timeout: float,
@@ -72,16 +75,17 @@ def log(
     The Log Service of each agent remembers its last 2,000 lines and events. They are shown in the order in which they
     happened; the time before each is its agent's mission time, in seconds, and so are those of --since.
     With --follow, agents that are started meanwhile or come back are taken in, with all they have said by then.
-    JSON is a list, with --follow one object a line.
+    JSON is a list, with --follow one object a line; it has the traceback of each failure.
 
     \b
     Example:
         pancakes log --since 30s --level warning
         pancakes log -f agent1 --from agent1/client/ScanTarget
-        pancakes log --grep 'task_(failed|given_up)' --format json
+        pancakes log --level debug --grep 'task_(failed|given_up)' --format json
     """
     asks = Asks(level, sources, grep)
-    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, text_of) as printer:
+    show = with_traceback if traceback else text_of
+    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, show) as printer:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
             if asks.wants(record):
@@ -113,8 +117,10 @@ class Asks:
 
 
 def level_of(record: Record) -> str:
-    """Returns the level of a record; events count as `info`."""
-    return str(record["level"]) if record["kind"] == "line" else "info"
+    """Returns the level of a record; an event counts as `info`, or as `debug` where a line says the same."""
+    if record["kind"] == "line":
+        return str(record["level"])
+    return "debug" if record["kind"] in SAID_IN_A_LINE else "info"
 
 
 def words_of(record: Record) -> str:
@@ -131,6 +137,12 @@ def text_of(record: Record) -> str:
     colour = COLOURS.get(level, "") if "NO_COLOR" not in os.environ else ""
     line = f"{record['t_s']:9.3f} {level:<7} {record['source']}: {words_of(record)}"
     return click.style(line, fg=colour) if colour else line
+
+
+def with_traceback(record: Record) -> str:
+    """Returns a record as `text_of` does, and below it the traceback of the failure that it tells of."""
+    rows = str(record.get("traceback", "")).splitlines() if record["kind"] == "line" else []
+    return "\n".join([text_of(record), *(f"          {row}" for row in rows)])
 
 
 # Where it comes from ---------------------------------------------------------------------------------------------

@@ -77,7 +77,8 @@ def list_(
 @asks_agents
 @sentences
 def info(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> None:
-    """Show all that is known of a task: its timers, what it reads, its settings, when it is started again.
+    """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
+    failed the last time, with the whole traceback.
 
     As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings.
 
@@ -200,7 +201,7 @@ def _show_done(name: TaskName, done: str, number: int, dry_run: bool, format_: s
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """All about one task, for people."""
-    restart, fence = found["restart"], found["fence"]
+    restart, fence, failure = found["restart"], found["fence"], found["failure"]
     return {
         name: {
             "type": found["type"],
@@ -236,6 +237,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
             for row in found["reads"]
         ],
         "settings": found["settings"],
+        f"last failure, at {failure['t_s']:.3f} s" if failure else "": failure["traceback"] if failure else "",
     }
 
 
