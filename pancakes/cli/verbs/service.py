@@ -71,7 +71,8 @@ def info(name: ServiceName, format_: str, at: tuple[str, ...], timeout: float) -
         show_json([found])
         return
     facts = {key: found[key] for key in ("type", "state", "reason")}
-    show_sections({str(name): facts, "tasks": [{key: row[key] for key in TASKS} for row in tasks]})
+    rows_of_tasks = [{**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"]} for row in tasks]
+    show_sections({str(name): facts, "tasks": rows_of_tasks})
 
 
 @service.command()

@@ -69,7 +69,9 @@ def list_(
         for row in found["tasks"]
         if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
     ]
-    show(rows, LONG if long else COLUMNS, format_)
+    if format_ == "table":  # for people, the word that says more
+        rows = [{**row, "state": row["rest"] or row["state"]} for row in rows]
+    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if format_ == "json" else ())), format_)
 
 
 @task.command()
@@ -204,7 +206,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: {
             "type": found["type"],
-            "state": found["state"],
+            "state": found["rest"] or found["state"],
             "reason": found["reason"],
             "starts": found["incarnation"],
             "requires": found["requires"],
