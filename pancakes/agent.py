@@ -26,6 +26,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
+from pancakes.migration.rest import resting
 from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
@@ -84,6 +85,8 @@ class Agent:
         kernel: its kernel.
         mesh: its links.
         skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
+            it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
         fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
 
@@ -137,6 +140,7 @@ class Agent:
             store = ThreadedStore(journal, name=f"{self.name}-journal")
         self._store = store
         self.records = Records(journal, store, lambda level, text: self.skipped.append(text))
+        self.resting = self._resting()
         self.ledgers = Ledgers(journal, store, self.kernel.log)
         self.skipped.extend(self.ledgers.unread)
         self.fences = Fences(journal, store)
@@ -242,6 +246,8 @@ class Agent:
         # Only now does the Log Service listen to what was found wrong before.
         for sentence in self.skipped:
             self.kernel.log("error", sentence)
+        for task, why in self.resting.items():
+            self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
         if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
             self.kernel.log(
                 "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and nobody is checked"
@@ -491,6 +497,11 @@ class Agent:
             durability=config.durability,
             rule=config.migrate,
         )
+
+    def _resting(self) -> dict[str, str]:
+        services = {task.name: task.service for task in self.config.tasks.values() if task.start}
+        found = resting(self.name, services, self.records.all())
+        return {f"{services[name]}/{name}": why for name, why in found.items()}
 
     def _skip(self, what: str, error: PluginError) -> None:
         """One bad plug-in is named, and the rest runs."""

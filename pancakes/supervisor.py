@@ -278,6 +278,7 @@ class Supervisor(Component):
             "task": slot.name,
             "type": slot.spec.type or slot.spec.cls.__name__,
             "state": slot.state.value,
+            "rest": "",
             "rate_hz": first.rate_hz if first is not None else None,
             "incarnation": slot.incarnation,
             "reason": slot.reason,

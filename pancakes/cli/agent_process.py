@@ -163,16 +163,18 @@ def _register(running: Agent) -> Registration | None:
 
 
 def _tell_when_ready(running: Agent, ready_fd: int) -> None:
-    """Lets whoever launched the agent know that it is ready; a launcher that has gone need not know."""
+    """Lets the launcher know that the agent is ready, and before that which of its tasks do not start.
+
+    Each is a line: `rests SERVICE/TASK WHY`, and at the end `ready`. A launcher that has gone need not know.
+    """
     import contextlib
     import threading
 
     def tell() -> None:
         running.ready.wait()
-        with contextlib.suppress(OSError):
-            os.write(ready_fd, b"ready\n")
-        with contextlib.suppress(OSError):
-            os.close(ready_fd)
+        told = [*(f"rests {task} {why}" for task, why in running.resting.items()), "ready"]
+        with contextlib.suppress(OSError), open(ready_fd, "w", encoding="utf-8") as pipe:
+            pipe.writelines(f"{line}\n" for line in told)
 
     threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
 

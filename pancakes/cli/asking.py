@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import click
 
 from pancakes.cli.names import TaskName
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
 
 
-def survey(at: Sequence[str], timeout_s: float, *agents: str) -> list[dict[str, Any]]:
+def survey(at: Where, timeout_s: float, *agents: str) -> list[dict[str, Any]]:
     """Returns what the agents say of themselves; names on standard error who said nothing.
 
     Args:
@@ -33,7 +32,7 @@ def survey(at: Sequence[str], timeout_s: float, *agents: str) -> list[dict[str, 
     return found.agents
 
 
-def ask_each(at: Sequence[str], timeout_s: float, body: Any, *agents: str) -> list[tuple[str, Any]]:
+def ask_each(at: Where, timeout_s: float, body: Any, *agents: str) -> list[tuple[str, Any]]:
     """Asks all agents, or those named, the same, all at once; names on standard error who gave no answer.
 
     Args:
@@ -78,6 +77,18 @@ def accepted(client: Client, agent: str, body: Any) -> Reply:
     return reply
 
 
+def meant(client: Client, name: TaskName) -> TaskName:
+    """Returns the task that is meant by a name, which may begin with a fleet where it has three parts.
+
+    `A/B/C` is the task C of the service B of the agent A, where there is such an agent. Otherwise it is the task C of
+    the agent B of the fleet A, and from then on the client speaks to that fleet alone.
+    """
+    if not name.service or client.is_there(name.agent) or not client.is_there(name.service, name.agent):
+        return name
+    client.narrow(name.agent)
+    return TaskName(name.service, "", name.task)
+
+
 def placed(client: Client, name: TaskName) -> TaskName:
     """Returns the name of a task with its service, which the agent is asked for where it was not said.
 
@@ -87,6 +98,7 @@ def placed(client: Client, name: TaskName) -> TaskName:
         ControlRefused: the agent has no such task, or two of them.
         Unreachable: it does not answer.
     """
+    name = meant(client, name)
     if name.service:
         return name
     agent = name.agent
@@ -101,5 +113,5 @@ def placed(client: Client, name: TaskName) -> TaskName:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
         order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
-    meant = suggestion(name.task, [row["task"] for row in described["tasks"]])
-    raise ControlRefused(f"{agent} has no task {name.task!r}" + (f", did you mean {meant!r}?" if meant else ""))
+    near = suggestion(name.task, [row["task"] for row in described["tasks"]])
+    raise ControlRefused(f"{agent} has no task {name.task!r}" + (f", did you mean {near!r}?" if near else ""))

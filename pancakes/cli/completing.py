@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 from click.shell_completion import CompletionItem
 
 from pancakes.cli.names import TaskName, TaskNameType
 from pancakes.control import Describe
+
+if TYPE_CHECKING:
+    from pancakes.client import Where
 
 LIMIT_S: Final = 1.0
 """How long a person waits for a completion, at most."""
@@ -28,10 +31,11 @@ def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     """Completes `AGENT`; those that stand on the line already are not offered again."""
     named = ctx.params.get(param.name or "")
     taken = named if isinstance(named, (list, tuple)) else ()
+    fleet, slash, begun = incomplete.rpartition("/")
     return [
-        CompletionItem(found["agent"], help=f"{found['role']} in {found['fleet']}")
+        CompletionItem(f"{fleet}{slash}{found['agent']}", help=f"{found['role']} in {found['fleet']}")
         for found in descriptions(ctx)
-        if found["agent"].startswith(incomplete) and found["agent"] not in taken
+        if found["agent"].startswith(begun) and found["agent"] not in taken and fleet in ("", found["fleet"])
     ]
 
 
@@ -105,9 +109,11 @@ def answer(ctx: click.Context, agent: str, body: Any) -> Any:
         return None
 
 
-def _at(ctx: click.Context) -> Sequence[str]:
-    """The addresses that are on the line already."""
-    return ctx.params.get("at") or ()
+def _at(ctx: click.Context) -> Where:
+    """The addresses and the fleet that are on the line already."""
+    from pancakes.client import Where
+
+    return Where(tuple(ctx.params.get("at") or ()), ctx.params.get("fleet") or "")
 
 
 def _task_named(ctx: click.Context) -> TaskName | None:
@@ -128,6 +134,18 @@ def _below(
     """
     agent, slash, begun = incomplete.partition("/")
     found = descriptions(ctx, agent) if slash else descriptions(ctx)
+    if slash and not found:  # then it is a fleet
+        of_fleet = [description for description in descriptions(ctx) if description["fleet"] == agent]
+        below = _among(of_fleet, begun, choices)
+        return [CompletionItem(f"{agent}/{item.value}", help=item.help) for item in below]
+    return _among(found, incomplete, choices)
+
+
+def _among(
+    found: Sequence[dict[str, Any]], incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
+) -> list[CompletionItem]:
+    """Completes what is named below one of some agents; see `_below`."""
+    agent, slash, begun = incomplete.partition("/")
     there = {description["agent"]: description for description in found if description["agent"].startswith(agent)}
     if not slash and len(there) > 1:
         return [CompletionItem(f"{name}/") for name in there]

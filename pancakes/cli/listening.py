@@ -10,7 +10,7 @@ import click
 
 from pancakes.cli.names import ChannelName
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.client.following import Following, Heard
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
@@ -32,7 +32,7 @@ from_option = click.option(
 
 @contextmanager
 def listening_to(
-    name: ChannelName, types: Sequence[str], at: Sequence[str], timeout_s: float
+    name: ChannelName, types: Sequence[str], at: Where, timeout_s: float
 ) -> Iterator[tuple[Client, Following]]:
     """Listens to a channel of an agent, until Ctrl-C at the latest.
 

@@ -1,11 +1,14 @@
 """How people name things at a terminal: `AGENT`, `AGENT/TASK`, `AGENT/SERVICE/TASK`, `AGENT/SERVICE`, `AGENT/CHANNEL`.
 
+Before each may stand the fleet, as in `FLEET/AGENT/TASK`; a verb speaks to one fleet then. What reads as
+`AGENT/SERVICE/TASK` and as `FLEET/AGENT/TASK` is the first where there is such an agent (`pancakes.cli.asking.meant`).
+
 The shell completes these names from what the running agents say (see `pancakes.cli.completing`).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
@@ -70,16 +73,36 @@ class ChannelName(NamedTuple):
         return f"{self.agent}/{self.channel}"
 
 
+_FLEET: Final = "pancakes.fleet"
+"""Under this name a command keeps the fleet that stands before one of its names."""
+
+
+def say_fleet(type_: click.ParamType, fleet: str, param: click.Parameter | None, ctx: click.Context | None) -> None:
+    """Notes the fleet that stands before a name, for `the_fleet`; all names of a command must be of the same."""
+    if ctx is not None and ctx.meta.setdefault(_FLEET, fleet) != fleet:
+        type_.fail(f"a command speaks to one fleet, not to {ctx.meta[_FLEET]} and {fleet}", param, ctx)
+
+
+def the_fleet(option: str) -> str:
+    """Returns the fleet that a command is about: that of `--fleet`, or that before its names; empty: any."""
+    said: str = click.get_current_context().meta.get(_FLEET, "")
+    if option and said and option != said:
+        raise click.UsageError(f"a command speaks to one fleet, not to {option} (--fleet) and {said}")
+    return option or said
+
+
 class AgentNameType(click.ParamType):
     """Reads the name of an agent; also good as the type of an option."""
 
     name = "AGENT"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        text = str(value)
-        if "/" in text:
-            self.fail(f"{text!r} names no agent: write it as AGENT, without a slash", param, ctx)
-        return text
+        parts = str(value).split("/")
+        if len(parts) > 2 or (len(parts) == 2 and not all(parts)):
+            self.fail(f"{value!r} names no agent: write it as AGENT or FLEET/AGENT", param, ctx)
+        if len(parts) == 2:
+            say_fleet(self, parts[0], param, ctx)
+        return parts[-1]
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
@@ -97,8 +120,11 @@ class TaskNameType(click.ParamType):
         if isinstance(value, TaskName):
             return value
         parts = str(value).split("/")
-        if len(parts) not in (2, 3) or not all(parts):
-            self.fail(f"{value!r} names no task: write it as AGENT/TASK or AGENT/SERVICE/TASK", param, ctx)
+        if len(parts) not in (2, 3, 4) or not all(parts):
+            text = "write it as AGENT/TASK or AGENT/SERVICE/TASK, with FLEET/ before it where that is needed"
+            self.fail(f"{value!r} names no task: {text}", param, ctx)
+        if len(parts) == 4:
+            say_fleet(self, parts.pop(0), param, ctx)
         return TaskName(parts[0], parts[1] if len(parts) == 3 else "", parts[-1])
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -116,10 +142,12 @@ class ServiceNameType(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ServiceName:
         if isinstance(value, ServiceName):
             return value
-        agent, _, service = str(value).partition("/")
-        if not agent or not service or "/" in service:
-            self.fail(f"{value!r} names no service: write it as AGENT/SERVICE", param, ctx)
-        return ServiceName(agent, service)
+        parts = str(value).split("/")
+        if len(parts) not in (2, 3) or not all(parts):
+            self.fail(f"{value!r} names no service: write it as AGENT/SERVICE or FLEET/AGENT/SERVICE", param, ctx)
+        if len(parts) == 3:
+            say_fleet(self, parts.pop(0), param, ctx)
+        return ServiceName(*parts)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
@@ -136,10 +164,12 @@ class ChannelNameType(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ChannelName:
         if isinstance(value, ChannelName):
             return value
-        agent, _, channel = str(value).partition("/")
-        if not agent or not channel or "/" in channel:
-            self.fail(f"{value!r} names no channel: write it as AGENT/CHANNEL", param, ctx)
-        return ChannelName(agent, channel)
+        parts = str(value).split("/")
+        if len(parts) not in (2, 3) or not all(parts):
+            self.fail(f"{value!r} names no channel: write it as AGENT/CHANNEL or FLEET/AGENT/CHANNEL", param, ctx)
+        if len(parts) == 3:
+            say_fleet(self, parts.pop(0), param, ctx)
+        return ChannelName(*parts)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""

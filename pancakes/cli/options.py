@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from functools import wraps
+from typing import Any, ClassVar, TypeVar, cast
 
 import click
+
+from pancakes.cli.names import the_fleet
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -18,17 +21,12 @@ class AgentAddress(click.ParamType):
     name = "address"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from pancakes.config.address import parse_address
+        from pancakes.config.address import dialled
 
-        text = str(value)
-        if "://" not in text:
-            text = f"tcp://{text}"
         try:
-            if parse_address(text).port == 0:
-                self.fail(f"{value!r} has the port 0, at which nobody can be reached", param, ctx)
+            return dialled(str(value))
         except ValueError as error:
             self.fail(str(error), param, ctx)
-        return text
 
 
 class Duration(click.ParamType):
@@ -71,7 +69,10 @@ format_option = click.option(
 
 
 def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
-    """Gives a verb the options `--at`, `--timeout` and `--format`; its parameters are `at`, `timeout`, `format_`.
+    """Gives a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
+
+    Its parameters are `at`, a `Where` that has the addresses and the fleet, which may also stand in front of a name
+    (see `pancakes.cli.names`), `timeout`, and `format_`.
 
     Args:
         timeout_s: the time limit where none is given.
@@ -85,6 +86,7 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
             multiple=True,
             help="Ask the agent at this address and its fleet, instead of those of this machine. Repeatable.",
         ),
+        click.option("--fleet", metavar="NAME", default="", help="Only agents of this fleet."),
         click.option(
             "--timeout",
             metavar="SECONDS",
@@ -96,9 +98,16 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     )
 
     def decorate(function: _F) -> _F:
+        @wraps(function)
+        def asking(*arguments: Any, at: tuple[str, ...], fleet: str, **others: Any) -> Any:
+            from pancakes.client import Where
+
+            return function(*arguments, at=Where(at, the_fleet(fleet)), **others)
+
+        decorated: Any = asking
         for option in reversed(options):
-            function = option(function)
-        return function
+            decorated = option(decorated)
+        return cast(_F, decorated)
 
     return decorate
 

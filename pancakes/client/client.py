@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
+from pancakes.client.where import Where
 from pancakes.clock import MonotonicClock
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
@@ -87,14 +88,16 @@ class Client:
             reply = client.request("agent1", Stop("client/ScanTarget"))
 
     Args:
-        at: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
+        at: an address to begin with (`HOST:PORT` or `tcp://HOST:PORT`), or several; none: what runs on this machine. A
+            `Where` names a fleet as well.
         timeout_s: the time limit of each call.
 
     Raises:
-        PancakesError: the runtime directory cannot be used.
+        PancakesError: one of them is no address, or the runtime directory cannot be used.
     """
 
-    def __init__(self, at: Sequence[str] = (), timeout_s: float = 3.0) -> None:
+    def __init__(self, at: Where | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
+        where = Where.of(at)
         self.timeout_s = timeout_s
         self.name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
         self._clock = MonotonicClock()
@@ -107,13 +110,9 @@ class Client:
         self._no_news.acquire()
         self._doors: dict[tuple[str, str], Door] = {}
         self._leads: list[Lead] = []
-        self._at = tuple(at)
-        self._where = "at " + ", ".join(at) if at else f"on this machine ({runtime_dir()} names none)"
-        if at:
-            known = [Lead(address) for address in dict.fromkeys(at)]
-        else:
-            known = [Lead(it.listen, it.fleet, it.name) for it in entries() if it.role != "client"]
-        for lead in known:
+        self._at = where.addresses
+        self._fleet = where.fleet
+        for lead in [Lead(address) for address in self._at] or self._running():
             self._follow(lead)
 
     def __enter__(self) -> Client:
@@ -186,6 +185,34 @@ class Client:
         replies, silent = self._gather(body, agents, timeout_s)
         return Replies(replies, [sentence for sentence, _ in silent])
 
+    def is_there(self, agent: str, fleet: str = "") -> bool:
+        """Returns whether an agent of this name can be reached: as soon as it is, or once all others have answered.
+
+        Args:
+            agent: its name.
+            fleet: only where it is of this fleet; empty: of any.
+        """
+
+        def connected() -> bool:
+            return any(door.connected(agent) for door in self._doors.values() if fleet in ("", door.fleet))
+
+        with self._lock:
+            known = connected()
+        if not known:
+            self._ask_all(self._until_s(None), lambda answers: connected())
+        with self._lock:
+            return connected()
+
+    def narrow(self, fleet: str) -> None:
+        """Speaks to the agents of one fleet alone from now on."""
+        with self._lock:
+            self._fleet = fleet
+            self._leads = [lead for lead in self._leads if lead.fleet in ("", fleet)]
+            left = [door for door in self._doors.values() if door.fleet != fleet]
+            self._doors = {key: door for key, door in self._doors.items() if door.fleet == fleet}
+        for door in left:
+            door.close()
+
     # For what goes on ------------------------------------------------------------------------------------------
 
     def now(self) -> float:
@@ -211,7 +238,7 @@ class Client:
         Raises:
             PancakesError: the runtime directory cannot be used.
         """
-        running = [] if self._at else [Lead(it.listen, it.fleet, it.name) for it in entries() if it.role != "client"]
+        running = [] if self._at else self._running()
         with self._lock:
             known = {(lead.fleet, lead.name, lead.address) for lead in self._leads}
             new = [lead for lead in running if (lead.fleet, lead.name, lead.address) not in known]
@@ -223,6 +250,20 @@ class Client:
                 door.dial_again([lead.address for lead in self._leads if lead.fleet == door.fleet and lead.address])
 
     # Finding them ----------------------------------------------------------------------------------------------
+
+    def _running(self) -> list[Lead]:
+        """Returns the agents of this machine that are looked for."""
+        there = [entry for entry in entries() if entry.role != "client" and self._fleet in ("", entry.fleet)]
+        return [Lead(entry.listen, entry.fleet, entry.name) for entry in there]
+
+    def _nowhere(self) -> str:
+        """Returns a sentence to say where no agent runs."""
+        of = f" of the fleet {self._fleet}" if self._fleet else ""
+        if self._at:
+            return f"no agent{of} runs at {', '.join(self._at)}"
+        others = sorted({entry.fleet for entry in entries() if entry.role != "client"} - {self._fleet})
+        names = f"has only the fleet{'s' if len(others) > 1 else ''} {', '.join(others)}" if others else "names none"
+        return f"no agent{of} runs on this machine ({runtime_dir()} {names})"
 
     def _follow(self, lead: Lead) -> None:
         """Finds out who is there, and goes through its fleet's door."""
@@ -249,6 +290,8 @@ class Client:
             lead.failed = what
         elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
             lead.failed = f"at its address is {what.name} of the fleet {what.fleet}"
+        elif self._fleet not in ("", what.fleet):
+            lead.failed = f"it is {what.name} of the fleet {what.fleet}, not of {self._fleet}"
         else:
             lead.name, lead.fleet = what.name, what.fleet
             door = self._doors.get((scheme, what.fleet))
@@ -309,7 +352,7 @@ class Client:
             if not answers:
                 raise Unreachable(
                     "\n".join(sentence for sentence, _ in sentences)
-                    or f"no agent runs {self._where}: start one, or name one with --at"
+                    or f"{self._nowhere()}: start one, or name one with --at"
                 )
             return [(key[1], answers[key]) for key in sorted(answers)], sentences
 
@@ -407,14 +450,14 @@ class Client:
     def _must_be_one(self, agent: str, fleets: Sequence[str]) -> None:
         if len(fleets) > 1:
             several = " and ".join(sorted(fleets))
-            raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --at")
+            raise ControlRefused(f"the fleets {several} both have an agent {agent}: name one of them with --fleet")
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
         lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
         near = suggestion(agent, names)
         there = f"there is no agent {agent!r}" + (f", did you mean {near!r}?" if near else "")
         if not names:
-            there = f"no agent runs {self._where}" if not lines else f"nobody knows an agent {agent!r}"
+            there = self._nowhere() if not lines else f"nobody knows an agent {agent!r}"
         elif not near:
             there += f", only {', '.join(names)}"
         return "\n".join([*lines, there])

@@ -64,6 +64,18 @@ def parse_address(text: str) -> Address:
     return Address(found["scheme"], host, int(found["port"]))
 
 
+def dialled(text: str) -> str:
+    """Returns the address that a person means who writes `HOST:PORT`, or an address with its transport.
+
+    Raises:
+        ValueError: it is none, or none at which an agent could be reached; the message says why.
+    """
+    address = text if "://" in text else f"tcp://{text}"
+    if parse_address(address).port == 0:
+        raise ValueError(f"{text!r} has the port 0, at which nobody can be reached")
+    return address
+
+
 def _check_six(text: str, host: str) -> None:
     from ipaddress import IPv6Address
 

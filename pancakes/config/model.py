@@ -33,7 +33,7 @@ class AgentConfig(Struct, frozen=True):
         name: the agent's name on the mesh; the first part of all addresses in it.
         listen: the address where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
             one); empty where it only connects to others.
-        peers: the addresses of agents to connect to.
+        peers: the addresses of agents to connect to. Its own among them is skipped, so that a fleet can share one list.
         role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
             person's tool); the last two are never asked to take a task.
         fleet: agents of different fleets refuse each other.

@@ -213,8 +213,6 @@ class _Reader:
                 self._fault(key, str(error))
             if peer in agent.peers[:index]:
                 self._fault(key, f"{peer!r} stands in the list for the second time")
-            if peer == agent.listen:
-                self._fault(key, f"{peer!r} is the address at which this agent itself listens")
 
     def _check_listen(self, config: Config) -> None:
         key = ("agent", "listen")

@@ -34,9 +34,11 @@ class Demo:
     """A mission that anybody can run.
 
     Attributes:
-        name: its name, as in `pancakes demo NAME`; its configurations lie in a folder of this name.
+        name: its name, as in `pancakes demo NAME`.
         title: what it shows, in a few words.
-        agents: its agents; each has a configuration file of its name. The world comes first.
+        agents: its agents. The world comes first.
+        configs: the folder with a configuration file for each agent, of the agent's name. It is part of the demo's own
+            package, so that it is there wherever the demo is installed.
         duration_s: how long it lasts, in mission seconds.
         judge: returns the summary of a run; its `verdict` is `PASS` where all went well, else its `reasons` say what
             did not.
@@ -52,6 +54,7 @@ class Demo:
     name: str
     title: str
     agents: tuple[str, ...]
+    configs: Path
     duration_s: float
     judge: Callable[[Run], dict[str, Any]]
     draw: Callable[[Run, Mapping[str, Any]], None] | None = None

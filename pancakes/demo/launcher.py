@@ -22,6 +22,7 @@ from pancakes.demo.demo import Run
 from pancakes.demo.plan import LAUNCHER, Plan
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
+from pancakes.launch.afresh import check_alone, empty_state
 from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
@@ -123,12 +124,16 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         What is the wall's, for `timing.json`.
 
     Raises:
-        PancakesError: the agents did not become ready.
+        PancakesError: the agents did not become ready, or another agent of their fleet runs.
     """
     processes = Processes(plan)
     began_s = HOST.now()
     launcher: Launcher | None = None
     try:
+        # Its state is below `out`, and its fleet its own, unless the command line says otherwise.
+        check_alone(plan.configs.values())
+        for config in plan.configs.values():
+            empty_state(config)
         processes.start()
         launcher = Launcher(plan, mission)
         launcher.start()

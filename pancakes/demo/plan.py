@@ -124,24 +124,19 @@ def make_plan(
     return Plan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
 
 
-def find_configs(name: str, given: Path | None = None) -> Path:
+def find_configs(demo: Demo, given: Path | None = None) -> Path:
     """Returns the folder with the configurations of a demo.
 
     Args:
-        name: the demo's name.
-        given: the folder that was named on the command line; None: `configs/NAME` here, or beside the package.
+        demo: the demo.
+        given: the folder that was named on the command line; None: the one that comes with the demo.
 
     Raises:
         PancakesError: there is no such folder.
     """
-    if given is not None:
-        places = [given]
-    else:
-        places = [Path("configs") / name, Path(__file__).resolve().parents[2] / "configs" / name]
-    for place in places:
-        if place.is_dir():
-            return place
-    raise PancakesError(
-        f"the configurations of the demo {name!r} are not in {' nor in '.join(map(str, places))}:"
-        " say where they are with --configs"
-    )
+    folder = demo.configs if given is None else given
+    if not folder.is_dir():
+        raise PancakesError(
+            f"the configurations of the demo {demo.name!r} are not in {folder}: say where they are with --configs"
+        )
+    return folder

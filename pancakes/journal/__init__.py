@@ -1,7 +1,7 @@
 """What an agent keeps on disk: its identity, and the durable records of its tasks."""
 
 from pancakes.journal.entry import Entry, JournalError, SetAside
-from pancakes.journal.file import FileJournal
+from pancakes.journal.file import FileJournal, empty
 from pancakes.journal.journal import Journal
 from pancakes.journal.memory import MemoryJournal
 from pancakes.journal.store import RecordStore, ThreadedStore, VirtualStore
@@ -16,4 +16,5 @@ __all__ = [
     "SetAside",
     "ThreadedStore",
     "VirtualStore",
+    "empty",
 ]

@@ -98,6 +98,32 @@ class FileJournal(Journal):
         return bad
 
 
+def empty(directory: Path) -> bool:
+    """Removes the journal in a state directory, and nothing else that lies there.
+
+    Returns:
+        Whether there was one.
+
+    Raises:
+        JournalError: the directory is used by a process, or cannot be changed; a sentence that names it.
+    """
+    if not directory.is_dir():
+        return False
+    try:
+        lock = _locked(directory)
+        try:
+            # Without an identity the rest is not believed: what a kill leaves here cannot be taken for a whole journal.
+            found = sorted(directory.glob(f"*{SUFFIX}*"), key=lambda path: not path.name.startswith("identity."))
+            for path in found:
+                path.unlink()
+            _sync_directory(directory)
+        finally:
+            os.close(lock)
+    except OSError as error:
+        raise JournalError(f"the state directory {directory} cannot be emptied: {error.strerror}") from None
+    return bool(found)
+
+
 def _make(directory: Path) -> None:
     """Makes the directory for its owner alone, and sees to it that its name survives a crash as well."""
     if directory.is_dir():

@@ -6,10 +6,11 @@ within its limits, or given up. On the way down an agent is told to end once tho
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from signal import Signals
+from types import MappingProxyType
 from typing import Final
 
 from pancakes.launch.member import Member, ProcessRestart
@@ -146,16 +147,23 @@ class Course:
         self._failed = True
         return [Tell(name, "given_up", f"cannot be started: {reason}"), *self._follow(now_s)]
 
-    def ready(self, name: str, now_s: float) -> list[Action]:
-        """An agent says that all which should run at its start does."""
+    def ready(self, name: str, now_s: float, rests: Mapping[str, str] = MappingProxyType({})) -> list[Action]:
+        """An agent says that all which should run at its start does.
+
+        Args:
+            name: the agent.
+            now_s: the time.
+            rests: those of its tasks that do not start because of what happened when it ran before, and why.
+        """
         place = self._places[name]
         if place.state is not State.STARTING:
             return []
         place.state = State.READY
         if self._stopping_s is not None:
             return []
-        told = Tell(name, "ready", "is ready")
-        return [told, *self._begin_again(place), *self._start_who_can(now_s), *self._begin_if_all_are_ready()]
+        told = [Tell(name, "ready", "is ready")]
+        told += [Tell(name, "rests", f"does not start {task}: {why}") for task, why in rests.items()]
+        return [*told, *self._begin_again(place), *self._start_who_can(now_s), *self._begin_if_all_are_ready()]
 
     def ended(self, name: str, code: int, now_s: float) -> list[Action]:
         """A process has ended.

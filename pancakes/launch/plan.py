@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pancakes.agent import default_state_dir
 from pancakes.config import Address, load, parse_address
 from pancakes.config.places import set_text
 from pancakes.config.source import tables_of, text_of
 from pancakes.config.toml_text import value_text
 from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.launch.afresh import state_dir_of
 from pancakes.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
 from pancakes.launch.member import Member, Policy, ProcessRestart
 from pancakes.launch.overrides import overrides, whose
@@ -187,7 +187,8 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
             places = member.config.places
             if _same_port(_place(member), _place(other)):
                 yield places.fault(("agent", "listen"), f"{other.name} ({other.path}) listens at this port already")
-            if _state_dir(member) is not None and _state_dir(member) == _state_dir(other):
+            directory = state_dir_of(member.config)
+            if directory is not None and directory == state_dir_of(other.config):
                 key = ("agent", "state_dir")
                 yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
 
@@ -202,10 +203,3 @@ def _same_port(one: Address | None, other: Address | None) -> bool:
     if one is None or other is None or one.port != other.port:
         return False
     return one.host == other.host or one.host in _EVERYWHERE or other.host in _EVERYWHERE
-
-
-def _state_dir(member: Member) -> Path | None:
-    agent = member.config.agent
-    if agent.role != "agent":
-        return None
-    return Path(agent.state_dir).absolute() if agent.state_dir else default_state_dir(agent.fleet, agent.name)

@@ -55,6 +55,8 @@ class _Process:
             os.close(ready)
         os.set_blocking(self.output, False)
         self.lines = Lines()
+        self.said = Lines()
+        self.rests: dict[str, str] = {}
 
 
 class Runner:
@@ -183,9 +185,17 @@ class Runner:
         return bool(data)
 
     def _read_ready(self, name: str, place: _Process) -> None:
-        self._selector.unregister(place.ready)
-        if os.read(place.ready, _CHUNK):
-            self._do(self._course.ready(name, self._now()))
+        """Reads how far an agent says that it is (see `pancakes-agent --ready-fd`)."""
+        data = os.read(place.ready, _CHUNK)
+        if not data:
+            self._selector.unregister(place.ready)
+        for line in place.said.feed(data):
+            word, _, rest = line.partition(" ")
+            if word == "ready":
+                self._do(self._course.ready(name, self._now(), place.rests))
+            elif word == "rests":
+                task, _, why = rest.partition(" ")
+                place.rests[task] = why
 
     def _ended(self, name: str, place: _Process, code: int) -> None:
         """A process has ended. What it printed last is read; a child that it left may hold the pipe open for ever."""

@@ -24,6 +24,7 @@ from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.post import Letter
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
+from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
 from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
@@ -234,6 +235,13 @@ class RecordedService(Service):
 
     def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
         self.begin(slot, then)
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        told = super().describe_task(slot)
+        hand_off = self.hand_offs.get(self.id_of(slot))
+        if hand_off is not None and slot.state in (TaskState.STOPPED, TaskState.FAILED):
+            told["rest"] = rest_of(hand_off.record)
+        return told
 
     def task_ended(self, slot: Slot) -> None:
         told_to_stop = slot.name in self._told_to_stop

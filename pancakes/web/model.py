@@ -132,6 +132,8 @@ class FleetModel:
         agent, service = source[0], source[1]
         key = f"task/{agent}/{service}/{task}"
         known = self.board.get(key)
+        if known is not None and "rest" in known:  # why it rested until now
+            known = {name: value for name, value in known.items() if name != "rest"}
         if kind in ("task_started", "task_resumed"):
             row = known or {"type": record.get("type", "")}
             self.board.set(key, {**row, "state": RUNNING})
@@ -234,11 +236,11 @@ class FleetModel:
             if key not in there:
                 _, _, service_name, name = key.split("/", 3)
                 self._forget_task(agent, service_name, name)
-        reasons = {(task["service"], task["task"]): task["reason"] for task in answer["tasks"]}
+        described = {(task["service"], task["task"]): task for task in answer["tasks"]}
         for task in row["tasks"]:
-            self._task(agent, task, reasons.get((task["service"], task["task"]), ""))
+            self._task(agent, task, described.get((task["service"], task["task"]), {}))
 
-    def _task(self, agent: str, task: Mapping[str, Any], reason: str) -> None:
+    def _task(self, agent: str, task: Mapping[str, Any], described: Mapping[str, Any]) -> None:
         key = f"task/{agent}/{task['service']}/{task['task']}"
         known = self.board.get(key) or {}
         row = {
@@ -251,8 +253,9 @@ class FleetModel:
             "dropped": task["dropped"],
             "restarts": task["restarts"],
         }
-        if reason and task["state"] != RUNNING:
-            row["reason"] = reason
+        for name in ("reason", "rest"):
+            if described.get(name) and task["state"] != RUNNING:
+                row[name] = described[name]
         if "requires" in known:
             row["requires"] = known["requires"]
         self.board.set(key, row)

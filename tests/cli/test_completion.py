@@ -61,6 +61,16 @@ def test_a_task_is_completed_by_its_service_too(rig: Rig, pair: tuple[Running, R
     assert completed(rig, "task", "rate", "ant/dev") == ["ant/device/load", "ant/device/pose"]
 
 
+def test_names_are_completed_behind_their_fleet(rig: Rig):
+    rig.ready("ant", TASKS, fleet="north")
+    rig.ready("ant", fleet="south")
+
+    assert completed(rig, "agent", "info", "north/") == ["north/ant"]
+    assert completed(rig, "task", "stop", "north/ant/l") == ["north/ant/load"]
+    assert completed(rig, "task", "stop", "south/ant/loa") == []
+    assert completed(rig, "channel", "info", "--fleet", "north", "ant/m") == ["ant/map"]
+
+
 def test_a_task_that_is_in_two_services_is_completed_with_each(rig: Rig):
     rig.install(
         "twice",

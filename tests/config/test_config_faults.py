@@ -184,10 +184,9 @@ class TestAddresses:
             "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' stands in the list for the second time",
         ]
 
-    def test_an_agent_is_not_its_own_peer(self):
-        text = HEAD + 'listen = "tcp://127.0.0.1:7401"\npeers = ["tcp://127.0.0.1:7401"]\n'
-        (fault,) = faults(text)
-        assert "is the address at which this agent itself listens" in fault
+    def test_its_own_address_may_stand_among_the_peers_so_that_a_fleet_shares_one_list(self):
+        text = HEAD + 'listen = "tcp://127.0.0.1:7401"\npeers = ["tcp://127.0.0.1:7401", "tcp://127.0.0.1:7402"]\n'
+        assert parse(text, "a.toml").agent.peers == ("tcp://127.0.0.1:7401", "tcp://127.0.0.1:7402")
 
     def test_a_bad_address_to_listen_at(self):
         assert faults(HEAD + 'listen = "tcp://127.0.0.1"\n') == [

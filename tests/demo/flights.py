@@ -123,7 +123,7 @@ def _moments(path: Path) -> Iterator[Moment]:
 def fly(demo_name: str, seed: int, out: Path, faults: bool, sets: Sequence[str] = ()) -> Flight:
     """Runs a mission in virtual time, has it judged, and reads it back."""
     demo = Plugins().get("pancakes.demos", demo_name)
-    plan = make_plan(demo, find_configs(demo_name), out, seed, 1.0, demo.duration_s, tuple(sets), live=False)
+    plan = make_plan(demo, find_configs(demo), out, seed, 1.0, demo.duration_s, tuple(sets), live=False)
     fresh(out)
     mission = Mission(demo.agents, demo.duration_s)
     timing = run_virtual(plan, mission, threading.Event(), Faults(seed) if faults else None)

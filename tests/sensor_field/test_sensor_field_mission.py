@@ -47,7 +47,7 @@ class Flown:
 
 def fly(out: Path, seed: int = 1, faults: bool = False, duration_s: float = 240.0, sets: tuple[str, ...] = ()) -> Flown:
     """Runs the mission."""
-    plan = make_plan(SENSOR_FIELD, find_configs("sensor-field", CONFIGS), out, seed, 1.0, duration_s, sets, live=False)
+    plan = make_plan(SENSOR_FIELD, find_configs(SENSOR_FIELD), out, seed, 1.0, duration_s, sets, live=False)
     fresh(out, tuple(SENSOR_FIELD.records.values()))
     mission = Mission(SENSOR_FIELD.agents, duration_s)
     timing = run_virtual(plan, mission, threading.Event(), Faults(seed) if faults else None)

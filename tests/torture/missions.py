@@ -50,7 +50,7 @@ def fly(job: Job) -> Outcome:
     began_s = time.monotonic()
     try:
         demo = Plugins().get("pancakes.demos", job.demo)
-        folder = find_configs(job.demo)
+        folder = find_configs(demo)
         sets = (_battery(folder, job.seed),) if job.batteries else ()
         plan = make_plan(demo, folder, job.out, job.seed, 1.0, demo.duration_s, sets, live=False)
         fresh(job.out)

@@ -72,6 +72,16 @@ def test_a_card_has_rates_lateness_and_drops(model: FleetModel):
     assert model.board.get("agent/a")["dropped"] == 3
 
 
+def test_a_task_at_rest_says_why_until_it_runs(model: FleetModel):
+    describe(model, agent("a", task("a", "T", state="stopped", rest="moved → b"), task("a", "R")))
+    assert model.board.get("task/a/client/T")["rest"] == "moved → b"
+    assert "rest" not in model.board.get("task/a/client/R")
+
+    model.tell(record("a", "task_started", 1.0, task="T", service="client"), 1.0)
+    assert model.board.get("task/a/client/T")["state"] == "running"
+    assert "rest" not in model.board.get("task/a/client/T")
+
+
 def test_links_are_those_between_agents_and_end_with_them(model: FleetModel):
     describe(model, agent("b", peers={"a": 0.0021}), agent("a", peers={"b": 0.0019}))
     assert model.board.keys("link/") == ["link/a/b"]

@@ -23,7 +23,15 @@ def world(time_s: float, **places: tuple[float, float]) -> Packet:
 
 def task(agent: str, name: str, service: str = "client", **others: Any) -> dict[str, Any]:
     """A row of an agent's description."""
-    row = {"agent": agent, "service": service, "task": name, "type": f"x.{name}", "state": "running", "rate_hz": None}
+    row = {
+        "agent": agent,
+        "service": service,
+        "task": name,
+        "type": f"x.{name}",
+        "state": "running",
+        "rest": "",
+        "rate_hz": None,
+    }
     counts = {"incarnation": 1, "reason": "", "ticks": 0, "lateness_sum_s": 0.0, "missed": 0, "dropped": 0}
     return {**row, **counts, **others}
 

@@ -11,7 +11,7 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents, the_agent
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json, show_sections
-from pancakes.client import Client
+from pancakes.client import Client, Where
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -23,11 +23,10 @@ def agent() -> None:
 
 @agent.command("list")
 @agents
-@click.option("--fleet", metavar="NAME", default="", help="Only those of this fleet.")
 @click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
 @asks_agents
 @sentences
-def list_(agents: tuple[str, ...], fleet: str, role: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(agents: tuple[str, ...], role: str, format_: str, at: Where, timeout: float) -> None:
     """List the agents that run, or those that are named.
 
     Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
@@ -49,7 +48,7 @@ def list_(agents: tuple[str, ...], fleet: str, role: str, format_: str, at: tupl
             "neighbours": found["neighbours"],
         }
         for found in survey(at, timeout, *agents)
-        if fleet in ("", found["fleet"]) and role in ("", found["role"])
+        if role in ("", found["role"])
     ]
     show(rows, COLUMNS, format_)
 
@@ -58,7 +57,7 @@ def list_(agents: tuple[str, ...], fleet: str, role: str, format_: str, at: tupl
 @the_agent
 @asks_agents
 @sentences
-def info(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def info(agent: str, format_: str, at: Where, timeout: float) -> None:
     """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
 
     As JSON, it is the answer of the agent as it stands.

@@ -17,7 +17,7 @@ from pancakes.cli.verbs.echo import echo
 from pancakes.cli.verbs.publish import pub
 from pancakes.cli.verbs.rates import bw, hz
 from pancakes.cli.verbs.throughput import Throughput, size_of
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.client.following import Following
 from pancakes.control import Channels
 from pancakes.packet import agent_of
@@ -40,7 +40,7 @@ for verb in (echo, hz, bw, pub):
 @an_agent
 @asks_agents
 @sentences
-def list_(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
     """List the channels of all agents, or of AGENT.
 
     For each: how many components subscribe to it, how many packets wait for those and how many they have lost, and how
@@ -78,7 +78,7 @@ def list_(agent: str, format_: str, at: tuple[str, ...], timeout: float) -> None
 )
 @asks_agents
 @sentences
-def info(name: ChannelName, for_s: float, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: float) -> None:
     """Show who subscribes to a channel, who follows it, and who publishes on it.
 
     Nobody declares what it will publish, so that is listened for; whoever publishes seldom may need a longer --for.

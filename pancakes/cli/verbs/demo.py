@@ -65,7 +65,7 @@ class DemoNames(click.ParamType):
 @click.option(
     "--configs",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder with the agents' configurations. [default: configs/NAME]",
+    help="Folder with the agents' configurations. [default: those that come with the demo]",
 )
 @click.option(
     "--set",
@@ -176,7 +176,7 @@ def _run(
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
         return _compare(plugins, found, out, options, interrupted, page)
-    flown = _fly(plugins, found, name, out, options, interrupted, page)
+    flown = _fly(plugins, found, out, options, interrupted, page)
     if flown is None:
         return INTERRUPTED
     run, summary, timing = flown
@@ -189,7 +189,6 @@ def _run(
 def _fly(
     plugins: Plugins,
     found: Demo,
-    folder: str,
     out: Path,
     options: _Options,
     interrupted: threading.Event,
@@ -203,7 +202,7 @@ def _fly(
 
     virtual, seed = options.virtual, options.seed
     duration_s = options.duration_s if options.duration_s is not None else found.duration_s
-    configs = find_configs(folder, options.configs)
+    configs = find_configs(found, options.configs)
     speed = 1.0 if virtual else options.speed
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
     sets = (*recording, *options.sets)
@@ -250,7 +249,7 @@ def _compare(
         mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
         # What the command line says comes last, and so goes before what is different by itself.
         own = replace(options, sets=(*variant.sets, *options.sets))
-        flown = _fly(plugins, mission, found.name, out / variant.name, own, interrupted, page)
+        flown = _fly(plugins, mission, out / variant.name, own, interrupted, page)
         if flown is None:
             return INTERRUPTED
         runs[variant.name], summaries[variant.name], timings[variant.name] = flown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -16,6 +16,7 @@ from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
     from pancakes.cli.verbs.finding import Finding
+    from pancakes.client import Where
 
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
@@ -24,7 +25,7 @@ MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error"
 @click.option("--no-machine", is_flag=True, help="Look only at the agents.")
 @asks_agents
 @sentences
-def doctor(no_machine: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def doctor(no_machine: bool, format_: str, at: Where, timeout: float) -> None:
     """Look for what is wrong on this machine and with its agents, and say what to do.
 
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
@@ -57,7 +58,7 @@ def _print(finding: Finding) -> None:
         click.echo(f"{'':8} → {finding.advice}")
 
 
-def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
+def _look(machine: bool, at: Where, timeout_s: float) -> Iterator[Finding]:
     if machine:
         from pancakes.cli.verbs.machine_checks import check_machine
         from pancakes.plugins import Plugins
@@ -66,7 +67,7 @@ def _look(machine: bool, at: Sequence[str], timeout_s: float) -> Iterator[Findin
     yield from _look_at_agents(at, timeout_s)
 
 
-def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
+def _look_at_agents(at: Where, timeout_s: float) -> Iterator[Finding]:
     from pancakes.cli.verbs.agent_checks import check_entries, check_fleet
     from pancakes.cli.verbs.finding import Finding
     from pancakes.client import Client
@@ -74,14 +75,15 @@ def _look_at_agents(at: Sequence[str], timeout_s: float) -> Iterator[Finding]:
     from pancakes.errors import PancakesError
     from pancakes.runtime_dir import entries
 
-    if not at:
+    if not at.addresses:
         try:
-            there = [entry for entry in entries() if entry.role != "client"]
+            there = [it for it in entries() if it.role != "client" and at.fleet in ("", it.fleet)]
         except PancakesError as error:
             yield Finding("error", "agents", str(error), "without it no agent of this machine can be found")
             return
         if not there:
-            yield Finding("ok", "agents", "no agent runs on this machine")
+            of = f" of the fleet {at.fleet}" if at.fleet else ""
+            yield Finding("ok", "agents", f"no agent{of} runs on this machine")
             return
         yield from check_entries(there)
     with Client(at, timeout_s) as client:

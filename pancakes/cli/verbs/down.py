@@ -13,7 +13,7 @@ from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Shutdown
 from pancakes.errors import NoAnswer, Unreachable
 from pancakes.runtime_dir import Entry, entries
@@ -46,8 +46,8 @@ class _Target:
 @dry_run_option
 @orders_agents
 @sentences
-def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
-    """End agents: those that are named, or else all of this machine, and wait until they are gone.
+def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+    """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
 
     Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
     in it. Who has not ended within the time limit is named on standard error, and the exit code is then 3. A launcher
@@ -57,20 +57,26 @@ def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: t
     Example:
         pancakes down
         pancakes down agent1 agent2
+        pancakes down --fleet field
         pancakes down --at 192.168.1.20:7401 --all --dry-run
     """
-    if at and not agents and not all_:
+    if at.addresses and not agents and not all_:
         raise click.UsageError("name the agents to end, or say --all for those that are found through --at")
-    if all_ and (agents or not at):
+    if all_ and (agents or not at.addresses):
         raise click.UsageError("--all goes with --at alone: without both, all agents of this machine end")
-    here = {(entry.fleet, entry.name): entry for entry in entries() if entry.role != "client"}
+    here = {
+        (entry.fleet, entry.name): entry
+        for entry in entries()
+        if entry.role != "client" and at.fleet in ("", entry.fleet)
+    }
     ending = _Ending(timeout, dry_run)
-    if at or agents:
+    if at.addresses or agents:
         ending.end(at, agents, here)
     else:
         if not here:
-            click.echo("no agent runs on this machine", err=True)
-        ending.end_all(here)
+            of = f" of the fleet {at.fleet}" if at.fleet else ""
+            click.echo(f"no agent{of} runs on this machine", err=True)
+        ending.end_all(here, at.fleet)
     if ending.rows or format_ == "json":
         show(ending.rows, COLUMNS, format_)
     sys.exit(ending.code)
@@ -90,8 +96,8 @@ class _Ending:
         self.rows: list[dict[str, Any]] = []
         self.code = OK
 
-    def end_all(self, here: dict[tuple[str, str], Entry]) -> None:
-        """Ends the agents of this machine; those on other machines are left alone."""
+    def end_all(self, here: dict[tuple[str, str], Entry], fleet: str) -> None:
+        """Ends the agents of this machine, or of one fleet on it; those on other machines are left alone."""
         for entry in here.values():
             if not entry.listen:
                 text = f"{entry.name} listens at no address, so it cannot be asked: end its process with"
@@ -101,11 +107,11 @@ class _Ending:
         if len(set(names)) < len(names):
             # Agents of several fleets have the same name: their addresses tell them apart.
             for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
-                self.end([entry.listen], [entry.name], here)
+                self.end(Where((entry.listen,)), [entry.name], here)
         elif names:
-            self.end((), names, here)
+            self.end(Where(fleet=fleet), names, here)
 
-    def end(self, at: Sequence[str], names: Sequence[str], here: dict[tuple[str, str], Entry]) -> None:
+    def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], Entry]) -> None:
         """Ends agents that are found from some addresses (none: on this machine)."""
         with Client(at, self._timeout_s) as client:
             try:
@@ -115,7 +121,7 @@ class _Ending:
                 described, silent = [], str(error).splitlines()
             answered = {(told["fleet"], told["agent"]) for told in described}
             # Whoever is named with an address may be on another machine, and its namesake here another agent.
-            mute = [] if at else [it for key, it in here.items() if it.name in names and key not in answered]
+            mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
             for sentence in silent:
                 click.echo(sentence, err=True)
             if len(silent) > len(mute):

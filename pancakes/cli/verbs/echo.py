@@ -12,6 +12,7 @@ from pancakes.cli.listening import doubt_types, from_any, from_option, listen, l
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say
+from pancakes.client import Where
 from pancakes.client.following import Heard
 from pancakes.packet import body_class, body_to_plain, field_names
 from pancakes.suggestion import suggestion
@@ -46,7 +47,7 @@ def echo(
     count: int | None,
     for_s: float | None,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Show the packets on a channel, those too that come from other agents, until Ctrl-C.

@@ -45,6 +45,12 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     "--hold", is_flag=True, help="Leave missions at 0 that wait there; else they begin once all agents are ready."
 )
 @click.option("--traceback", is_flag=True, help="Show failures of tasks with their whole tracebacks.")
+@click.option(
+    "--fresh",
+    is_flag=True,
+    help="Begin from empty state: the agents forget how far their tasks were, and where they are."
+    " Refused while another agent of the fleet runs.",
+)
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
 @sentences
@@ -54,6 +60,7 @@ def launch(
     policy: Policy | None,
     hold: bool,
     traceback: bool,
+    fresh: bool,
     dry_run: bool,
     format_: str,
 ) -> None:
@@ -63,6 +70,9 @@ def launch(
     fleet.toml is taken, or else all of its *.toml. All of them are checked before anything starts. What the agents
     print has their names in front; what becomes of them is told on standard error. With --format json each line is a
     JSON object.
+
+    An agent goes on where it was: a task that moved away, was stopped or failed does not start again with it. Each such
+    task is told, with the reason. With --fresh all begin as their files say.
 
     An agent that fails is started again, at most three times within a minute unless the fleet file says otherwise.
     SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 where all were stopped or
@@ -74,6 +84,7 @@ def launch(
         pancakes launch world.toml robot.toml --set robot:agent.seed=7
         pancakes launch configs/encirclement --dry-run
     """
+    from pancakes.launch.afresh import check_alone
     from pancakes.launch.plan import check_free, make_fleet
     from pancakes.plugins import Plugins
 
@@ -82,10 +93,12 @@ def launch(
     members = make_fleet(paths, sets, policy, Plugins())
     claim = check_free(members)
     try:
+        if fresh:
+            check_alone(member.config for member in members)
         if dry_run:
             _show(members, format_)
         else:
-            sys.exit(_run(members, hold, format_))
+            sys.exit(_run(members, hold, fresh, format_))
     finally:
         claim.release()
 
@@ -107,11 +120,16 @@ def _show(members: Sequence[Member], format_: str) -> None:
     show(rows, tuple(rows[0]), format_)
 
 
-def _run(members: Sequence[Member], hold: bool, format_: str) -> int:
+def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> int:
+    from pancakes.launch.afresh import empty_state
     from pancakes.launch.course import Course
     from pancakes.launch.runner import Runner
 
     voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
+    for member in members if fresh else ():
+        directory = empty_state(member.config)
+        if directory is not None:
+            voice.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
     code = Runner(members, Course(members, begin=not hold), voice, let_begin).run()
     try:
         sys.stdout.flush()

@@ -16,7 +16,7 @@ from pancakes.cli.listening import from_any, from_option, listen, telling_losses
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.streaming import Printer, say, until_ended
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
@@ -67,7 +67,7 @@ def log(
     grep: re.Pattern[str] | None,
     traceback: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Show what all agents, or only those named, have said and done.

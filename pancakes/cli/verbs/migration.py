@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, ask_each
+from pancakes.cli.asking import accepted, ask_each, meant
 from pancakes.cli.completing import costs, tasks_beside
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
 from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Adopt, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
 
@@ -61,7 +61,7 @@ def migrate(
     cost: str,
     dry_run: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Move a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
@@ -75,6 +75,7 @@ def migrate(
         pancakes task migrate agent1/ScanTarget --to agent2 --then GoHome
     """
     with Client(at, timeout) as client:
+        name = meant(client, name)
         try:
             reply = client.request(name.agent, Migrate(name.target, to, then, cost, dry_run))
         except NoAnswer as error:
@@ -92,7 +93,7 @@ def migrate(
 @agents
 @asks_agents
 @sentences
-def migrations(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: float) -> None:
+def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
     """List the moves that all agents, or those that are named, were asked for: the newest 100 of each, oldest first.
 
     They come from the journals of the agents that the tasks were to leave. As JSON, each has a line for every
@@ -129,7 +130,7 @@ def adopt(
     birthplace: str,
     dry_run: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Run a task on AGENT whose hand-off is in doubt, because the other agent is gone for good.
@@ -145,6 +146,7 @@ def adopt(
         pancakes task adopt agent1/ScanTarget --force
     """
     with Client(at, timeout) as client:
+        name = meant(client, name)
         reply = accepted(client, name.agent, Adopt(name.target, force, birthplace, dry_run))
     row = {
         "agent": name.agent,

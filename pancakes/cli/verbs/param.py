@@ -8,14 +8,14 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, order, placed
+from pancakes.cli.asking import accepted, meant, order, placed
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.names import TaskName, a_task
 from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
 from pancakes.cli.verbs import param_file
 from pancakes.cli.verbs.param_names import AgentOrTask, ParamName, a_task_or_agent
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
@@ -35,7 +35,7 @@ def param() -> None:
 @click.argument("name", metavar="[AGENT[/TASK]]", required=False, type=AgentOrTask())
 @asks_agents
 @sentences
-def list_(name: TaskName | None, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(name: TaskName | None, format_: str, at: Where, timeout: float) -> None:
     """List the settings of all tasks, of those of AGENT, or of one task.
 
     \b
@@ -53,7 +53,7 @@ def list_(name: TaskName | None, format_: str, at: tuple[str, ...], timeout: flo
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
 @sentences
-def get(name: TaskName, setting: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
     """Show the settings of a task; where NAME is given, only its value, as TOML.
 
     \b
@@ -77,9 +77,7 @@ def get(name: TaskName, setting: str, format_: str, at: tuple[str, ...], timeout
 @dry_run_option
 @orders_agents
 @sentences
-def set_(
-    name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
-) -> None:
+def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change settings of a running task; all of them are good, or nothing changes.
 
     A value that reads as TOML is taken as such (5, true, [1, 2], { x = 1 }), anything else as a string. Inside of a
@@ -116,7 +114,7 @@ def set_(
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
 @sentences
-def describe(name: TaskName, setting: str, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
     """Say what may be set: type, default, bounds, unit and meaning of a task's settings.
 
     \b
@@ -142,7 +140,7 @@ def describe(name: TaskName, setting: str, format_: str, at: tuple[str, ...], ti
 @a_task_or_agent
 @asks_agents
 @sentences
-def dump(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
     """Print the settings of a task, or of all tasks of AGENT that its configuration names, as a configuration has them.
 
     `pancakes param load` reads them again, and they can be pasted into the agent's file.
@@ -166,7 +164,7 @@ def dump(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> N
 @dry_run_option
 @orders_agents
 @sentences
-def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
 
     FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
@@ -184,6 +182,7 @@ def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: tuple[str,
         settings = {name.task: settings[name.task]}
     rows = []
     with Client(at, timeout) as client:
+        name = meant(client, name)
         for task, values in settings.items():
             row = {"agent": name.agent, "service": name.service, "task": task, "params": list(values)}
             try:

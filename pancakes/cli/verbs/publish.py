@@ -15,7 +15,7 @@ from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import show
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import CONTROLS, Channels, Describe
 from pancakes.errors import PeerLost, Unreachable
 from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
@@ -50,7 +50,7 @@ def pub(
     most: int | None,
     dry_run: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Publish a packet of the type TYPE on a channel.

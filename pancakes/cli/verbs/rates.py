@@ -14,6 +14,7 @@ from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json
 from pancakes.cli.streaming import count_option, for_option, one_line, say
 from pancakes.cli.verbs.throughput import WINDOW, Throughput, size_of
+from pancakes.client import Where
 
 EVERY_S: Final = 1.0
 """How often there is a report."""
@@ -96,7 +97,7 @@ def _measure(
     count: int | None,
     for_s: float | None,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     bounded = count is not None or for_s is not None

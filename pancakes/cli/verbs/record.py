@@ -14,7 +14,7 @@ from pancakes.cli.errors import REFUSED, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 
@@ -54,7 +54,7 @@ def start(
     split_mib: float | None,
     dry_run: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Begin to record on all agents, or on those that are named.
@@ -95,7 +95,7 @@ def start(
 @dry_run_option
 @orders_agents
 @sentences
-def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """End the recordings of all agents, or of those that are named, and wait until the files are complete.
 
     \b
@@ -120,7 +120,7 @@ def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ..
 @agents
 @asks_agents
 @sentences
-def list_(agents: tuple[str, ...], format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
     """List which agents record, and where to.
 
     \b

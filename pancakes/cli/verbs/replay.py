@@ -12,7 +12,7 @@ from pancakes.cli.names import AgentNameType
 from pancakes.cli.options import Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client
+from pancakes.client import Client, Where
 
 if TYPE_CHECKING:
     from pancakes.plugins import Plugins
@@ -77,7 +77,7 @@ def replay(
     seed: int,
     dry_run: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Feed a recording into a fleet: each packet goes to the agent that it was seen on, at its time.
@@ -154,7 +154,7 @@ class _Wanted:
         return next(iter(speeds))
 
 
-def _feed_live(wanted: _Wanted, at: tuple[str, ...], timeout: float, dry_run: bool, format_: str) -> None:
+def _feed_live(wanted: _Wanted, at: Where, timeout: float, dry_run: bool, format_: str) -> None:
     from pancakes.replay.feeding import Feeder
     from pancakes.replay.selection import Live
 

@@ -11,7 +11,7 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.names import ServiceName, a_service, agents
 from pancakes.cli.options import Duration, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
@@ -33,7 +33,7 @@ def service() -> None:
 @click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
 @asks_agents
 @sentences
-def list_(agents: tuple[str, ...], state: str | None, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def list_(agents: tuple[str, ...], state: str | None, format_: str, at: Where, timeout: float) -> None:
     """List the services of all agents, or of those that are named.
 
     Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
@@ -52,7 +52,7 @@ def list_(agents: tuple[str, ...], state: str | None, format_: str, at: tuple[st
 @a_service
 @asks_agents
 @sentences
-def info(name: ServiceName, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
     """Show a service and its tasks.
 
     \b
@@ -71,7 +71,8 @@ def info(name: ServiceName, format_: str, at: tuple[str, ...], timeout: float) -
         show_json([found])
         return
     facts = {key: found[key] for key in ("type", "state", "reason")}
-    show_sections({str(name): facts, "tasks": [{key: row[key] for key in TASKS} for row in tasks]})
+    rows_of_tasks = [{**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"]} for row in tasks]
+    show_sections({str(name): facts, "tasks": rows_of_tasks})
 
 
 @service.command()
@@ -79,7 +80,7 @@ def info(name: ServiceName, format_: str, at: tuple[str, ...], timeout: float) -
 @dry_run_option
 @orders_agents
 @sentences
-def start(name: ServiceName, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def start(name: ServiceName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Start a service that stands still, and wait until it and its tasks run.
 
     \b
@@ -97,9 +98,7 @@ def start(name: ServiceName, dry_run: bool, format_: str, at: tuple[str, ...], t
 @dry_run_option
 @orders_agents
 @sentences
-def stop(
-    name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
-) -> None:
+def stop(name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a service and all of its tasks, and wait for that.
 
     The Network Service of another agent can be stopped for a time only: nobody could start it again.
@@ -123,9 +122,7 @@ def stop(
 @dry_run_option
 @orders_agents
 @sentences
-def restart(
-    name: ServiceName, keep_state: bool, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
-) -> None:
+def restart(name: ServiceName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
 
     \b
@@ -141,7 +138,7 @@ def _ask(
     body: Start | Stop | Restart,
     done: str,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
     **others: Any,
 ) -> None:

@@ -15,7 +15,7 @@ from pancakes.cli.names import TaskName, a_task, agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, migrate, migrations
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
@@ -50,7 +50,7 @@ def list_(
     state: str | None,
     long: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """List the tasks of all agents, or of those that are named.
@@ -69,14 +69,16 @@ def list_(
         for row in found["tasks"]
         if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
     ]
-    show(rows, LONG if long else COLUMNS, format_)
+    if format_ == "table":  # for people, the word that says more
+        rows = [{**row, "state": row["rest"] or row["state"]} for row in rows]
+    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if format_ == "json" else ())), format_)
 
 
 @task.command()
 @a_task
 @asks_agents
 @sentences
-def info(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
     """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
     failed the last time, with the whole traceback.
 
@@ -102,9 +104,7 @@ def info(name: TaskName, format_: str, at: tuple[str, ...], timeout: float) -> N
 @dry_run_option
 @orders_agents
 @sentences
-def start(
-    name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
-) -> None:
+def start(name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Start a task that stands still, and wait until it runs.
 
     A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
@@ -126,7 +126,7 @@ def start(
 @dry_run_option
 @orders_agents
 @sentences
-def stop(name: TaskName, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a task once it has finished what it has in hand, and wait for that.
 
     It stays stopped, also when its agent is started anew.
@@ -152,7 +152,7 @@ def stop(name: TaskName, dry_run: bool, format_: str, at: tuple[str, ...], timeo
 @dry_run_option
 @orders_agents
 @sentences
-def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a task, start it, and wait until it runs.
 
     \b
@@ -178,9 +178,7 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: t
 @dry_run_option
 @orders_agents
 @sentences
-def rate(
-    name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float
-) -> None:
+def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
 
     \b
@@ -205,7 +203,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     return {
         name: {
             "type": found["type"],
-            "state": found["state"],
+            "state": found["rest"] or found["state"],
             "reason": found["reason"],
             "starts": found["incarnation"],
             "requires": found["requires"],

@@ -13,7 +13,7 @@ from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.output import show_json
 from pancakes.cli.streaming import one_line, say, until_ended
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.client.looks import Looks
 from pancakes.errors import Unreachable
 
@@ -82,7 +82,7 @@ def top(
     every_s: float,
     sort: str,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Watch all agents, or those named, and their tasks, until Ctrl-C.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +12,9 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json
+
+if TYPE_CHECKING:
+    from pancakes.client import Where
 
 port_option = click.option(
     "--port",
@@ -21,7 +25,6 @@ port_option = click.option(
 
 
 @click.command()
-@click.option("--fleet", metavar="NAME", default="", help="The fleet to show, where there are several.")
 @click.option(
     "--control", is_flag=True, help="Let the page move, stop and start tasks and change rates; else it only looks."
 )
@@ -30,12 +33,11 @@ port_option = click.option(
 @asks_agents
 @sentences
 def view(
-    fleet: str,
     control: bool,
     port: int | None,
     open_: bool,
     format_: str,
-    at: tuple[str, ...],
+    at: Where,
     timeout: float,
 ) -> None:
     """Show a fleet on a page in the browser, until Ctrl-C.
@@ -57,10 +59,10 @@ def view(
 
     ended = event_at(signal.SIGINT, signal.SIGTERM)
     with Client(at, timeout) as client:
-        fleet = fleet_among(client.survey().agents, fleet)
+        fleet = fleet_among(client.survey().agents, at.fleet)
     began_s = time.monotonic()
     feed = Feed(lambda: time.monotonic() - began_s)
-    watch = Watch(feed, at, fleet, timeout)
+    watch = Watch(feed, at.addresses, fleet, timeout)
     server = open_page(Shown(feed, watch.explain, watch.order if control else None), port)
     try:
         watch.start()

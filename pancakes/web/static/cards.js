@@ -240,14 +240,13 @@ class Chip {
     const wanted = row.rate_hz;
     const reached = row.achieved_hz;
     let rate = "";
-    const gone = /^handed over to (.+)$/.exec(row.reason || "");
-    if (row.state !== RUNNING) rate = gone ? `→ ${gone[1]}` : row.state;
+    if (row.state !== RUNNING) rate = row.rest || row.state;
     else if (wanted) rate = reached === null || reached === undefined ? `${hertz(wanted)} Hz` : `${hertz(reached)} of ${hertz(wanted)} Hz`;
     say(this.rate, rate);
     this.rate.classList.toggle("warn", Boolean(wanted) && reached !== null && reached < SLOW * wanted);
     say(this.notes, row.restarts ? `${row.restarts}× restarted` : "");
     const late = row.late_ms === null || row.late_ms === undefined ? "" : `, ${row.late_ms} ms late in the mean`;
-    set(this.button, "title", `${row.type || this.task}: ${row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
-    set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);
+    set(this.button, "title", `${row.type || this.task}: ${row.rest || row.state}${row.reason ? `, ${row.reason}` : ""}${late}${row.missed ? `, ${row.missed} ticks missed` : ""}${row.dropped ? `, ${row.dropped} packets dropped` : ""}`);
+    set(this.button, "aria-label", `${this.task} on ${this.agent}, ${row.rest || row.state}${rate && row.state === RUNNING ? `, ${rate}` : ""}`);
   }
 }

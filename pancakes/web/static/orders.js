@@ -115,7 +115,7 @@ export class Orders {
     fact("agent", agent);
     fact("service", key.split("/")[0]);
     fact("type", row.type);
-    fact("state", row.reason ? `${row.state}: ${row.reason}` : row.state);
+    fact("state", `${row.rest || row.state}${row.reason ? `: ${row.reason}` : ""}`);
     fact("needs", (row.requires || []).join(", "));
     fact("rate wanted", row.rate_hz === null || row.rate_hz === undefined ? null : `${hertz(row.rate_hz)} Hz`);
     fact("rate reached", row.achieved_hz === null || row.achieved_hz === undefined ? null : `${hertz(row.achieved_hz)} Hz`);
@@ -151,7 +151,7 @@ export class Orders {
       rate.addEventListener("keydown", (event) => event.key === "Enter" && change());
       box.append(h("div.action", {}, h("span", {}, "Rate in Hz"), rate, button("Change", change)));
     }
-    const life = h("div.action", {}, h("span", {}, runs ? "It runs" : `It is ${row.state}`));
+    const life = h("div.action", {}, h("span", {}, runs ? "It runs" : `It is ${row.rest || row.state}`));
     if (runs) life.append(button("Restart", () => tell("restart", {}, "it runs again")), button("Stop", () => tell("stop", {}, "it has stopped")));
     else life.append(button("Start", () => tell("start", {}, "it runs")));
     box.append(life);

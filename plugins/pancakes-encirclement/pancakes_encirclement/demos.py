@@ -12,6 +12,7 @@ from pancakes_encirclement.energy_verdict import judge_energy, judge_mission
 from pancakes_encirclement.intruder_verdict import judge_intruder
 from pancakes_encirclement.verdict import Limits, judge_encirclement
 
+CONFIGS: Final = Path(__file__).parent / "configs"
 AGENTS: Final = ("world", "agent1", "agent2", "sensor")
 
 
@@ -37,6 +38,7 @@ ENCIRCLEMENT: Final = Demo(
     name="encirclement",
     title="the experiment of the paper: two Khepera III circle a sensor node, and hand that over",
     agents=AGENTS,
+    configs=CONFIGS / "encirclement",
     duration_s=300.0,
     judge=judge_encirclement,
     draw=_draw_encirclement,
@@ -49,6 +51,7 @@ PIONEER: Final = Demo(
     name="pioneer",
     title="the same tasks on two Pioneers 3-DX, larger and faster",
     agents=AGENTS,
+    configs=CONFIGS / "pioneer",
     duration_s=300.0,
     judge=partial(judge_encirclement, limits=Limits(radius_error_m=0.03)),
     draw=_draw_encirclement,
@@ -61,6 +64,7 @@ INTRUDER: Final = Demo(
     name="intruder",
     title="motion starts the encirclement, and the circle follows the intruder",
     agents=AGENTS,
+    configs=CONFIGS / "intruder",
     duration_s=240.0,
     judge=judge_intruder,
     draw=_draw_intruder,
@@ -76,6 +80,7 @@ ENERGY: Final = Comparison(
         name="energy",
         title="a Khepera III goes round somebody who walks about, until its battery is empty",
         agents=("world", "agent1", "sensor"),
+        configs=CONFIGS / "energy",
         duration_s=540.0,
         judge=judge_mission,
         circled="intruder",

@@ -40,6 +40,7 @@ SENSOR_FIELD: Final = Demo(
     name="sensor-field",
     title="a field of sensor nodes, two of them too small for an agent, and an alarm that moves",
     agents=AGENTS,
+    configs=Path(__file__).parent / "configs" / "sensor-field",
     duration_s=240.0,
     judge=judge_sensor_field,
     draw=_draw,

@@ -1,0 +1,40 @@
+"""Where agents are looked for: at addresses or on this machine, in one fleet or in all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pancakes.config.address import dialled
+from pancakes.errors import PancakesError
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where agents are looked for.
+
+    Attributes:
+        addresses: addresses to begin with (`tcp://127.0.0.1:7401`); none: what runs on this machine.
+        fleet: only agents of this fleet; empty: of any.
+    """
+
+    addresses: tuple[str, ...] = ()
+    fleet: str = ""
+
+    @classmethod
+    def of(cls, at: Where | str | Sequence[str]) -> Where:
+        """Returns the place that is meant by an address, by several, or by what is one already.
+
+        Raises:
+            PancakesError: one of them is no address at which an agent could be.
+        """
+        if isinstance(at, Where):
+            return cls(_addresses(at.addresses), at.fleet)
+        return cls(_addresses((at,) if isinstance(at, str) else at))
+
+
+def _addresses(texts: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return tuple(dict.fromkeys(dialled(text) for text in texts))
+    except ValueError as error:
+        raise PancakesError(str(error)) from None
