@@ -13,6 +13,7 @@ from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.component import Component
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
+from pancakes.saved_types import check_saved
 from pancakes.schema import schema_of
 from pancakes.settings import SettingsError, make_settings, plain_settings
 from pancakes.slot import Slot, TaskState
@@ -47,6 +48,11 @@ class Supervisor(Component):
     """So many of its tasks it starts in one turn."""
 
     settings: Any
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        super().__init_subclass__(**others)
+        check_saved(cls, "Settings")
 
     def __init__(
         self,

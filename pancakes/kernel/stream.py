@@ -16,6 +16,7 @@ from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.shared_queue import SharedQueue
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
+from pancakes.signatures import check_called
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 
 Tap = Callable[[Packet], None]
@@ -370,7 +371,9 @@ class InformationStream:
 
         Raises:
             UnknownChannel: there is no such channel.
+            ClassError: it is `async def`, or cannot be called with a packet.
         """
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             if channel not in self._readers:
                 raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
@@ -385,6 +388,7 @@ class InformationStream:
 
     def tap_outgoing(self, tap: Tap) -> None:
         """Calls `tap` with every packet published here for somebody elsewhere, as `tap` does."""
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
             self.exits.clear()

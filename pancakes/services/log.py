@@ -13,11 +13,12 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from pancakes.arrays import without_arrays
 from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
-from pancakes.packet import LOG, Packet, agent_of
+from pancakes.packet import LOG, Packet, agent_of, body_to_plain
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
 from pancakes.services.wanted_recording import Wanted, WantedRecording
@@ -39,10 +40,10 @@ def record_of(packet: Packet) -> dict[str, Any]:
     record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
     body = packet.body
     if isinstance(body, Event):
-        return {**record, "kind": body.kind, **body.fields}
+        return {**record, "kind": body.kind, **without_arrays(body.fields)}
     if isinstance(body, LogLine):
         return {**record, "kind": "line", "level": body.level, "text": body.text}
-    return {**record, "kind": packet.type, "body": msgspec.to_builtins(body)}
+    return {**record, "kind": packet.type, "body": body_to_plain(body)}
 
 
 def line_of(record: dict[str, Any]) -> str:
