@@ -47,7 +47,7 @@ def run(options: Options) -> None:
 
         path = [f"record.path={value_text(options.record)}"] if options.record else []
         sets = (*sets, "record.start=true", *path)
-    config = load(options.path, sets, plugins)
+    config = load(options.path, sets, plugins, must_load=options.check)
     if orders is None:
         _check(config, plugins)
     else:
