@@ -72,7 +72,14 @@ class Console(Task):
         elif isinstance(body, Event):
             level = "info"
             text = " ".join(
-                [body.kind, *(f"{key}={value}" for key, value in body.fields.items() if value not in (None, ""))]
+                [
+                    body.kind,
+                    *(
+                        f"{key}={value}"
+                        for key, value in without_arrays(body.fields).items()
+                        if value not in (None, "")
+                    ),
+                ]
             )
         else:
             level, text = "info", f"{packet.type} {body}"
