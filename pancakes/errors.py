@@ -48,6 +48,11 @@ class PluginError(PancakesError):
     """An entry point is missing or fails to load. The message names the distribution."""
 
 
+class ClassError(PancakesError, TypeError):
+    """A task, service or driver is written in a way that cannot work. The message has the file and line of each fault,
+    and what to write instead. Raised when the class is made."""
+
+
 class WireError(PancakesError):
     """Bytes or packets break the wire protocol."""
 

@@ -19,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
+from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 
 SYSTEM: Final = "system"
@@ -178,13 +179,7 @@ def body_to_plain(body: Any) -> Any:
     Raises:
         TypeError: it holds what no packet may hold.
     """
-    return msgspec.to_builtins(body, enc_hook=_plain_array, str_keys=True)
-
-
-def _plain_array(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy's arrays and numbers
-        return value.tolist()
-    raise TypeError(f"a {type(value).__name__} is no plain value")
+    return msgspec.to_builtins(body, enc_hook=as_list, str_keys=True)
 
 
 def join(agent: str, service: str = "", task: str = "") -> str:

@@ -198,17 +198,40 @@ def _load(group: str, name: str, offer: _Offer) -> Any:
 
 def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
     problem = f"unknown {GROUPS[group]} {name!r}"
-    near = suggestion(name, known)
-    family = name.partition(".")[0]
-    if not near and "." in name and not any(other.startswith(f"{family}.") for other in known):
-        problem += f" (no installed distribution offers any of {family}.*)"
-    return UnknownPlugin(problem, near)
+    family = f"{name.partition('.')[0]}."
+    if "." in name and not any(other.startswith(family) for other in known):
+        problem += f": no installed distribution provides {group.removeprefix('pancakes.')} under {family!r}"
+    return UnknownPlugin(problem, suggestion(name, known))
 
 
 def _line(error: BaseException) -> str:
-    """An exception in one line."""
-    message = " ".join(str(error).split())
-    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+    """An exception in one line: where it was raised, by way of which files, and what it came of."""
+    parts: list[str] = []
+    cause: BaseException | None = error
+    while cause is not None and len(parts) < MOST_CAUSES:
+        message = " ".join(str(cause).split())
+        text = f"{type(cause).__name__}: {message}" if message else type(cause).__name__
+        way = _way(cause)
+        parts.append(f"{text} ({way})" if way else text)
+        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
+    return ", because of ".join(parts)
+
+
+def _way(error: BaseException) -> str:
+    """The lines by way of which an exception came, those of Python's own import left out."""
+    way = []
+    place = error.__traceback__
+    while place is not None:
+        code = place.tb_frame.f_code
+        if not code.co_filename.startswith("<frozen ") and place.tb_frame.f_globals.get("__name__") not in _LOADING:
+            way.append(f"{code.co_filename.rpartition('/')[2]}:{place.tb_lineno}")
+        place = place.tb_next
+    return " > ".join(way[-MOST_LINES:])
+
+
+_LOADING: Final = (__name__, "pancakes.entry_points", "importlib")
+MOST_CAUSES: Final = 4
+MOST_LINES: Final = 4
 
 
 def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:

@@ -6,6 +6,8 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.arrays import is_array_type
+
 _REF: Final = "#/$defs/{name}"
 
 
@@ -22,7 +24,7 @@ def schema_of(cls: type) -> dict[str, Any]:
         TypeError: a field has another type.
     """
     reach = dataclasses_of(cls)
-    (reference,), components = msgspec.json.schema_components((cls,), ref_template=_REF)
+    (reference,), components = msgspec.json.schema_components((cls,), schema_hook=_array, ref_template=_REF)
     for name, component in components.items():
         found = reach.get(name)
         if found is not None:
@@ -32,6 +34,12 @@ def schema_of(cls: type) -> dict[str, Any]:
     if components:
         schema["$defs"] = components
     return schema
+
+
+def _array(kind: type) -> dict[str, Any]:
+    if is_array_type(kind):
+        return {"type": "array"}  # of numbers, or of such arrays
+    raise NotImplementedError
 
 
 def summary_of(cls: type) -> str:

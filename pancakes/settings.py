@@ -5,6 +5,8 @@ checks each value but stops at its first error; here the dataclass is walked, so
 mistakes at once, each with its key.
 
 A `msgspec.Struct` does as well as a dataclass, and is made in a tenth of the time, when its module is imported.
+
+In plain values a numpy array is an array, a copy that nobody changes; a list does as well where it is read.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
+from pancakes.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.errors import PancakesError
 from pancakes.packet import field_names, has_fields
 from pancakes.suggestion import suggestion
@@ -28,6 +31,7 @@ _T = TypeVar("_T")
 
 UNKNOWN_KEY: Final = "unknown key"
 
+_LEAVES: Final = frozenset((str, int, float, bool, type(None)))
 _WORDS = {
     "str": "a string",
     "int": "an integer",
@@ -90,12 +94,12 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         settings: the values as TOML or msgpack give them.
         allow_nan: whether NaN is good for a number: not in settings, but in what a task has computed.
     """
-    fault = _fault_of_class(cls)
+    fault = fault_of_class(cls)
     if fault:
         return [Problem((), fault)]
     if isinstance(settings, dict) and _is_simple(cls, settings, allow_nan):
         try:
-            msgspec.convert(settings, cls)
+            _convert(settings, cls)
             return []
         except (TypeError, ValueError, NameError):
             pass  # the walk says what is wrong, and where
@@ -118,13 +122,13 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     """
     if _is_simple(cls, settings, allow_nan):
         try:
-            return msgspec.convert(settings, cls) if settings else cls()
+            return _convert(settings, cls) if settings else cls()
         except (TypeError, ValueError):
             pass  # the walk says what is wrong, and where
     problems = check_settings(cls, settings, allow_nan)
     if problems:
         raise SettingsError(owner or _owner(cls), problems)
-    return msgspec.convert(settings, cls)
+    return _convert(settings, cls)
 
 
 def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
@@ -133,7 +137,7 @@ def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
     Nearly all settings are like that, and a walk through them takes ten times as long (60 µs of the 75 that a task of
     ten thousand may take to start).
     """
-    if _fault_of_class(cls):
+    if fault_of_class(cls):
         return False
     known = known_keys(cls)
     for key, value in settings.items():
@@ -156,7 +160,7 @@ def change_settings(settings: _T, changes: Mapping[str, Any], owner: str = "") -
     Raises:
         SettingsError: the changes do not fit; it names every mistake.
     """
-    return change_plain(type(settings), msgspec.to_builtins(settings), changes, owner)
+    return change_plain(type(settings), plain_settings(settings), changes, owner)
 
 
 def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, Any], owner: str = "") -> _T:
@@ -165,7 +169,7 @@ def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, 
     problems = [_hinted(problem, cls, changes) for problem in check_settings(cls, merged)]
     if problems:
         raise SettingsError(owner or _owner(cls), problems)
-    return msgspec.convert(merged, cls)
+    return _convert(merged, cls)
 
 
 def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
@@ -207,19 +211,40 @@ def plain_settings(settings: Any) -> dict[str, Any]:
     Every field is there. msgspec alone leaves out what was never assigned in a dataclass and so has its default from
     the class, and in a structure what it was told to leave out; and another version may have other defaults.
     """
-    plain: dict[str, Any] = msgspec.to_builtins(_all_fields(settings))
+    plain: dict[str, Any] = _plain(settings)
     return plain
 
 
-def _all_fields(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     cls = type(value)
+    if cls in _LEAVES:
+        return value
     if has_fields(cls):
-        return {name: _all_fields(getattr(value, name)) for name in field_names(cls)}
-    if isinstance(value, dict):
-        return {key: _all_fields(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return (list if isinstance(value, list) else tuple)(map(_all_fields, value))
-    return value
+        return {name: _plain(getattr(value, name)) for name in field_names(cls)}
+    if cls is dict:
+        return {_plain_key(key): _plain(item) for key, item in value.items()}
+    if cls is list or cls is tuple:
+        return cls(value if _LEAVES.issuperset(map(type, value)) else map(_plain, value))
+    if is_array(value):
+        check_items(value)
+        copied = value.copy()  # its owner goes on with its own
+        copied.flags.writeable = False
+        return copied
+    return msgspec.to_builtins(value, str_keys=True, enc_hook=_plain_number)
+
+
+def _plain_key(key: Any) -> str:
+    return key if type(key) is str else next(iter(msgspec.to_builtins({key: None}, str_keys=True)))
+
+
+def _plain_number(value: Any) -> Any:
+    if is_number(value):
+        return value.item()
+    raise TypeError(f"it holds a {type(value).__name__}, which cannot be saved")
+
+
+def _convert(value: Any, kind: Any) -> Any:
+    return msgspec.convert(value, kind, str_keys=True, dec_hook=array_of)
 
 
 def _owner(cls: type) -> str:
@@ -228,14 +253,16 @@ def _owner(cls: type) -> str:
 
 
 @cache
-def _fault_of_class(cls: type) -> str:
+def fault_of_class(cls: type) -> str:
+    """Says why a class cannot be settings or state whatever its fields are; empty: it can."""
+    name = cls.__qualname__.rpartition("<locals>.")[2]
     if not has_fields(cls):
         if issubclass(cls, msgspec.Struct):
-            return f"{_owner(cls)} has Settings that are no table: make their Struct without array_like, tag and rename"
-        return f"{_owner(cls)} has Settings that are no dataclass: decorate them with @dataclass"
+            return f"{name} is no table: make it a Struct without array_like, tag and rename"
+        return f"{name} is no dataclass: decorate it with @dataclass"
     declared = inspect.get_annotations(cls)
     if declared and dataclasses.is_dataclass(cls) and "__dataclass_fields__" not in cls.__dict__:
-        return f"{_owner(cls)} has Settings that add keys to inherited ones without @dataclass: decorate them with it"
+        return f"{name} adds keys to inherited ones without @dataclass: decorate it with that"
     return ""
 
 
@@ -243,6 +270,11 @@ def _not_finite(value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple
     """The paths of all NaN and infinity in plain values: no robot can drive a circle of that size."""
     if isinstance(value, float) and not math.isfinite(value):
         yield path, "is not a number (nan)" if math.isnan(value) else f"is not finite ({value})"
+    elif is_array(value):
+        import numpy
+
+        if value.dtype.kind in "fc" and not numpy.isfinite(value).all():
+            yield path, "has a number in it that is nan or not finite"
     elif isinstance(value, Mapping):
         for key, item in value.items():
             yield from _not_finite(item, (*path, str(key)))
@@ -263,7 +295,7 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
         yield Problem(path, f"expected one of {', '.join(_shown(c) for c in choices)}, not {_shown(value)}", near)
         return
     try:
-        msgspec.convert(value, kind)
+        _convert(value, kind)
     except msgspec.ValidationError as error:
         yield Problem(path, _phrase(str(error), value))
 
@@ -271,6 +303,8 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
 def _parts(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Problem]:
     """Checks what is inside a table or list; whatever has no inside has no parts."""
     kind = _container(kind, value)
+    if is_array_type(kind):
+        return
     origin, arguments = get_origin(kind), get_args(kind)
     if isinstance(value, Mapping):
         if isinstance(kind, type) and has_fields(kind):

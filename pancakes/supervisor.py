@@ -15,6 +15,7 @@ from pancakes.errors import ControlRefused, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
+from pancakes.saved_types import check_saved
 from pancakes.schema import schema_of
 from pancakes.settings import SettingsError, make_settings, plain_settings
 from pancakes.slot import Failure, Slot, TaskState
@@ -49,6 +50,11 @@ class Supervisor(Component):
     """So many of its tasks it starts in one turn."""
 
     settings: Any
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        super().__init_subclass__(**others)
+        check_saved(cls, "Settings")
 
     def __init__(
         self,

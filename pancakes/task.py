@@ -33,6 +33,7 @@ from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet, field_names
+from pancakes.saved_types import check_saved
 from pancakes.settings import change_settings, make_settings, plain_settings
 from pancakes.supervision import RestartSpec
 
@@ -128,6 +129,11 @@ class Task(Component):
 
     settings: Any
     state: Any
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, `Settings` or `State`."""
+        super().__init_subclass__(**others)
+        check_saved(cls, "Settings", "State")
 
     def __init__(
         self,

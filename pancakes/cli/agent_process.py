@@ -49,7 +49,7 @@ def run(options: Options) -> None:
         sets = (*sets, "record.start=true", *path)
     if options.traceback:
         sets = (*sets, SHOW_TRACEBACKS)
-    config = load(options.path, sets, plugins)
+    config = load(options.path, sets, plugins, must_load=options.check)
     if orders is None:
         _check(config, plugins)
     else:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from pancakes.arrays import as_list, is_array
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -94,6 +96,8 @@ def _known(value: Any) -> Any:
         return {key: _known(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [_known(item) for item in value]
+    if is_array(value):
+        return _known(as_list(value))
     return value
 
 
@@ -114,6 +118,8 @@ def _text(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         nested = any(isinstance(item, (list, tuple, Mapping)) for item in value)
         return _inner(value) if nested else ", ".join(_text(item) for item in value) or "-"
+    if is_array(value):
+        return f"{as_list(value)} ({value.dtype}, {' x '.join(map(str, value.shape)) or 'one number'})"
     return str(value)
 
 

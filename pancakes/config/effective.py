@@ -8,6 +8,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import asdict
 
+from pancakes.arrays import without_arrays
 from pancakes.config.model import SCHEMA, Config, DeviceConfig
 from pancakes.errors import PluginError
 from pancakes.plugins import Plugins
@@ -73,4 +74,5 @@ def _settings(given: Mapping[str, Any], group: str, type_name: str, plugins: Plu
         settings = make_settings(plugins.get(group, type_name).Settings, given)
     except (PluginError, SettingsError, AttributeError):
         return dict(given)
-    return plain_settings(settings)
+    plain: dict[str, Any] = without_arrays(plain_settings(settings))  # TOML has no arrays but lists
+    return plain

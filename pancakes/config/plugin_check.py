@@ -24,18 +24,19 @@ COSTS = "pancakes.costs"
 TRANSPORTS = "pancakes.transports"
 
 
-def check_plugins(config: Config, plugins: Plugins) -> list[Fault]:
+def check_plugins(config: Config, plugins: Plugins, must_load: bool = False) -> list[Fault]:
     """Returns all that a configuration gets wrong about drivers, services, tasks, costs and transports.
 
-    A plug-in that exists but cannot be imported is no fault of the configuration: it is left to
-    `Plugins.problems`, and the rest of the agent runs. What could only be judged with it is not judged.
+    What could only be judged with a plug-in that cannot be imported is not judged.
 
     Args:
         config: a configuration; tables without a type are passed over.
         plugins: where the plug-ins come from. Those that the configuration names are imported, and so are all
             types of packets.
+        must_load: whether a plug-in that the configuration names and that cannot be imported is a fault. Where it is
+            none, it is left to `Plugins.problems`, and the rest of an agent runs.
     """
-    check = _Check(config, plugins)
+    check = _Check(config, plugins, must_load)
     check.run()
     return config.places.in_order(check.faults)
 
@@ -43,8 +44,9 @@ def check_plugins(config: Config, plugins: Plugins) -> list[Fault]:
 class _Check:
     """One pass over one configuration."""
 
-    def __init__(self, config: Config, plugins: Plugins) -> None:
+    def __init__(self, config: Config, plugins: Plugins, must_load: bool) -> None:
         self._config = config
+        self._must_load = must_load
         self._plugins = plugins
         self._places: Places = config.places
         self._broken = False  # whether something could not be imported, so that not all is known
@@ -79,8 +81,10 @@ class _Check:
             return self._plugins.get(group, name)
         except UnknownPlugin as error:
             self._fault(key, error.problem, error.suggestion)
-        except PluginError:
+        except PluginError as error:
             self._broken = True
+            if self._must_load:
+                self._fault(key, str(error))
         return None
 
     def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
@@ -91,9 +95,8 @@ class _Check:
         if found is None:
             return None
         if not _is_class_of(group, found):
-            self._fault(
-                (*table, key), f"{name!r} is no {group.removeprefix('pancakes.')[:-1]}: a defect of its distribution"
-            )
+            kind = group.removeprefix("pancakes.")[:-1]
+            self._fault((*table, key), f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution")
             return None
         for problem in check_settings(found.Settings, settings):
             self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)
@@ -112,6 +115,8 @@ class _Check:
                 continue
             if scheme not in known:
                 self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
+            elif self._must_load:
+                self._get(TRANSPORTS, scheme, key)
 
     def _check_services(self) -> None:
         from pancakes.services.device import DeviceService
@@ -183,12 +188,20 @@ class _Check:
 
 def _is_class_of(group: str, found: Any) -> bool:
     """Whether a plug-in is a class of the kind that its group promises."""
+    return isinstance(found, type) and issubclass(found, _base_of(group))
+
+
+def _base_of(group: str) -> type:
     from pancakes.devices.driver import Driver  # late: reading a file alone needs no kernel
     from pancakes.service import Service
     from pancakes.task import Task
 
-    bases: dict[str, type] = {DRIVERS: Driver, SERVICES: Service, TASKS: Task}
-    return isinstance(found, type) and issubclass(found, bases[group])
+    return {DRIVERS: Driver, SERVICES: Service, TASKS: Task}[group]
+
+
+def _shown(found: Any) -> str:
+    name = getattr(found, "__qualname__", "") or type(found).__qualname__
+    return f"the class {name}" if isinstance(found, type) else f"{type(found).__name__} {name}"
 
 
 def _strings(value: Any) -> list[str]:

@@ -43,7 +43,9 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _LONGEST_NAME: Final = 64
 
 
-def load(path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
+def load(
+    path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins | None = None, *, must_load: bool = False
+) -> Config:
     """Reads a configuration file.
 
     Args:
@@ -51,15 +53,18 @@ def load(path: str | PathLike[str], sets: Sequence[str] = (), plugins: Plugins |
         sets: overrides, each as `table.key=value`.
         plugins: where drivers, services and tasks come from. With it, what they ask of the configuration is
             checked too (see `check_plugins`); without it, only the format is.
+        must_load: whether it is a fault where one of these that the file names cannot be imported.
 
     Raises:
         ConfigError: the file cannot be read, or is not sound; it carries every fault.
     """
     where = fspath(path)
-    return parse(text_of(where), where, sets, plugins)
+    return parse(text_of(where), where, sets, plugins, must_load=must_load)
 
 
-def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | None = None) -> Config:
+def parse(
+    text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | None = None, *, must_load: bool = False
+) -> Config:
     """Reads a configuration from its text; see `load`.
 
     Args:
@@ -67,6 +72,7 @@ def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | No
         where: the name of the text in messages.
         sets: overrides, each as `table.key=value`.
         plugins: where drivers, services and tasks come from; None leaves them unchecked.
+        must_load: whether it is a fault where one of these that the text names cannot be imported.
 
     Raises:
         ConfigError: the text is not sound; it carries every fault.
@@ -77,7 +83,7 @@ def parse(text: str, where: str, sets: Sequence[str] = (), plugins: Plugins | No
     config = reader.config()
     faults += reader.faults
     if plugins is not None:
-        faults += check_plugins(config, plugins)
+        faults += check_plugins(config, plugins, must_load)
     if faults:
         raise ConfigError(places.in_order(faults))
     return config

@@ -8,6 +8,8 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Array, InlineTable, Item, SingleKey, Table
 
+from pancakes.arrays import as_list, is_array
+
 Comment = Callable[[tuple[str, ...]], str]
 """Returns what stands behind a key, given the keys that lead to it; empty for nothing."""
 
@@ -71,4 +73,6 @@ def _inline(value: Any) -> Item:
         for inner in value:
             array.append(_inline(inner))
         return array
+    if is_array(value):
+        return _inline(as_list(value))
     return tomlkit.item(value)

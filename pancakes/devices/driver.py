@@ -15,6 +15,8 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet
+from pancakes.saved_types import check_saved
+from pancakes.signatures import check_overrides
 
 _T = TypeVar("_T")
 
@@ -90,6 +92,12 @@ class Driver(ABC):
     @dataclass
     class Settings:
         """The driver's settings, from `[device.NAME] settings`; a driver replaces this dataclass by its own."""
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
+        check_saved(cls, "Settings")
 
     def __init__(self, context: DeviceContext, settings: Any) -> None:
         self.context = context

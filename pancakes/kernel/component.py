@@ -25,6 +25,7 @@ from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.plan import NO_HANDLERS, Handlers, plan_of
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, Cause, Fence, Packet, type_name
+from pancakes.signatures import check_called, check_overrides
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -89,6 +90,11 @@ class Component(pykka.Actor):
 
     actor_inbox: Mailbox
     actor_stopped: Flag  # type: ignore[assignment]
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where a method cannot be called as Pancakes calls it."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
         # pykka's own __init__ would make a uuid and an Event, the most of an actor's cost, for nobody.
@@ -211,7 +217,9 @@ class Component(pykka.Actor):
 
         Raises:
             UnknownChannel: the stream has no such channel.
+            ClassError: the handler is `async def`, or cannot be called with a packet.
         """
+        check_called(handler, ("packet",), "subscribe calls it with a packet", "def handle(packet: Packet) -> None")
         name = body if body is None or isinstance(body, str) else type_name(body)
         if self.__shares_handlers:
             self.__handlers = {channel: Handlers(shared) for channel, shared in self.__handlers.items()}

@@ -7,8 +7,10 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
+from pancakes.errors import ClassError
 from pancakes.kernel.keep import LATEST, Keep, queue
 from pancakes.packet import type_name
+from pancakes.signatures import check_called
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -67,11 +69,18 @@ def on(
         body: the class of the packets' bodies, or their type's name; None: packets of all types.
         keep: what waits when the component is slow: `"latest"`, `queue(n)` or `reliable(n)`.
         addressed: only packets whose destination is this component.
+
+    Raises:
+        ClassError: the method is `async def`, or cannot be called with a packet.
     """
+    if not isinstance(channel, str):
+        raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
     name = body if body is None or isinstance(body, str) else type_name(body)
     subscription = Subscription(channel, name, LATEST if keep == "latest" else keep, addressed)
 
     def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
+        check_called(method, ("self", "packet"), "@on calls it with a packet", wanted)
         marks = (*getattr(method, "__subscriptions__", ()), subscription)
         method.__subscriptions__ = marks  # type: ignore[attr-defined]
         return method
@@ -85,12 +94,19 @@ def every(period_s: float | None = None, *, hz: float | None = None) -> Callable
     Args:
         period_s: seconds of mission time from tick to tick.
         hz: instead, ticks for each second; 0: none before it is rescheduled.
+
+    Raises:
+        ClassError: the method is `async def`, or cannot be called with a `Tick`.
     """
+    if callable(period_s):
+        raise ClassError(f"@every takes a period or a rate, not {period_s!r}: write @every(hz=10)")
     if (period_s is None) == (hz is None):
         raise TypeError("@every takes either period_s or hz")
     period = Period(period_of(hz) if hz is not None else checked_period(period_s or 0.0))
 
     def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
+        check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted)
         method.__period__ = period  # type: ignore[attr-defined]
         return method
 
@@ -133,6 +149,10 @@ def periods_of(cls: type) -> dict[str, Period]:
     return {
         name: period for name in _names(cls) if (period := getattr(getattr(cls, name), "__period__", None)) is not None
     }
+
+
+def _name_of(method: Any) -> str:
+    return str(getattr(method, "__name__", "handle"))
 
 
 def _names(cls: type) -> list[str]:

@@ -16,6 +16,7 @@ from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.shared_queue import SharedQueue
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
+from pancakes.signatures import check_called
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 
 Tap = Callable[[Packet], None]
@@ -212,6 +213,7 @@ class InformationStream:
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...]], ...]] = {}  # and the types that each wants to see
         self._outgoing: tuple[Tap, ...] = ()
+        self._openers: tuple[Callable[[str], None], ...] = ()
         self.local: dict[tuple[str, type], Route] = {}
         self.exits: dict[tuple[str, str, type, str], Exit] = {}
         self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
@@ -238,7 +240,23 @@ class InformationStream:
     def open(self, name: str) -> None:
         """Adds a channel; one that is there already is left alone."""
         with self._lock:
-            self._readers.setdefault(name, {})
+            if name in self._readers:
+                return
+            self._readers[name] = {}
+            told = self._openers
+        for tell in told:
+            tell(name)
+
+    def each_channel(self, tell: Callable[[str], None]) -> None:
+        """Calls `tell` with the name of each channel that there is, and of each that is opened from now on.
+
+        For what is opened later it is called in the thread that opens it, before that publishes anything there.
+        """
+        with self._lock:
+            self._openers = (*self._openers, tell)
+            there = list(self._readers)
+        for name in there:
+            tell(name)
 
     def close(self, name: str) -> None:
         """Removes a channel and its subscriptions.
@@ -370,7 +388,9 @@ class InformationStream:
 
         Raises:
             UnknownChannel: there is no such channel.
+            ClassError: it is `async def`, or cannot be called with a packet.
         """
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             if channel not in self._readers:
                 raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
@@ -385,6 +405,7 @@ class InformationStream:
 
     def tap_outgoing(self, tap: Tap) -> None:
         """Calls `tap` with every packet published here for somebody elsewhere, as `tap` does."""
+        check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
             self.exits.clear()

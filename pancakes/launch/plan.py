@@ -41,7 +41,12 @@ class _Draft:
 
 
 def make_fleet(
-    paths: Sequence[Path], extra: Sequence[str], policy: Policy | None, plugins: Plugins | None
+    paths: Sequence[Path],
+    extra: Sequence[str],
+    policy: Policy | None,
+    plugins: Plugins | None,
+    *,
+    must_load: bool = False,
 ) -> list[Member]:
     """Reads a fleet; nothing is started, and what runs already is not looked at.
 
@@ -51,6 +56,7 @@ def make_fleet(
         extra: `[AGENT:]table.key=value` from the command line.
         policy: whether an agent is started again when it ends; None: as the fleet file says.
         plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked.
+        must_load: whether it is a fault where one of these that a configuration names cannot be imported.
 
     Raises:
         ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
@@ -71,7 +77,7 @@ def make_fleet(
         changes = tuple(sets[draft.name])
         restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
         try:
-            config = load(draft.path, changes, plugins)
+            config = load(draft.path, changes, plugins, must_load=must_load)
         except ConfigError as error:
             faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
             continue

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import msgspec
 
 from pancakes.errors import MigrationError
+from pancakes.signatures import check_overrides
 
 CostChoice = str | dict[str, float]
 """What a task is to cost: the name of a cost function, or the weight of each of several."""
@@ -50,6 +51,11 @@ class Cost(ABC):
     """
 
     name: ClassVar[str]
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where `terms` cannot be called as Pancakes calls it."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
 
     @abstractmethod
     def terms(self, load: HostLoad) -> Mapping[str, float]:

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.arrays import array_from_extension, saved_array
 from pancakes.digest import sha256
-from pancakes.errors import MigrationError
+from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.migration.record import TaskId
 
 LIMIT_BYTES: Final = 16 * 1024 * 1024
@@ -78,7 +79,7 @@ class Heard(msgspec.Struct, frozen=True):
 class Snapshot(msgspec.Struct, frozen=True):
     """One task at one moment.
 
-    Settings and state are plain values (what msgpack can write); arrays travel as `msgspec.msgpack.Ext`.
+    Settings and state are plain values: what msgpack can write, and numpy arrays.
 
     Attributes:
         task_id: the task's identity for life; its name on every host is `task_id.name`.
@@ -139,12 +140,12 @@ class Snapshot(msgspec.Struct, frozen=True):
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
             return _DECODER.decode(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
+        except (msgspec.DecodeError, msgspec.ValidationError, RemoteProtocolError) as error:
             raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(Snapshot)
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=saved_array)
+_DECODER = msgspec.msgpack.Decoder(Snapshot, ext_hook=array_from_extension)
 
 
 def digest(data: bytes) -> bytes:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 import msgpack
 import msgspec
 
+from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Cause, Fence, Packet, body_from_plain, field_names, has_fields
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
@@ -129,17 +130,11 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
         ) from None
 
 
-def _list(array: Any) -> Any:
-    if hasattr(array, "tolist"):
-        return array.tolist()
-    raise TypeError(f"a {type(array).__name__} is no plain value")
-
-
 _TOLD: Final = (str, bytes, int, float, bool, type(None))
 # RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
 _CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, msgspec.MsgspecError)
 _PLAIN: Final = msgspec.json.Encoder()
-_LISTS: Final = msgspec.json.Encoder(enc_hook=_list)
+_LISTS: Final = msgspec.json.Encoder(enc_hook=as_list)
 _WIRE: Final = Encoder()
 
 

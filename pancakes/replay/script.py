@@ -7,14 +7,15 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
+from pancakes.arrays import alike
 from pancakes.errors import RemoteProtocolError
 from pancakes.events import Event
 from pancakes.kernel.handlers import subscriptions_of
 from pancakes.migration.post import Letter
 from pancakes.packet import LOG, NEIGHBOURS, TO_TASK, Cause, Packet, agent_of, covers
-from pancakes.recording.description import CHANNEL
+from pancakes.recording.description import CHANNEL, TaskDescription
 from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.replay.overtaken import Overtaken
 from pancakes.replay.stays import ENDS, Stay
@@ -124,7 +125,8 @@ class _Reader:
     def take(self, entry: Entry) -> bool:
         """Returns whether an entry is an input, an output or a change of the stay; in the order of time."""
         stay, packet = self._stay, entry.packet
-        self._lives = self._lives or packet.body == stay.task
+        if not self._lives and isinstance(packet.body, TaskDescription):
+            self._lives = alike(asdict(packet.body), asdict(stay.task))
         if self._over or entry.agent != stay.agent or entry.time_ns > stay.to_ns or packet.channel == CHANNEL:
             return False
         # In virtual time its successor may live from the very same moment on.

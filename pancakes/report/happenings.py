@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.arrays import without_arrays
 from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, Packet, agent_of
 
@@ -102,7 +103,7 @@ class Happenings:
 
 
 def _text(fields: Any) -> str:
-    plain: dict[str, Any] = msgspec.to_builtins(dict(fields))
+    plain: dict[str, Any] = msgspec.to_builtins(without_arrays(fields))
     return ", ".join(f"{key} {_short(value)}" for key, value in plain.items() if value not in ("", None, {}, []))
 
 

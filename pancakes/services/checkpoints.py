@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes.arrays import saved_array
 from pancakes.migration.record import TaskId
 from pancakes.task import Carried, Nothing, Task
 
@@ -55,4 +56,5 @@ def plain_of(carried: Carried) -> bytes:
     Raises:
         TypeError, OverflowError: its state cannot be encoded.
     """
-    return msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s, carried.heard])
+    parts = [carried.settings, carried.state, carried.periods_s, carried.heard]
+    return msgspec.msgpack.encode(parts, enc_hook=saved_array)

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from pancakes.arrays import without_arrays
 from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine, level_of
 from pancakes.kernel.handlers import on
@@ -59,7 +60,14 @@ class Console(LogWriter):
             text = body.text
         elif isinstance(body, Event):
             text = " ".join(
-                [body.kind, *(f"{key}={value}" for key, value in body.fields.items() if value not in (None, ""))]
+                [
+                    body.kind,
+                    *(
+                        f"{key}={value}"
+                        for key, value in without_arrays(body.fields).items()
+                        if value not in (None, "")
+                    ),
+                ]
             )
         else:
             text = f"{packet.type} {body}"

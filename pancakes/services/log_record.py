@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
-
+from pancakes.arrays import without_arrays
 from pancakes.events import Event, LogLine
-from pancakes.packet import Packet, agent_of
+from pancakes.packet import Packet, agent_of, body_to_plain
 
 
 def record_of(packet: Packet) -> dict[str, Any]:
@@ -15,11 +14,11 @@ def record_of(packet: Packet) -> dict[str, Any]:
     record: dict[str, Any] = {"t_s": round(packet.stamp, 6), "agent": agent_of(packet.source), "source": packet.source}
     body = packet.body
     if isinstance(body, Event):
-        return {**record, "kind": body.kind, **body.fields}
+        return {**record, "kind": body.kind, **without_arrays(body.fields)}
     if isinstance(body, LogLine):
         record = {**record, "kind": "line", "level": body.level, "text": body.text}
         return {**record, "traceback": body.traceback} if body.traceback else record
-    return {**record, "kind": packet.type, "body": msgspec.to_builtins(body)}
+    return {**record, "kind": packet.type, "body": body_to_plain(body)}
 
 
 def line_of(record: dict[str, Any]) -> str:

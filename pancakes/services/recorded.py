@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from msgspec.structs import replace
 
+from pancakes.arrays import alike
 from pancakes.control import Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.migration.effect import (
@@ -535,7 +536,7 @@ class RecordedService(Service):
 
     def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
-        if slot.name not in self._residents or snapshot.configured == slot.spec.settings:
+        if slot.name not in self._residents or alike(snapshot.configured, slot.spec.settings):
             return snapshot.settings
         settings, names = settings_now(snapshot, slot.spec.settings)
         if names:

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import asdict, replace
 
+from pancakes.arrays import alike
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
 from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
@@ -101,7 +102,7 @@ def _without_phases(encoded: bytes) -> bytes:
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
     """Returns a task's own settings with what its configuration has changed since, and the names of that."""
     settings, before = dict(snapshot.settings), snapshot.configured
-    changed = [key for key in configured if key not in before or before[key] != configured[key]]
+    changed = [key for key in configured if key not in before or not alike(before[key], configured[key])]
     settings.update((key, configured[key]) for key in changed)
     removed = [key for key in before if key not in configured]
     for key in removed:

@@ -140,11 +140,13 @@ class AgentInTest:
         ]
 
     def log_tail(self, count: int = 30) -> str:
-        """Returns the last lines and events on its `log`, one a line, for people."""
-        return "\n".join(
-            f"  {packet.stamp:.3f} {packet.source}: {packet.body}"
-            for packet in self.probe.packets(channel=LOG)[-count:]
-        )
+        """Returns the last lines and events on its `log`, one a line, as `pancakes log` shows them."""
+        from click import unstyle  # only where something went wrong
+
+        from pancakes.cli.verbs.log import text_of
+        from pancakes.services.log import record_of
+
+        return "\n".join(unstyle(text_of(record_of(packet))) for packet in self.probe.packets(channel=LOG)[-count:])
 
     def stop(self) -> None:
         """Stops the agent in good order."""

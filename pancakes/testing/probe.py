@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from pancakes.kernel.component import Component
+from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.keep import queue
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
@@ -29,7 +30,7 @@ class Probe(Component):
         kernel: the kernel that it belongs to.
         address: its address.
         mailbox: None for one of its own.
-        channels: what to listen to; the default are all channels that there are when it starts.
+        channels: what to listen to; the default are all channels, those too that are opened later.
     """
 
     def __init__(
@@ -40,10 +41,13 @@ class Probe(Component):
         self._news = threading.Condition()
         self._heard: list[Packet] = []
         self._listens = False
+        self._followed: set[str] = set()
 
     def on_start(self) -> None:
-        for channel in self._channels or self.kernel.stream.channels():
+        for channel in self._channels:
             self.follow(channel)
+        if not self._channels:
+            self.kernel.stream.each_channel(self.follow)
         with self._news:
             self._listens = True
             self._news.notify_all()
@@ -53,8 +57,14 @@ class Probe(Component):
         return self._listens
 
     def follow(self, channel: str) -> None:
-        """Listens to one more channel."""
-        self.subscribe(channel, None, self._hear, keep=KEEP)
+        """Listens to one more channel. Any thread."""
+        with self._news:
+            known = channel in self._followed
+            self._followed.add(channel)
+        if known:  # it was closed, and is there again
+            self.kernel.stream.subscribe(self.address, self.actor_inbox, Subscription(channel, None, KEEP))
+        else:
+            self.subscribe(channel, None, self._hear, keep=KEEP)
 
     def _hear(self, packet: Packet) -> None:
         with self._news:

@@ -71,17 +71,27 @@ def _instead(listener: Probe, name: str, same: Sequence[Packet]) -> str:
     """Says what was published instead: packets of the same type, or else what there was of each type."""
     if same:
         first = f"of the type {name!r} there were {len(same)}, the last of them:\n"
-        return first + "\n".join(f"  {_line(packet)}" for packet in same[-MOST_SHOWN:])
+        return first + "\n".join(_document(listener.agent, packet) for packet in same[-MOST_SHOWN:])
     by_type: dict[tuple[str, str, str], list[Packet]] = {}
     for packet in listener.packets():
         by_type.setdefault((packet.type, packet.channel, packet.source), []).append(packet)
     if not by_type:
         return "nothing at all was published"
-    lines = [f"  {len(packets)} x {key[0]}, last: {_line(packets[-1])}" for key, packets in by_type.items()]
-    more = f"\n  and {len(lines) - MOST_SHOWN} more" if len(lines) > MOST_SHOWN else ""
-    return f"none of this type; what was published instead:\n{chr(10).join(lines[:MOST_SHOWN])}{more}"
+    shown = [
+        _document(listener.agent, packets[-1], f"the last of {len(packets)} ")
+        for packets in list(by_type.values())[:MOST_SHOWN]
+    ]
+    more = f"\nand {len(by_type) - MOST_SHOWN} more" if len(by_type) > MOST_SHOWN else ""
+    return "none of this type; what was published instead:\n" + "\n".join(shown) + more
 
 
-def _line(packet: Packet) -> str:
+def _document(agent: str, packet: Packet, before: str = "") -> str:
+    """Returns a packet as `pancakes channel echo` shows it, under a line that says where it went."""
+    from pancakes.cli.verbs.echo import record_of, text_of  # only where something went wrong
+
     to = f" to {packet.destination}" if packet.destination else ""
-    return f"{packet.stamp:.3f} s {packet.channel} {packet.source}{to}: {packet.body}"
+    try:
+        text = text_of(record_of(agent, packet))
+    except (TypeError, ValueError):  # what is published on one agent alone may hold anything
+        text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp:.9g}\nbody: {packet.body!r}\n---"
+    return f"# {before}on {packet.channel}{to}\n{text}"

@@ -27,6 +27,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, TypeGuard
 
+from pancakes.arrays import without_arrays
 from pancakes.devices.types import Battery, Infrared, Motion, Pose, Sonar
 from pancakes.packet import LOG, Packet
 from pancakes.services.log_record import record_of
@@ -174,9 +175,9 @@ class FleetModel:
     def detail(self, agent: str, description: Mapping[str, Any]) -> None:
         """Takes what is known about one task: the result of `Describe` of it, with its state."""
         service, task = description["service"], description["task"]
-        settings = description.get("settings") or {}
+        settings = without_arrays(description.get("settings") or {})
         # Of a task that does not run, `state` is the word for that.
-        state = description["state"] if isinstance(description["state"], Mapping) else {}
+        state = without_arrays(description["state"]) if isinstance(description["state"], Mapping) else {}
         if "arena" in settings:
             self._arena(settings)
         key = f"task/{agent}/{service}/{task}"

@@ -16,6 +16,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from pancakes.arrays import as_list
 from pancakes.control import Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError
 from pancakes.packet import Cause
@@ -44,7 +45,7 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-_JSON: Final = msgspec.json.Encoder()
+_JSON: Final = msgspec.json.Encoder(enc_hook=as_list)
 
 
 class PageServer:

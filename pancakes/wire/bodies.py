@@ -2,23 +2,21 @@
 
 What cannot travel is an error at the one who publishes; what does not fit its class is found where it arrives, and
 costs that packet. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
-extension type, which holds its dtype, shape and raw bytes.
+extension type (`pancakes.arrays`).
 """
 
 from __future__ import annotations
 
-import math
-import re
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from operator import attrgetter
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import msgpack
 import msgspec
 
+from pancakes.arrays import array_from_extension, extension_from_array, is_array, is_number
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import body_from_plain, field_names, has_fields
 
@@ -26,8 +24,6 @@ MAX_DEPTH: Final = 32
 """How deep arrays and maps may be nested, two levels round the body counted."""
 MAX_ARRAY_LENGTH: Final = 65_536
 MAX_MAP_LENGTH: Final = 4_096
-ARRAY_EXTENSION: Final = 1
-"""Number of the msgpack extension type that holds a numpy array."""
 
 BODY_DEPTH: Final = 3
 """The level at which a body stands."""
@@ -36,17 +32,6 @@ _LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
 _STRINGS: Final = frozenset((str,))
 _FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the classes that were sent: asking for them each time is slow
 _VALUES: Final[dict[type, Callable[[Any], Iterable[Any]]]] = {}  # likewise, what takes the values of all fields at once
-_DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
-
-_Side = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
-
-
-class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
-    """What the extension type of numpy arrays holds."""
-
-    dtype: str
-    shape: Annotated[tuple[_Side, ...], msgspec.Meta(max_length=32)]
-    raw: bytes
 
 
 def encodable(body: Any) -> Any:
@@ -128,12 +113,10 @@ def _plain_object(value: Any, depth: int, where: str) -> Any:
         return _plain(list(items.values()) if value.__struct_config__.array_like else items, depth, where)
     if isinstance(value, Enum):
         return _plain(value.value, depth, where)
-    numpy = sys.modules.get("numpy")  # an array can only be there if numpy is
-    if numpy is not None:
-        if isinstance(value, numpy.ndarray):
-            return _extension_from_array(value, where)
-        if isinstance(value, numpy.generic) and value.dtype.kind in "biuf":
-            return value.item()
+    if is_array(value):
+        return extension_from_array(value, where)
+    if is_number(value):
+        return value.item()
     if isinstance(value, dict):
         return _plain(dict(value), depth, where)
     if isinstance(value, (list, tuple)) and not isinstance(value, msgpack.ExtType):  # a named tuple, say
@@ -185,7 +168,7 @@ def unpacked(data: bytes | memoryview | msgspec.Raw) -> Any:
     try:
         return msgpack.unpackb(
             data,
-            ext_hook=_array_from_extension,
+            ext_hook=array_from_extension,
             max_array_len=MAX_ARRAY_LENGTH,
             max_map_len=MAX_MAP_LENGTH,
             max_str_len=length,
@@ -232,31 +215,3 @@ def _check_received(value: Any, depth: int) -> None:
         for item in inner:
             if type(item) not in _LEAVES:
                 _check_received(item, depth + 1)
-
-
-def _extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
-    dtype = array.dtype.str
-    if not _DTYPE.match(dtype):
-        raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans travel")
-    return msgspec.msgpack.Ext(ARRAY_EXTENSION, msgspec.msgpack.encode((dtype, array.shape, array.tobytes())))
-
-
-def _array_from_extension(code: int, data: bytes) -> Any:
-    """Makes a read-only numpy array; its memory is the frame's own bytes."""
-    if code != ARRAY_EXTENSION:
-        raise RemoteProtocolError(f"a frame holds an extension type that is not ours: {code}")
-    limit = len(data)
-    try:
-        array = msgspec.convert(
-            msgpack.unpackb(data, max_array_len=64, max_map_len=0, max_str_len=8, max_bin_len=limit, max_ext_len=0),
-            _ArrayRow,
-        )
-    except (ValueError, TypeError) as error:  # msgspec's ValidationError is a ValueError
-        raise RemoteProtocolError(f"a frame holds a malformed array: {error}") from None
-    if not _DTYPE.match(array.dtype):
-        raise RemoteProtocolError(f"a frame holds an array of {array.dtype!r}, and only numbers and booleans travel")
-    if math.prod(array.shape) * int(array.dtype[2:]) != len(array.raw):
-        raise RemoteProtocolError(f"a frame holds an array of the shape {array.shape} in {len(array.raw)} bytes")
-    import numpy
-
-    return numpy.frombuffer(array.raw, dtype=array.dtype).reshape(array.shape)

@@ -58,13 +58,56 @@ def test_a_fleet_file_is_checked_with_the_files_that_it_names(rig: Rig):
     ]
 
 
-def test_a_plugin_that_cannot_be_imported_is_a_warning(rig: Rig):
-    rig.install("broken", "[pancakes.tasks]\nbroken.Task = plugin_broken:Task\n", "import there_is_no_such_module\n")
+TASKS = {
+    "module": ("import there_is_no_such_module\n", "ModuleNotFoundError: No module named 'there_is_no_such_module'"),
+    "attribute": ("class Others: pass\n", "AttributeError: module 'plugin_broken' has no attribute 'Task'"),
+    "chain": (
+        "try:\n    import there_is_no_such_module\nexcept ImportError as error:\n"
+        "    raise RuntimeError('no camera') from error\n",
+        "RuntimeError: no camera (plugin_broken.py:4), because of ModuleNotFoundError: No module named"
+        " 'there_is_no_such_module' (plugin_broken.py:2)",
+    ),
+    "kind": ("class Task: pass\n", "'broken.Task' is no task but the class Task"),
+    "class": (
+        "from pancakes import task\nclass Task(task.Task):\n    @task.every(hz=1)\n    async def go(self, t): ...\n",
+        "plugin_broken.py:4: Task.go is `async def`",
+    ),
+}
 
-    result = rig.pancakes("config", "check", str(rig.config("a", '[task.X]\ntype = "broken.Task"\n')))
+
+@pytest.mark.parametrize(("source", "reason"), TASKS.values(), ids=TASKS)
+def test_a_plugin_that_the_file_names_and_that_cannot_be_loaded_is_wrong(rig: Rig, source: str, reason: str):
+    rig.install("broken", "[pancakes.tasks]\nbroken.Task = plugin_broken:Task\n", source)
+    path = str(rig.config("a", '[task.X]\ntype = "broken.Task"\n'))
+
+    checked = rig.pancakes("config", "check", path)
+    agent = rig.agent(path, "--check")
+
+    assert checked.returncode == agent.ended() == 4
+    for said in (checked.stderr, agent.everything()):
+        (line,) = [line for line in said.splitlines() if "broken.Task" in line]
+        assert "[task.X] type: " in line
+        assert reason in line
+        assert "Traceback" not in said
+        assert "warning" not in said
+
+
+def test_a_plugin_that_no_file_names_is_a_warning(rig: Rig):
+    rig.install("broken", "[pancakes.packets]\nbroken = plugin_broken\n", "import there_is_no_such_module\n")
+
+    result = rig.pancakes("config", "check", str(rig.config("a")))
 
     assert result.returncode == 0
-    assert "warning: the task type 'broken.Task' of broken 1.0" in result.stderr
+    assert "warning: the packet module 'broken' of broken 1.0" in result.stderr
+
+
+def test_a_plugin_that_is_not_installed_is_told_so_and_nothing_far_away_is_suggested(rig: Rig):
+    result = rig.pancakes("config", "check", str(rig.config("a", '[task.X]\ntype = "foo.Bar"\n')))
+
+    assert result.returncode == 4
+    assert result.stderr.splitlines()[0].endswith(
+        "[task.X] type: unknown task type 'foo.Bar': no installed distribution provides tasks under 'foo.'"
+    )
 
 
 def test_the_effective_configuration_can_be_run(rig: Rig):

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -272,3 +273,42 @@ def test_names_of_settings_are_completed(rig: Rig, agent: Running):
     asked = rig.run("-c", source, whole=True)
 
     assert "plain,step=" in asked.everything()
+
+
+ARRAYS = """
+from dataclasses import dataclass, field
+import numpy as np
+from numpy.typing import NDArray
+from pancakes.task import Task
+
+class Steers(Task):
+    @dataclass
+    class Settings:
+        gains: np.ndarray = field(default_factory=lambda: np.array([[1.0, 2.0]]))
+        offsets: NDArray[np.int16] = field(default_factory=lambda: np.zeros(2, np.int16))
+"""
+
+
+def test_arrays_are_shown_changed_kept_and_brought_back_as_lists(rig: Rig, tmp_path: Path):
+    rig.install("steers", "[pancakes.tasks]\nsteers.Steers = plugin_steers:Steers\n", ARRAYS)
+    rig.ready("a", '[task.Steers]\ntype = "steers.Steers"\nsettings = { offsets = [3, 4] }\n')
+
+    assert settings(rig, "a/Steers") == {"gains": [[1.0, 2.0]], "offsets": [3, 4]}
+    assert rig.pancakes("param", "get", "a/Steers", "gains").stdout == "[[1.0, 2.0]]\n"
+    done(rig, "set", "a/Steers", "gains=[[5], [6]]")
+    assert settings(rig, "a/Steers")["gains"] == [[5.0], [6.0]]
+    assert "offsets: expected whole numbers" in refused(rig, "set", "a/Steers", "offsets=[0.5, 1]")
+
+    told = rig.pancakes("task", "info", "a/Steers").stdout
+    assert "[[5.0], [6.0]] (float64, 2 x 1)" in told
+    assert "[3, 4] (int16, 2)" in told
+    (told,) = json.loads(rig.pancakes("task", "info", "a/Steers", "--format", "json").stdout)
+    assert told["settings"] == {"gains": [[5.0], [6.0]], "offsets": [3, 4]}
+
+    kept = tmp_path / "steers.toml"
+    kept.write_text(rig.pancakes("param", "dump", "a/Steers").stdout)
+    done(rig, "set", "a/Steers", "gains=[[1]]")
+    done(rig, "load", "a/Steers", str(kept))
+    assert settings(rig, "a/Steers")["gains"] == [[5.0], [6.0]]
+    rows = {row["param"]: row["type"] for row in done(rig, "describe", "a/Steers")}
+    assert rows == {"gains": "list", "offsets": "list"}

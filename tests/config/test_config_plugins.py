@@ -32,7 +32,7 @@ class Compass(Sensor):
 class Wheels(Actuator):
     type = "motors"
 
-    def apply(self, command: Any, ttl_s: float) -> None: ...
+    def apply(self, command: Any, ttl_s: float, source: str) -> None: ...
 
     def hold(self) -> None: ...
 
@@ -91,7 +91,8 @@ def test_names_that_nobody_offers():
     text = '[device.d]\ndriver = "test.compas"\n[service.s]\ntype = "lidar.M"\n[task.Circle]\ntype = "Circle"\n'
     assert faults(text) == [
         "a.toml:5: [device.d] driver: unknown driver 'test.compas', did you mean 'test.compass'?",
-        "a.toml:7: [service.s] type: unknown service type 'lidar.M' (no installed distribution offers any of lidar.*)",
+        "a.toml:7: [service.s] type: unknown service type 'lidar.M': no installed distribution provides services"
+        " under 'lidar.'",
         "a.toml:9: [task.Circle] type: unknown task type 'Circle', did you mean 'test.Circle'?",
     ]
 
@@ -242,8 +243,11 @@ class TestDevices:
                 "a.toml:5: [device.a] driver: 'test.untyped' does not say the type of its device:"
                 " a defect of its distribution"
             ),
-            "a.toml:7: [device.b] driver: 'test.function' is no driver: a defect of its distribution",
-            "a.toml:9: [task.t] type: 'test.Service' is no task: a defect of its distribution",
+            (
+                "a.toml:7: [device.b] driver: 'test.function' is no driver but builtin_function_or_method len:"
+                " a defect of its distribution"
+            ),
+            ("a.toml:9: [task.t] type: 'test.Service' is no task but the class Service: a defect of its distribution"),
         ]
 
 

@@ -159,9 +159,7 @@ class TestClassesThatCannotBeSettings:
             class Settings:
                 radius_m: float = 1.0
 
-        assert problems({}, Plain.Settings) == [
-            "Plain has Settings that are no dataclass: decorate them with @dataclass"
-        ]
+        assert problems({}, Plain.Settings) == ["Plain.Settings is no dataclass: decorate it with @dataclass"]
 
     def test_a_subclass_that_forgot_the_decorator(self):
         class Runner:
@@ -169,7 +167,7 @@ class TestClassesThatCannotBeSettings:
                 stamina: float = 1.0
 
         assert problems({"stamina": 2}, Runner.Settings) == [
-            "Runner has Settings that add keys to inherited ones without @dataclass: decorate them with it"
+            "Runner.Settings adds keys to inherited ones without @dataclass: decorate it with that"
         ]
 
     def test_a_subclass_that_adds_nothing_is_sound(self):
@@ -237,9 +235,7 @@ class TestStructures:
         class Row(Struct, **how):
             row_count: int = 0
 
-        assert problems({}, Row) == [
-            "Row has Settings that are no table: make their Struct without array_like, tag and rename"
-        ]
+        assert problems({}, Row) == ["Row is no table: make it a Struct without array_like, tag and rename"]
 
     def test_as_plain_values_each_field_is_there_down_to_the_innermost(self):
         class Spoke(Struct, omit_defaults=True):

@@ -4,7 +4,7 @@ import pytest
 
 from pancakes.suggestion import suggestion
 
-KNOWN = ["encirclement.GoHome", "encirclement.ScanTarget", "sim.ir", "pose"]
+KNOWN = ["encirclement.GoHome", "encirclement.ScanTarget", "sim.ir", "sim.sonar", "pose"]
 
 
 @pytest.mark.parametrize(
@@ -16,6 +16,12 @@ KNOWN = ["encirclement.GoHome", "encirclement.ScanTarget", "sim.ir", "pose"]
         ("GoHome", "encirclement.GoHome"),
         ("encirclment.GoHom", "encirclement.GoHome"),
         ("pioneer.GoHome", "encirclement.GoHome"),
+        ("encirclement.Foo", ""),
+        ("encirclement.Scanner", ""),
+        ("foo.ScanTargets", ""),
+        ("foo.Sonar", ""),
+        ("sim.sonr", "sim.sonar"),
+        ("sim.pose", "pose"),
         ("temperature", ""),
         ("", ""),
     ],

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from runs_again import recorded, run_again
 
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
@@ -29,7 +31,7 @@ class Track(Task):
     @dataclass
     class State:
         total: float = 0.0
-        seen: list = field(default_factory=list)
+        seen: list[int] = field(default_factory=list)
 
     def on_start(self):
         self.event("begins", total=self.state.total)
@@ -436,3 +438,34 @@ def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_li
     assert len(second.outcome.outputs) == pytest.approx(22, abs=1)
     steeper = run_again(tmp_path, "Track", Steeper, number=2)
     assert steeper.kinds != []
+
+
+class Weighs(Task):
+    """Keeps arrays in its settings and in its state."""
+
+    @dataclass
+    class Settings:
+        gains: np.ndarray = field(default_factory=lambda: np.ones(2))
+
+    @dataclass
+    class State:
+        grid: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((2, 2), np.uint8))
+
+    @on("system", Pose)
+    def pose(self, packet):
+        self.state.grid[0, 1] += 10
+        self.publish("ctrl", Load(float(self.settings.gains.sum() * self.state.grid.sum())))
+
+
+def test_a_task_runs_again_from_the_arrays_that_it_had(fleet, tmp_path):
+    agent = fleet.start("a", tasks={"Weighs": {"type": Weighs, "settings": {"gains": [1, 2]}}})
+    say(agent, 1.0, 1.0)
+    assert agent.ask(Configure("Weighs", {"gains": np.array([2.0, 3.0])})).ok
+    with recorded(tmp_path, agent):
+        say(agent, 1.0)
+        assert agent.ask(Configure("Weighs", {"gains": np.array([1.0, 1.0])})).ok
+        say(agent, 1.0)
+    again = run_again(tmp_path, "Weighs", Weighs)
+    assert again.comparison.differences == []
+    loads = [packet.body.cpu for packet in again.outcome.outputs if isinstance(packet.body, Load)]
+    assert loads == [150.0, 80.0]

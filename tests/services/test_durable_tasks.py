@@ -1,7 +1,6 @@
 """Tasks that outlive their agent: what the journal keeps over a stop, a crash, and an operator's word."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 
@@ -51,7 +50,7 @@ class Switch(Task):
 
     @dataclass
     class State:
-        on: Any = False
+        on: bool | int | float | dict[str, list[int | float]] = False
 
 
 class Still(Task):

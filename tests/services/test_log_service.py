@@ -3,6 +3,8 @@
 import json
 from dataclasses import dataclass
 
+import numpy as np
+
 from pancakes.control import History, Stop
 from pancakes.devices.types import Pose
 from pancakes.events import Event, LogLine
@@ -81,6 +83,13 @@ def test_a_record_is_json_whatever_is_said():
     line = Packet("log", "line", "a/client/T", "", 0.1 + 0.2, 3, LogLine("info", 'a "quote"\nand a line'))
     assert json.loads(line_of(record_of(line)))["t_s"] == 0.3
     assert "\n" not in line_of(record_of(line))
+
+
+def test_a_record_has_lists_where_an_event_has_arrays():
+    body = Event("settings_changed", {"settings": {"gains": np.array([1.5, 2.0])}, "sum": np.int64(3)})
+    record = record_of(Packet("log", "event", "a/client", "", 0.3, 1, body))
+    assert (record["settings"], record["sum"]) == ({"gains": [1.5, 2.0]}, 3)
+    assert json.loads(line_of(record))["settings"] == {"gains": [1.5, 2.0]}
 
 
 def test_the_log_may_be_turned_off_and_the_rest_goes_on():

@@ -1,7 +1,6 @@
 """Durable tasks where two things happen at once: a busy disk, a start that was refused, a task that stands frozen."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import pytest
 
@@ -32,7 +31,7 @@ class Odd(Task):
 
     @dataclass
     class State:
-        thing: Any = field(default=None)
+        thing: float | None = None
 
     @every(hz=1)
     def tick(self, tick):

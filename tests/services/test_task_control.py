@@ -347,7 +347,7 @@ def test_a_state_that_cannot_be_written_down_does_not_keep_a_task_from_ending(fl
     class Odd(Task):
         @dataclass
         class State:
-            thing: object = None
+            thing: float | None = None
 
         def on_start(self):
             self.state.thing = object()

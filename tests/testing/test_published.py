@@ -56,8 +56,8 @@ def test_it_says_which_of_the_same_type_there_were(virtual_agent):
     assert str(error.value) == (
         "0 packets of the type 'load' fit, at least one wanted within 1.2 s on a"
         " (on system, of a/client/X, that `where` takes); of the type 'load' there were 2, the last of them:\n"
-        "  0.500 s system a/client/Blink: Load(cpu=0.5)\n"
-        "  1.000 s system a/client/Blink: Load(cpu=1.0)"
+        "# on system\ntype: load\nsource: a/client/Blink\nstamp: 0.5\nseq: 1\nbody:\n  cpu: 0.5\n---\n"
+        "# on system\ntype: load\nsource: a/client/Blink\nstamp: 1\nseq: 2\nbody:\n  cpu: 1\n---"
     )
 
 
@@ -65,10 +65,49 @@ def test_it_says_what_was_published_where_there_was_none_of_the_type(agent):
     with pytest.raises(AssertionError) as error:
         assert_published(agent, Memory, within_s=0.3)
     assert "none of this type; what was published instead:\n" in str(error.value)
-    assert " x event, last: " in str(error.value)
+    assert "# the last of " in str(error.value)
+    assert " on log\ntype: event\nsource: a/client\n" in str(error.value)
 
 
 def test_it_says_so_where_nobody_said_anything(virtual_agent, probe):
     ears = probe(virtual_agent(), "ctrl")
     with pytest.raises(AssertionError, match="nothing at all was published$"):
         assert_published(ears, Load, within_s=1.0)
+
+
+class Opens(Task):
+    """Opens a channel of its own, speaks there at once, and later again."""
+
+    def on_start(self):
+        self.open_channel("camera")
+        self.publish("camera", Load(0.25))
+
+    @every(hz=2)
+    def look(self, tick):
+        self.publish("camera", Load(0.75))
+
+
+def test_it_finds_what_is_published_on_a_channel_that_is_opened_at_the_start_of_a_task(any_agent):
+    agent = any_agent(tasks={"Opens": Opens}, speed=20.0)
+    assert assert_published(agent, Load, lambda load: load.cpu == 0.25).channel == "camera"
+    assert_published(agent, Load, lambda load: load.cpu == 0.75, channel="camera", source="a/client/Opens")
+
+
+def test_a_channel_that_is_closed_and_opened_again_is_heard_once(virtual_agent):
+    class Reopens(Task):
+        def on_start(self):
+            self.open_channel("camera")
+            self.close_channel("camera")
+            self.open_channel("camera")
+            self.publish("camera", Load(0.5))
+
+    assert_published(virtual_agent(tasks={"Reopens": Reopens}), Load, channel="camera", times=1, within_s=1.0)
+
+
+def test_a_wait_that_fails_shows_the_log_as_the_command_line_does(virtual_agent):
+    agent = virtual_agent(tasks={"Blink": Blink})
+    with pytest.raises(AssertionError) as error:
+        agent.wait_for(Memory, at_most_s=1.0)
+    assert "LogLine(" not in str(error.value)
+    assert "Event(" not in str(error.value)
+    assert "task_started" in str(error.value)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 from told import agent, describe, packet, record, task, world
 
@@ -127,6 +128,9 @@ def test_a_circle_is_drawn_from_a_tasks_settings_and_state_until_it_stops(model:
     model.detail("a", {**detail, "state": {"centre_m": [1.0, 2.0]}})
     assert model.board.get("circle/a/T") == [1.0, 2.0, 0.5]
     assert model.board.get("task/a/client/T")["requires"] == ["motors"]
+
+    model.detail("a", {**detail, "state": {"centre_m": np.array([3.0, 4.0])}})
+    assert model.board.get("circle/a/T") == [3.0, 4.0, 0.5]
 
     model.tell(record("a", "task_stopped", task="T", reason="asked"), 0.0)
     assert model.board.get("circle/a/T") is None

@@ -29,8 +29,8 @@ def config() -> None:
 def check(paths: tuple[Path, ...], format_: str) -> None:
     """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
 
-    Everything that is wrong is named, with file, line and key; the exit code is then 4. Plug-ins that the files name
-    and that cannot be imported are named too, as warnings: the rest of an agent runs without them.
+    Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
+    that cannot be imported is wrong too, though an agent would run without it.
 
     \b
     Example:
@@ -44,7 +44,7 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
     rows: list[dict[str, Any]] = []
     for path in paths:
         try:
-            for member in make_fleet([path], (), None, plugins):
+            for member in make_fleet([path], (), None, plugins, must_load=True):
                 fleet = member.config.agent.fleet
                 rows.append({"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []})
         except ConfigError as error:
@@ -55,8 +55,10 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
             rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
             if format_ == "table":
                 click.echo(str(error), err=True)
+    told = {fault["problem"] for row in rows for fault in row["faults"]}
     for problem in plugins.problems():
-        click.echo(f"warning: {problem}", err=True)
+        if str(problem) not in told:
+            click.echo(f"warning: {problem}", err=True)
     if format_ == "json":
         show_json(rows)
     else:

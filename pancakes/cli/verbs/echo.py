@@ -13,8 +13,7 @@ from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
 from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say
 from pancakes.client import Where
-from pancakes.client.following import Heard
-from pancakes.packet import body_class, body_to_plain, field_names
+from pancakes.packet import Packet, body_class, body_to_plain, field_names
 from pancakes.suggestion import suggestion
 
 WIDE: Final = 100
@@ -73,7 +72,7 @@ def echo(
         for heard in listen(client, following, for_s, bounded):
             if heard is None or not from_any(heard.packet.source, sources):
                 continue
-            record = record_of(heard)
+            record = record_of(heard.agent, heard.packet)
             picked = paths.pick(record) if fields else record
             if picked is not None:
                 printer.show(picked)
@@ -95,11 +94,10 @@ def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
             raise click.UsageError(f"{' and '.join(types)} has no field {first!r}{hint}")
 
 
-def record_of(heard: Heard) -> dict[str, Any]:
-    """Returns a packet as plain values."""
-    packet = heard.packet
+def record_of(agent: str, packet: Packet) -> dict[str, Any]:
+    """Returns a packet that was heard on an agent as plain values."""
     return {
-        "agent": heard.agent,
+        "agent": agent,
         "channel": packet.channel,
         "type": packet.type,
         "source": packet.source,

@@ -1,0 +1,256 @@
+"""Classes of tasks, services, drivers and costs that cannot work are refused when they are made."""
+
+import importlib.util
+import sys
+
+import pytest
+
+from pancakes.devices.types import Load
+from pancakes.errors import ClassError
+from pancakes.task import Task
+
+HEAD = """\
+from __future__ import annotations
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from pancakes.devices.driver import Actuator, Sensor
+from pancakes.migration.cost import Cost
+from pancakes.service import Service
+from pancakes.task import Task, every, on, queue
+class Gripper: ...
+"""
+
+
+@pytest.fixture
+def module_of(tmp_path):
+    """Imports a module with this text; returns where it is."""
+    path = tmp_path / "robot_module.py"
+
+    def load(text):
+        path.write_text(HEAD + text)
+        spec = importlib.util.spec_from_file_location("robot_module", path)
+        module = importlib.util.module_from_spec(spec)
+        sys.modules["robot_module"] = module
+        spec.loader.exec_module(module)
+        return module
+
+    load.path = path
+    yield load
+    sys.modules.pop("robot_module", None)
+
+
+def refusal(module_of, text):
+    with pytest.raises(ClassError) as raised:
+        module_of(text)
+    return str(raised.value)
+
+
+def line_of(text, part):
+    lines = (HEAD + text).splitlines()
+    return next(number for number, line in enumerate(lines, 1) if part in line)
+
+
+METHODS = [
+    ("Task", "@every(hz=1)\n    async def blink(self, tick): ...", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@on('system')\n    async def seen(self, packet): ...", "def seen(self, packet: Packet) -> None"),
+    ("Task", "@every(hz=1)\n    def blink(self): ...", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@every(hz=1)\n    def blink(self, tick, more): ...", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@every(hz=1)\n    def blink(self, tick, *, more): ...", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@every(hz=1)\n    def blink(self, tick):\n        yield tick", "def blink(self, tick: Tick) -> None"),
+    ("Task", "@on('system')\n    def seen(): ...", "def seen(self, packet: Packet) -> None"),
+    (
+        "Task",
+        "@on('system')\n    @on('ctrl', keep=queue(3))\n    def seen(self): ...",
+        "def seen(self, packet: Packet) -> None",
+    ),
+    ("Task", "@on('system')\n    @staticmethod\n    def seen(packet): ...", "def seen(self, packet: Packet) -> None"),
+    ("Task", "@on('system')\n    @classmethod\n    def seen(cls, p): ...", "def seen(self, packet: Packet) -> None"),
+    ("Task", "async def on_start(self): ...", "def on_start(self)"),
+    ("Task", "def on_start(self, why): ...", "def on_start(self)"),
+    ("Task", "def on_start(self):\n        yield", "def on_start(self)"),
+    ("Task", "async def on_stop(self): ...", "def on_stop(self)"),
+    ("Task", "def on_settings(self, settings): ...", "def on_settings(self)"),
+    ("Service", "async def own_tasks(self): ...", "def own_tasks(self)"),
+    ("Service", "def admit(self): ...", "def admit(self, slot)"),
+    ("Sensor", "type = 'pose'\n    async def sample(self): ...", "def sample(self)"),
+    (
+        "Actuator",
+        "type = 'motors'\n    def apply(self, command): ...",
+        "def apply(self, command, ttl_s, source)",
+    ),
+    ("Cost", "name = 'mine'\n    def terms(self): ...", "def terms(self, load)"),
+]
+
+
+@pytest.mark.parametrize(("base", "method", "instead"), METHODS)
+def test_a_method_that_cannot_be_called_is_refused_with_its_line_and_what_to_write(module_of, base, method, instead):
+    text = f"class Robot({base}):\n    {method}\n"
+    said = refusal(module_of, text)
+    name = method.partition("def ")[2].partition("(")[0]
+    assert said.startswith(f"{module_of.path}:{line_of(text, f'def {name}(')}: Robot.{name} ")
+    assert f"write `{instead}`" in said
+
+
+@pytest.mark.parametrize("mark", ["on", "every"])
+def test_a_mark_without_its_brackets_is_refused(module_of, mark):
+    assert f"write @{mark}(" in refusal(module_of, f"class Robot(Task):\n    @{mark}\n    def go(self, it): ...\n")
+
+
+FIELDS = [
+    ("path: Path = Path('/tmp')", "write str"),
+    ("paths: dict[str, list[Path]] = field(default_factory=dict)", "write str"),
+    ("path: Path | str = ''", "write str"),
+    ("what: Any = None", "say what it is"),
+    ("what: object = None", "say what it is"),
+    ("what: dict[str, Any] = field(default_factory=dict)", "say what it is"),
+    ("what: list = field(default_factory=list)", "say what it is"),
+    ("gripper: Gripper | None = None", "write a @dataclass"),
+    ("then: Callable[[], None] | None = None", "write a @dataclass"),
+    ("z: complex = 0", "write a @dataclass"),
+    ("x: np.float64 = 0.0", "write float"),
+    ("objects: NDArray[np.object_] | None = None", "write NDArray[np.float64]"),
+    ("words: list[NDArray[np.str_]] = field(default_factory=list)", "write NDArray[np.float64]"),
+    ("cells: dict[tuple[int, int], float] = field(default_factory=dict)", "write dict[str, ...]"),
+    ("bounded: Annotated[str, msgspec.Meta(ge=0)] = ''", "cannot be checked when it is read again"),
+    ("count: int = field(default=0, init=False)", "leave that out"),
+]
+
+
+@pytest.mark.parametrize(("declared", "instead"), FIELDS)
+@pytest.mark.parametrize(("base", "name"), [("Task", "State"), ("Task", "Settings"), ("Service", "Settings")])
+def test_a_field_that_cannot_be_saved_is_refused_with_its_line_and_what_to_write(
+    module_of, base, name, declared, instead
+):
+    text = f"class Robot({base}):\n    @dataclass\n    class {name}:\n        fine: int = 0\n        {declared}\n"
+    said = refusal(module_of, text)
+    assert said.startswith(f"{module_of.path}:{line_of(text, declared)}: Robot.{name}.{declared.partition(':')[0]} ")
+    assert instead in said
+
+
+def test_the_settings_of_a_driver_are_judged_as_well(module_of):
+    text = """\
+class Camera(Sensor):
+    type = "pose"
+    @dataclass
+    class Settings:
+        device: Path = Path("/dev/video0")
+    def sample(self): ...
+"""
+    assert f":{line_of(text, 'device:')}: Camera.Settings.device is a path" in refusal(module_of, text)
+
+
+def test_a_field_of_a_class_that_is_used_inside_is_named_with_that_class(module_of):
+    text = """\
+@dataclass
+class Arm:
+    gripper: Gripper | None = None
+class Robot(Task):
+    @dataclass
+    class State:
+        arms: list[Arm] = field(default_factory=list)
+"""
+    said = refusal(module_of, text)
+    assert f":{line_of(text, 'arms:')}: Robot.State.arms is made of Arm, whose gripper is of the class Gripper" in said
+
+
+def test_all_faults_of_a_class_come_at_once(module_of):
+    text = """\
+class Robot(Task):
+    @dataclass
+    class Settings:
+        path: Path = Path()
+    @dataclass
+    class State:
+        what: Any = None
+"""
+    said = refusal(module_of, text)
+    assert "Robot.Settings.path" in said
+    assert "Robot.State.what" in said
+
+
+def test_a_state_without_the_decorator_is_refused(module_of):
+    text = "class Robot(Task):\n    class State:\n        x: int = 0\n"
+    said = refusal(module_of, text)
+    assert said == f"{module_of.path}:{line_of(text, 'class State')}: Robot.State is no dataclass: decorate it with" + (
+        " @dataclass"
+    )
+
+
+def test_an_array_that_all_tasks_would_share_is_refused(module_of):
+    text = "class Robot(Task):\n    class State(msgspec.Struct):\n        grid: np.ndarray = np.zeros(3)\n"
+    assert "default_factory" in refusal(module_of, text)
+
+
+def test_a_name_that_is_not_known_yet_refuses_nothing_and_hides_nothing(module_of):
+    head = "class Robot(Task):\n    @dataclass\n    class State:\n        it: Later | None = None\n"
+    module_of(head + "class Later: ...\n")
+    assert "State.path" in refusal(module_of, head + "        path: Path = Path()\nclass Later: ...\n")
+
+
+def test_what_can_be_saved_is_taken(module_of):
+    module_of("""\
+class Colour(Enum):
+    RED = "red"
+@dataclass
+class Leg:
+    length_m: float
+    next: Leg | None = None
+class Robot(Task):
+    @dataclass
+    class State:
+        legs: dict[int, list[Leg]] = field(default_factory=dict)
+        colours: set[Colour] = field(default_factory=set)
+        raw: bytes = b""
+        share: Annotated[float, msgspec.Meta(ge=0, le=1)] = 0.5
+        grid: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+        images: list[NDArray[np.uint8]] = field(default_factory=list)
+        last: NDArray[np.float32] | None = None
+        noted: "tuple[float, ...]" = ()
+""")
+
+
+def test_a_handler_that_another_decorator_wraps_is_taken(module_of):
+    module_of("""\
+import functools
+def counted(method):
+    @functools.wraps(method)
+    def call(*args):
+        return method(*args)
+    return call
+class Robot(Task):
+    @every(hz=1)
+    @counted
+    def blink(self, tick): ...
+    @on("system")
+    def seen(self, packet, again=False): ...
+    @on("ctrl")
+    def moved(self, *packets): ...
+""")
+
+
+def test_a_handler_that_is_named_at_run_time_is_judged_as_well(fleet):
+    class Late(Task):
+        def on_start(self):
+            self.subscribe("system", Load, self.seen)
+
+        async def seen(self, packet): ...
+
+    agent = fleet.start("a", tasks={"Late": Late})
+    agent.wait_for_event("task_given_up", task="Late")
+    assert any("Late.seen is `async def`" in line for line in agent.lines("error")) or any(
+        "Late.seen is `async def`" in str(event) for event in agent.events("task_given_up")
+    )
+
+
+def test_a_tap_that_nobody_would_await_is_refused(fleet):
+    async def hear(packet): ...
+
+    with pytest.raises(ClassError, match="hear is `async def`"):
+        fleet.start("a").kernel.stream.tap("system", hear)
