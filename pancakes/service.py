@@ -8,7 +8,19 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
+from pancakes.control import (
+    Adopt,
+    Command,
+    Configure,
+    Describe,
+    Forget,
+    Migrate,
+    Reply,
+    Reschedule,
+    Restart,
+    Start,
+    Stop,
+)
 from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
@@ -55,6 +67,7 @@ class Service(Supervisor):
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
         self._unanswered: dict[int, Request] = {}
+        self._put_off: set[int] = set()  # commands whose askers were told that they wait
 
     @on(SYSCTRL, Command, keep=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
@@ -69,6 +82,7 @@ class Service(Supervisor):
         if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
             slot.commands = (*slot.commands, lambda: self._begin_command(command, request))
+            self.command_waits(slot, request)
             return
         self._begin_command(command, request)
 
@@ -91,6 +105,27 @@ class Service(Supervisor):
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
         self._unanswered.pop(request.number, None)
+        if request.number in self._put_off:
+            self._put_off.discard(request.number)
+            became = f"was not done: {reason}" if reason else "is done"
+            self.log("warning" if reason else "info", f"what {request.by} asked for (#{request.number}) {became}")
+            return
+        self._answer(request, reason, result)
+
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells whoever asked what their command waits for; what becomes of it in the end is said on `log`."""
+        if request.number in self._unanswered and request.number not in self._put_off:
+            self._put_off.add(request.number)
+            self._answer(request, reason)
+
+    def waits(self, request: Request) -> bool:
+        """Returns whether nobody has told yet whoever asked for this what becomes of it."""
+        return request.number in self._unanswered and request.number not in self._put_off
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        """For subclasses: a command begins to start or stop a task, or waits behind one that does."""
+
+    def _answer(self, request: Request, reason: str, result: Any = None) -> None:
         try:
             self.publish(SYSCTRL, Reply(not reason, reason, result, request.number), to=request.by, cause=request.cause)
         except PancakesError as error:
@@ -162,7 +197,7 @@ class Service(Supervisor):
             self.configure_asked(slot, body, request)
         elif isinstance(body, Describe):
             self._describe_asked(slot, body, request)
-        elif isinstance(body, (Migrate, Adopt)):
+        elif isinstance(body, (Migrate, Adopt, Forget)):
             raise ControlRefused(f"{slot.address} cannot move: what {self.address} looks after stays with its agent")
         else:
             raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
@@ -207,6 +242,7 @@ class Service(Supervisor):
         """
         slot.busy = True
         answered = False
+        self.command_waits(slot, request)
 
         def answer(reason: str) -> None:
             nonlocal answered

@@ -19,7 +19,7 @@ from pancakes.migration.effect import (
     StartTask,
     Warn,
 )
-from pancakes.migration.event import Born, Checkpoint, Ended
+from pancakes.migration.event import Born, Checkpoint, Ended, Event
 from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.post import Letter
@@ -29,6 +29,7 @@ from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
 from pancakes.services.catalogue import Catalogue
 from pancakes.services.checkpoints import Checkpoints, plain_of
+from pancakes.services.lost import Lost
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.services.snapshots import begins_alike, carried_of, settings_now, snapshot_of, spec_of
@@ -38,6 +39,8 @@ from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
+ANSWERED_S = 1.5
+"""Who asked for something that waits for the journal is told so after this time, in host time."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 
@@ -79,6 +82,8 @@ class RecordedService(Service):
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
         self._residents = {spec.name for spec in specs}
+        for name in self._residents:
+            self._records.claim(TaskId(self.agent, name), self.name)
         for record in self._records.all().values():
             if self._is_ours(record):
                 self._add_hand_off(record)
@@ -196,10 +201,11 @@ class RecordedService(Service):
 
     def _begin(self, slot: Slot, then: Callable[[str], None]) -> None:
         hand_off = self.hand_off(self.id_of(slot))
-        lost = self._records.lost(hand_off.record.task_id)
-        if lost and hand_off.record.phase is Phase.ABSENT:
+        undecided = self._undecided(hand_off.record)
+        if undecided:
             self.kernel.registry.unreserve(slot.address)
-            then(f"it may run elsewhere, and what this agent knew of it is lost: {lost}")
+            slot.reason = undecided
+            then(undecided)
             return
         self._starting.setdefault(hand_off.record.task_id, []).append(then)
         record = hand_off.record
@@ -216,11 +222,36 @@ class RecordedService(Service):
         self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
 
     def refuse_start(self, slot: Slot) -> str:
-        record = self.hand_off(self.id_of(slot)).record
+        return self._undecided(self.hand_off(self.id_of(slot)).record) or super().refuse_start(slot)
+
+    def _undecided(self, record: Record) -> str:
+        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
         lost = self._records.lost(record.task_id)
-        if lost and record.phase is Phase.ABSENT:
-            return f"it may run elsewhere, and what this agent knew of it is lost: {lost}"
-        return super().refuse_start(slot)
+        return lost.undecided(self.agent) if lost is not None and record.phase is Phase.ABSENT else ""
+
+    def lost_of(self, name: str) -> list[Lost]:
+        """Returns the tasks of a name whose records were lost, and that are this service's. Any thread."""
+        return [
+            lost
+            for lost in self._records.all_lost()
+            if lost.task_id.name == name and self._records.service_of(lost) == self.name
+        ]
+
+    def first_snapshot(self, slot: Slot) -> bytes:
+        """Returns how a task begins that begins as its configuration says, encoded."""
+        return self._snapshot(slot, slot.carried)
+
+    def start_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
+        """Feeds an event that starts a task; `then` is told an empty string once it runs, or why it does not."""
+        self._starting.setdefault(task_id, []).append(then)
+        self._look_after(task_id, request)
+        self.hand_off(task_id).feed(event)
+
+    def write_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
+        """Feeds an event that only changes a record; `then` is told an empty string once it is on disk, or why not."""
+        self._stopped.setdefault(task_id, []).append(then)
+        self._look_after(task_id, request)
+        self.hand_off(task_id).feed(event)
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.hand_off(self.id_of(slot)).record
@@ -285,8 +316,40 @@ class RecordedService(Service):
         task_id = hand_off.record.task_id
         self._checkpoints.forget(task_id)
         hand_off.failed(reason)
-        for then in self._stopped.pop(task_id, []):
-            then(f"{task_id} is stopped, but the journal could not write that, and tries again: {reason}")
+        slot = self._slot_of(task_id)
+        if slot is not None and slot.state is TaskState.STARTING and slot.task is None:
+            # It starts once it can be written down; nothing else waits for that.
+            slot.reason = reason
+            self.settle(slot)
+        if hand_off.idle and hand_off.volatile.again is None:
+            # It is not tried again.
+            for then in self._stopped.pop(task_id, []):
+                then(reason)
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        self._look_after(self.id_of(slot), request)
+
+    def _look_after(self, task_id: TaskId, request: Request) -> None:
+        """Sees to it that who asked hears in time what their command waits for, where that is the journal."""
+        self.after_host(ANSWERED_S, lambda: self._put_off_if_waiting(task_id, request))
+
+    def _put_off_if_waiting(self, task_id: TaskId, request: Request) -> None:
+        if not self.waits(request):
+            return
+        hand_off = self.hand_off(task_id)
+        trouble = "" if self._settled(hand_off) else hand_off.trouble or self._records.trouble(task_id)
+        if trouble:
+            slot = self._slot_of(task_id)
+            what = f"{slot.address} is {slot.state.value}" if slot is not None else str(task_id)
+            self.put_off(
+                request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
+            )
+        else:
+            self._look_after(task_id, request)
+
+    def _settled(self, hand_off: HandOff) -> bool:
+        """Returns whether all that was decided about a task is on disk."""
+        return hand_off.idle and hand_off.volatile.again is None
 
     def _written(self, hand_off: HandOff, done: Callable[[], None]) -> None:
         self._writing -= 1
@@ -300,7 +363,7 @@ class RecordedService(Service):
                 self._checkpoint_some([name])
 
     def _tell_stopped(self, hand_off: HandOff) -> None:
-        if hand_off.idle:
+        if self._settled(hand_off):
             for then in self._stopped.pop(hand_off.record.task_id, []):
                 then("")
 
@@ -349,7 +412,7 @@ class RecordedService(Service):
 
     def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
         task_id = self.id_of(slot)
-        if self.hand_off(task_id).idle:
+        if self._settled(self.hand_off(task_id)):
             then("")
         else:
             # Who was told that it is stopped may rely on that, also where this agent is killed the moment after.
