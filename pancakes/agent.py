@@ -40,6 +40,7 @@ from pancakes.services.load import describe_process
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
 from pancakes.services.postbox import COURIER
+from pancakes.services.records import KIND as RECORD
 from pancakes.services.records import Records
 from pancakes.services.root import Root
 from pancakes.services.wanted_recording import WantedRecording
@@ -142,10 +143,10 @@ class Agent:
         self.skipped.extend(self.fences.unread)
         self.recording = WantedRecording(journal, store)
         self.skipped.extend(self.recording.unread)
-        self.skipped.extend(str(aside) for aside in journal.set_aside)
-        self.skipped.extend(
-            f"{lost.task_id} is not started: {lost.undecided(self.name)}" for lost in self.records.all_lost()
-        )
+        lost = self.records.all_lost()
+        told = {(RECORD, str(one.task_id)) for one in lost}
+        self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
+        self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
             transport,

@@ -66,6 +66,11 @@ class HandOff:
         """Whether every event so far is dealt with and every effect carried out."""
         return self._waiting is None and not self._effects and not self._events
 
+    @property
+    def settled(self) -> bool:
+        """Whether in addition all that was decided is on disk: nothing is left that could not be written."""
+        return self.idle and self.volatile.again is None
+
     def recover(self) -> None:
         """Takes the task up after a restart of the agent. Called once, before any event."""
         self._effects.extend(recover(self.record, self._times))

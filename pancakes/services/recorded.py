@@ -33,14 +33,13 @@ from pancakes.services.lost import Lost
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.services.snapshots import begins_alike, carried_of, settings_now, snapshot_of, spec_of
+from pancakes.services.waiters import Waiters
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.task import Carried, Task, TaskSpec
 from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
-ANSWERED_S = 1.5
-"""Who asked for something that waits for the journal is told so after this time, in host time."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
 
@@ -76,6 +75,7 @@ class RecordedService(Service):
         self._writing = 0  # how many records wait for the disk
         self._when_written: Callable[[], None] | None = None
         self._postbox = Postbox(self)
+        self._waiters = Waiters(self, records)
 
     # Records and slots -----------------------------------------------------------------------------------------
 
@@ -185,7 +185,8 @@ class RecordedService(Service):
     def _report(self, slot: Slot, reason: str) -> None:
         if slot.state is TaskState.RESTARTING:
             return  # it failed, and is tried again
-        if reason:
+        # Of one whose record was lost the agent itself has said so.
+        if reason and not self._undecided(self.hand_off(self.id_of(slot)).record):
             self.log("error", f"{slot.address} was not started: {reason}")
         self.settle(slot)
 
@@ -244,13 +245,13 @@ class RecordedService(Service):
     def start_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
         """Feeds an event that starts a task; `then` is told an empty string once it runs, or why it does not."""
         self._starting.setdefault(task_id, []).append(then)
-        self._look_after(task_id, request)
+        self._waiters.look_after(task_id, request)
         self.hand_off(task_id).feed(event)
 
     def write_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
         """Feeds an event that only changes a record; `then` is told an empty string once it is on disk, or why not."""
         self._stopped.setdefault(task_id, []).append(then)
-        self._look_after(task_id, request)
+        self._waiters.look_after(task_id, request)
         self.hand_off(task_id).feed(event)
 
     def carried_of(self, slot: Slot) -> Carried:
@@ -321,35 +322,13 @@ class RecordedService(Service):
             # It starts once it can be written down; nothing else waits for that.
             slot.reason = reason
             self.settle(slot)
-        if hand_off.idle and hand_off.volatile.again is None:
+        if hand_off.settled:
             # It is not tried again.
             for then in self._stopped.pop(task_id, []):
                 then(reason)
 
     def command_waits(self, slot: Slot, request: Request) -> None:
-        self._look_after(self.id_of(slot), request)
-
-    def _look_after(self, task_id: TaskId, request: Request) -> None:
-        """Sees to it that who asked hears in time what their command waits for, where that is the journal."""
-        self.after_host(ANSWERED_S, lambda: self._put_off_if_waiting(task_id, request))
-
-    def _put_off_if_waiting(self, task_id: TaskId, request: Request) -> None:
-        if not self.waits(request):
-            return
-        hand_off = self.hand_off(task_id)
-        trouble = "" if self._settled(hand_off) else hand_off.trouble or self._records.trouble(task_id)
-        if trouble:
-            slot = self._slot_of(task_id)
-            what = f"{slot.address} is {slot.state.value}" if slot is not None else str(task_id)
-            self.put_off(
-                request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
-            )
-        else:
-            self._look_after(task_id, request)
-
-    def _settled(self, hand_off: HandOff) -> bool:
-        """Returns whether all that was decided about a task is on disk."""
-        return hand_off.idle and hand_off.volatile.again is None
+        self._waiters.look_after(self.id_of(slot), request)
 
     def _written(self, hand_off: HandOff, done: Callable[[], None]) -> None:
         self._writing -= 1
@@ -363,7 +342,7 @@ class RecordedService(Service):
                 self._checkpoint_some([name])
 
     def _tell_stopped(self, hand_off: HandOff) -> None:
-        if self._settled(hand_off):
+        if hand_off.settled:
             for then in self._stopped.pop(hand_off.record.task_id, []):
                 then("")
 
@@ -412,7 +391,7 @@ class RecordedService(Service):
 
     def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
         task_id = self.id_of(slot)
-        if self._settled(self.hand_off(task_id)):
+        if self.hand_off(task_id).settled:
             then("")
         else:
             # Who was told that it is stopped may rely on that, also where this agent is killed the moment after.
