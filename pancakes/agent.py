@@ -42,6 +42,7 @@ from pancakes.services.log import LogService
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
 from pancakes.services.postbox import COURIER
+from pancakes.services.records import KIND as RECORD
 from pancakes.services.records import Records
 from pancakes.services.root import Root
 from pancakes.services.wanted_recording import WantedRecording
@@ -135,18 +136,24 @@ class Agent:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
         if virtual is not None:
-            store = VirtualStore(journal, transport.call_later)
+            store = VirtualStore(journal, transport.call_later, now=self.kernel.host.now, say=self.kernel.log)
         else:
-            store = ThreadedStore(journal, name=f"{self.name}-journal")
+            store = ThreadedStore(
+                journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
+            )
         self._store = store
-        self.records = Records(journal, store, lambda level, text: self.skipped.append(text))
+        self._remarks = journal.remarks
+        self.records = Records(journal, store)
         self.resting = self._resting()
         self.ledgers = Ledgers(journal, store, self.kernel.log)
         self.skipped.extend(self.ledgers.unread)
         self.fences = Fences(journal, store)
         self.skipped.extend(self.fences.unread)
         self._journal = journal
-        self.skipped.extend(str(aside) for aside in journal.set_aside)
+        lost = self.records.all_lost()
+        told = {(RECORD, str(one.task_id)) for one in lost}
+        self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
+        self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
             transport,
@@ -246,6 +253,8 @@ class Agent:
         # Only now does the Log Service listen to what was found wrong before.
         for sentence in self.skipped:
             self.kernel.log("error", sentence)
+        for sentence in self._remarks:
+            self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
         if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
@@ -310,6 +319,16 @@ class Agent:
         self.fatal = reason
         self.kernel.log("error", reason)
         self._on_fatal(reason)
+
+    def _journal_lost(self, reason: str) -> None:
+        """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
+        root = self._root
+        if root is not None and root.actor_ref.is_alive():
+            root.call(lambda: root.close(lambda: None))
+        self._stop_for(
+            f"{reason}; its tasks were ended, because an agent that is started now knows nothing of them."
+            f" See that no other agent runs them, put the directory back if you can, and start {self.name} again"
+        )
 
     def _identity(self) -> dict[str, Any]:
         return {

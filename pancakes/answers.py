@@ -21,6 +21,7 @@ class Answers:
     def __init__(self, component: Component) -> None:
         self._component = component
         self._owed: dict[int, Request] = {}
+        self._put_off: set[int] = set()  # those whose askers were told that they wait
 
     def owe(self, request: Request) -> None:
         """A request has come in."""
@@ -32,8 +33,20 @@ class Answers:
 
     def forget_all(self) -> list[Request]:
         """Returns all requests that are not answered, and forgets them: another component answers them."""
-        owed, self._owed = list(self._owed.values()), {}
+        owed = [request for request in self._owed.values() if self.waits(request)]
+        self._owed.clear()
+        self._put_off.clear()
         return owed
+
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells the asker what a request waits for; what becomes of it in the end is said on `log`."""
+        if self.waits(request):
+            self._put_off.add(request.number)
+            self._reply(request, Reply(False, reason, None, request.number))
+
+    def waits(self, request: Request) -> bool:
+        """Returns whether the asker has not been told yet what becomes of a request."""
+        return request.number in self._owed and request.number not in self._put_off
 
     def pass_on(self, request: Request) -> None:
         """Another component answers this request from now on."""
@@ -48,20 +61,29 @@ class Answers:
             result: what was asked for, where that is something to know.
         """
         self._owed.pop(request.number, None)
+        if request.number in self._put_off:
+            self._put_off.discard(request.number)
+            became = f"was not done: {reason}" if reason else "is done"
+            text = f"what {request.by} asked for (#{request.number}) {became}"
+            self._component.log("warning" if reason else "info", text)
+            return
+        self._reply(request, Reply(not reason, reason, result, request.number))
+
+    def refuse_all(self, reason: str) -> None:
+        """Tells all askers who still wait that what they asked for is not done."""
+        for request in list(self._owed.values()):
+            self.give(request, reason)
+
+    def _reply(self, request: Request, reply: Reply) -> None:
         try:
             try:
-                self._send(request, Reply(not reason, reason, result, request.number))
+                self._send(request, reply)
             except PancakesError as error:
                 # Too large for a frame, say: a short refusal fits.
                 self._send(request, Reply(False, f"the answer is lost: {error}", None, request.number))
         except PancakesError as error:
             # A component must not fail because an asker does not listen fast enough.
             self._component.log("warning", f"the answer to {request.by} was lost: {error}")
-
-    def refuse_all(self, reason: str) -> None:
-        """Tells all askers who still wait that what they asked for is not done."""
-        for request in list(self._owed.values()):
-            self.give(request, reason)
 
     def _send(self, request: Request, reply: Reply) -> None:
         self._component.publish(SYSCTRL, reply, to=request.by, cause=request.cause)

@@ -116,9 +116,10 @@ class Migrate(msgspec.Struct, frozen=True):
 
 @packet_type("adopt")
 class Adopt(msgspec.Struct, frozen=True):
-    """Runs a task here whose hand-off stands in doubt, on a person's word that the other agent is gone for good.
+    """Runs a task here on a person's word that it runs nowhere else.
 
-    The one request that can make two of a task, namely where that person is wrong.
+    Either its hand-off stands in doubt, and the other agent is gone for good; or this agent's own record of it was
+    lost. The one request that can make two of a task, namely where that person is wrong.
 
     Attributes:
         target: the task.
@@ -129,6 +130,24 @@ class Adopt(msgspec.Struct, frozen=True):
 
     target: str
     force: bool = False
+    birthplace: str = ""
+    dry_run: bool = False
+
+
+@packet_type("forget")
+class Forget(msgspec.Struct, frozen=True):
+    """Lets a task of which this agent has lost its record rest here, on a person's word that it runs elsewhere.
+
+    From then on the agent neither starts it nor asks about it; it may be handed over to this agent like any other.
+    `Adopt` takes that back.
+
+    Attributes:
+        target: the task.
+        birthplace: the agent that the task was born on, where the records of two tasks of its name were lost here.
+        dry_run: only says whether it would be done, and changes nothing.
+    """
+
+    target: str
     birthplace: str = ""
     dry_run: bool = False
 
@@ -306,6 +325,7 @@ CONTROLS: tuple[type, ...] = (
     Configure,
     Migrate,
     Adopt,
+    Forget,
     Migrations,
     Describe,
     Channels,

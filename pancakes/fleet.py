@@ -37,6 +37,7 @@ class VirtualFleet:
         self.agents: dict[str, Agent] = {}
         self._plugins = plugins or Plugins()
         self._disks: dict[str, dict[str, bytes]] = {}
+        self._identities: dict[str, random.Random] = {}
 
     def now(self) -> float:
         """Returns the virtual time, in seconds; agents take it for the host's."""
@@ -53,7 +54,9 @@ class VirtualFleet:
     def add(self, name: str, make: Callable[[Virtual], Agent]) -> Agent:
         """Starts an agent that `make` makes of what it shares with the fleet; see `start`."""
         disk = self.disk(name)
-        identity = uuid.UUID(int=random.Random(f"journal/{self.seed}/{name}").getrandbits(128), version=4)
+        # Not the same one twice: an agent that has lost its identity is another one from then on.
+        source = self._identities.setdefault(name, random.Random(f"journal/{self.seed}/{name}"))
+        identity = uuid.UUID(int=source.getrandbits(128), version=4)
         journal = MemoryJournal(disk, str(identity))
         agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
         agent.start()

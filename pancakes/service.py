@@ -9,7 +9,18 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.answers import Answers
-from pancakes.control import Adopt, Command, Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import (
+    Adopt,
+    Command,
+    Configure,
+    Describe,
+    Forget,
+    Migrate,
+    Reschedule,
+    Restart,
+    Start,
+    Stop,
+)
 from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
@@ -78,6 +89,7 @@ class Service(Supervisor):
         if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
             slot.commands = (*slot.commands, lambda: self._begin_command(command, request))
+            self.command_waits(slot, request)
             return
         self._begin_command(command, request)
 
@@ -100,6 +112,17 @@ class Service(Supervisor):
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
         """Answers whoever asked; an empty reason means that it has been done."""
         self._answers.give(request, reason, result)
+
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells the asker what a command waits for; what becomes of it in the end is said on `log`."""
+        self._answers.put_off(request, reason)
+
+    def waits(self, request: Request) -> bool:
+        """Returns whether the asker has not been told yet what becomes of a command."""
+        return self._answers.waits(request)
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        """For subclasses: a command begins to start or stop a task, or waits behind one that does."""
 
     def close(self, then: Callable[[], None]) -> None:
         def answered() -> None:
@@ -167,7 +190,7 @@ class Service(Supervisor):
             self.configure_asked(slot, body, request)
         elif isinstance(body, Describe):
             self._describe_asked(slot, body, request)
-        elif isinstance(body, (Migrate, Adopt)):
+        elif isinstance(body, (Migrate, Adopt, Forget)):
             raise ControlRefused(f"{slot.address} cannot move: what {self.address} looks after stays with its agent")
         else:
             raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
@@ -212,6 +235,7 @@ class Service(Supervisor):
         """
         slot.busy = True
         answered = False
+        self.command_waits(slot, request)
 
         def answer(reason: str) -> None:
             nonlocal answered

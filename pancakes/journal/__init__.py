@@ -1,6 +1,6 @@
 """What an agent keeps on disk: its identity, and the durable records of its tasks."""
 
-from pancakes.journal.entry import Entry, JournalError, SetAside
+from pancakes.journal.entry import Entry, JournalError, JournalLost, SetAside
 from pancakes.journal.file import FileJournal, empty
 from pancakes.journal.journal import Journal
 from pancakes.journal.memory import MemoryJournal
@@ -11,6 +11,7 @@ __all__ = [
     "FileJournal",
     "Journal",
     "JournalError",
+    "JournalLost",
     "MemoryJournal",
     "RecordStore",
     "SetAside",

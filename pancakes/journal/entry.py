@@ -17,6 +17,10 @@ class JournalError(PancakesError):
     """The journal cannot be opened, read or written; the message names the file."""
 
 
+class JournalLost(JournalError):
+    """The state directory is not the one any more that was opened: another process may open what lies there now."""
+
+
 class Entry(msgspec.Struct, frozen=True, array_like=True):
     """One durable thing. A later entry of the same kind and key takes its place.
 
@@ -40,6 +44,8 @@ class SetAside(msgspec.Struct, frozen=True):
         reason: why it was not believed.
         kind: what it claims to be, as far as its name tells; empty where it does not.
         key: which of that kind, as far as its name tells.
+        entry: what can be read of it all the same: it is whole, but of another journal; None: nothing.
+        times: how often an entry of this name was set aside, this time included.
     """
 
     name: str
@@ -47,6 +53,8 @@ class SetAside(msgspec.Struct, frozen=True):
     reason: str
     kind: str = ""
     key: str = ""
+    entry: Entry | None = None
+    times: int = 1
 
     def __str__(self) -> str:
         return f"{self.name} {self.reason}: it was set aside as {self.now}"

@@ -16,6 +16,7 @@ SUFFIX: Final = ".rec"
 """What names of stored entries end with."""
 BAD: Final = ".bad"
 """What is appended to the name of what was set aside."""
+_BAD_NAME: Final = re.compile(rf"(.+{re.escape(SUFFIX)})(?:\.(\d+))?{re.escape(BAD)}")
 _IDENTITY: Final = "identity"
 _LONGEST_NAME: Final = 200
 
@@ -30,11 +31,19 @@ class Journal(ABC):
         uuid: the journal's id.
         boot: how often it was opened, this time included.
         set_aside: what was found at opening and could not be believed; to be reported by name.
+        missing: what was set aside at this opening or an earlier one, and has no entry in its place since then.
+        place: where it is kept, for people.
+        remarks: what people should know about that place, each a sentence.
+        check_s: how often, in seconds, `check` should be called; None: there is nothing to check.
     """
 
     uuid: str
     boot: int
     set_aside: tuple[SetAside, ...]
+    missing: tuple[SetAside, ...]
+    place: str
+    remarks: tuple[str, ...] = ()
+    check_s: float | None = None
 
     def entries(self, kind: str) -> list[Entry]:
         """Returns all entries of a kind, in the order of their keys."""
@@ -52,6 +61,7 @@ class Journal(ABC):
 
         Raises:
             JournalError: the disk is full, gone, or read-only; or an entry's kind is no word.
+            JournalLost: see `check`.
         """
         newest: dict[tuple[str, str], Entry] = {}
         for entry in batch:
@@ -61,6 +71,14 @@ class Journal(ABC):
         self._replace({_name_of(entry.kind, entry.key): seal(self.uuid, entry) for entry in newest.values()})
         self._entries.update(newest)
 
+    def check(self) -> None:
+        """Looks whether the journal still is what was opened.
+
+        Raises:
+            JournalLost: it is not; the message says what has happened.
+        """
+        return
+
     @abstractmethod
     def close(self) -> None:
         """Lets go of the journal, so that another process may open it. A second call does nothing."""
@@ -69,7 +87,7 @@ class Journal(ABC):
         """Reads everything there is, puts aside what cannot be believed, and counts the boot."""
         self._entries: dict[tuple[str, str], Entry] = {}
         aside: list[SetAside] = []
-        names = self._names()
+        names = self._names(SUFFIX)
         identity = _name_of(_IDENTITY, _IDENTITY)
         self.uuid, self.boot = "", 0
         if identity in names:
@@ -91,6 +109,7 @@ class Journal(ABC):
             else:
                 self._entries[entry.kind, entry.key] = entry
         self.set_aside = tuple(aside)
+        self.missing = self._missing()
         self.boot += 1
         contents = msgspec.msgpack.encode(_Identity(self.uuid, self.boot))
         self._replace({identity: seal(self.uuid, Entry(_IDENTITY, _IDENTITY, contents))})
@@ -99,9 +118,32 @@ class Journal(ABC):
         kind, key = _parts_of(name)
         return SetAside(self._place(name), self._place(self._rename_bad(name)), reason, kind, key)
 
+    def _missing(self) -> tuple[SetAside, ...]:
+        """Returns what lies aside and has no entry in its place; of several of one name the newest."""
+        newest: dict[str, tuple[int, str]] = {}
+        for bad in self._names(BAD):
+            match = _BAD_NAME.fullmatch(bad)
+            if match:
+                name, number = match[1], int(match[2] or 1)
+                newest[name] = max(newest.get(name, (0, "")), (number, bad))
+        missing: list[SetAside] = []
+        for name, (times, bad) in sorted(newest.items()):
+            kind, key = _parts_of(name)
+            if (kind, key) in self._entries or kind == _IDENTITY:
+                continue
+            sealed = self._load(bad)
+            try:
+                unseal(self.uuid, sealed)
+                reason = "is not what its name says"
+            except Unbelievable as error:
+                reason = str(error)
+            entry = _readable(sealed, name)
+            missing.append(SetAside(self._place(name), self._place(bad), reason, kind, key, entry, times))
+        return tuple(missing)
+
     @abstractmethod
-    def _names(self) -> list[str]:
-        """Returns the names of all that is stored and ends with `SUFFIX`, sorted."""
+    def _names(self, ending: str) -> list[str]:
+        """Returns the names of all that is stored and ends with `ending`, sorted."""
 
     @abstractmethod
     def _place(self, name: str) -> str:
@@ -131,6 +173,14 @@ def _read_identity(sealed: bytes) -> _Identity:
         return msgspec.msgpack.decode(entry.data, type=_Identity)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
         raise Unbelievable(f"cannot be understood ({error})") from None
+
+
+def _readable(sealed: bytes, name: str) -> Entry | None:
+    try:
+        entry = unseal("", sealed)
+    except Unbelievable:
+        return None
+    return entry if _name_of(entry.kind, entry.key) == name else None
 
 
 def _name_of(kind: str, key: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pancakes.journal.entry import JournalError
-from pancakes.journal.journal import BAD, SUFFIX, Journal
+from pancakes.journal.journal import BAD, Journal
 
 
 class MemoryJournal(Journal):
@@ -13,6 +13,8 @@ class MemoryJournal(Journal):
         disk: what is stored, by name. An empty one is a new disk.
         new_uuid: the id that a new journal gets; in virtual time it comes from the seed.
     """
+
+    place = "memory"
 
     def __init__(self, disk: dict[str, bytes], new_uuid: str) -> None:
         self._disk = disk
@@ -27,8 +29,8 @@ class MemoryJournal(Journal):
             self._closed = True
             self._disk.pop("lock", None)
 
-    def _names(self) -> list[str]:
-        return sorted(name for name in self._disk if name.endswith(SUFFIX))
+    def _names(self, ending: str) -> list[str]:
+        return sorted(name for name in self._disk if name.endswith(ending))
 
     def _place(self, name: str) -> str:
         return name

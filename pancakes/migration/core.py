@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from msgspec.structs import replace
+
 from pancakes.migration import candidate, owner, source
 from pancakes.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
 from pancakes.migration.event import (
@@ -23,6 +25,7 @@ from pancakes.migration.event import (
     Concluded,
     Ended,
     Event,
+    Forget,
     FreezeFailed,
     Frozen,
     GiveUp,
@@ -87,6 +90,8 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
             return source.concluded(record)
         case Adopt():
             return owner.adopt(me, record, event)
+        case Forget():
+            return owner.forget(me, record, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)
         case WriteAgain():
@@ -159,24 +164,25 @@ def _persist_failed(record: Record, volatile: Volatile, event: PersistFailed, ti
     """Goes on after a write that failed.
 
     The disk may hold the old record or the new one; `record` is the old one. Nothing that was to follow has
-    happened, in particular nobody was told. Both are as safe as a crash just before, or just after.
+    happened, in particular nobody was told. Both are as safe as a crash just before, or just after. The journal's
+    store tells people.
     """
-    warning = Warn(f"the journal could not write the record of {record.task_id}: {event.reason}")
     if record.phase is Phase.OWNER and volatile.freezing:
         return [
-            warning,
             Remember(Volatile(running=True)),
             Resume(record.epoch, record.incarnation, record.snapshot),
-            AttemptFailed(volatile.asked, f"the journal could not write: {event.reason}"),
+            AttemptFailed(volatile.asked, event.reason),
         ]
     again = _again(record, volatile, event)
-    return [warning, After(times.retry_write_s, again)] if again is not None else [warning]
+    if isinstance(again, WriteAgain):
+        return [Remember(replace(volatile, again=again.record)), After(times.retry_write_s, again)]
+    return [After(times.retry_write_s, again)] if again is not None else []
 
 
 def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | None:
     """Returns what to try again by itself; in the other phases the other side's next message does it."""
     if record.phase is Phase.FROZEN:
-        return GiveUp(record.offer, f"the journal could not write: {event.reason}")
+        return GiveUp(record.offer, event.reason)
     if record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER and not volatile.running:
         return WriteAgain(record, event.record)
     return None

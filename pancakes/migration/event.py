@@ -86,7 +86,27 @@ class Adopt(msgspec.Struct, frozen=True):
     """A person says that the other side is gone for good, and that the task shall run here after all.
 
     The one event that can make two of a task, namely where that person is wrong.
+
+    Attributes:
+        snapshot: where this agent has lost its record of the task, or was told to forget it: how the task is to begin,
+            encoded; empty: as the snapshot says that a hand-off in doubt has left here.
+        seen: the highest number of an epoch that is known of the task besides the record.
+        jump: by how much the new epoch is to be higher than all that is known.
     """
+
+    snapshot: bytes = b""
+    seen: int = 0
+    jump: int = 1
+
+
+class Forget(msgspec.Struct, frozen=True):
+    """A person says that the task, of which this agent has lost its record, is not to run here.
+
+    Attributes:
+        seen: the highest epoch that is known of it.
+    """
+
+    seen: Epoch
 
 
 class PersistFailed(msgspec.Struct, frozen=True):
@@ -222,6 +242,7 @@ Event = (
     | Checkpoint
     | Arrived
     | Adopt
+    | Forget
     | PersistFailed
     | WriteAgain
     | Award

@@ -41,11 +41,17 @@ class HandOff:
         record: the record read from the journal; `Record(task_id)` where there is none.
         rim: who carries effects out.
         times: how long things may take.
+
+    Attributes:
+        record: the record, as it is on disk.
+        volatile: what is known until the next crash.
+        trouble: why the record could not be written when that was tried last; empty where it could.
     """
 
     def __init__(self, me: str, record: Record, rim: Rim, times: Times = TIMES) -> None:
         self.record = record
         self.volatile = Volatile()
+        self.trouble = ""
         self._me = me
         self._rim = rim
         self._times = times
@@ -59,6 +65,11 @@ class HandOff:
     def idle(self) -> bool:
         """Whether every event so far is dealt with and every effect carried out."""
         return self._waiting is None and not self._effects and not self._events
+
+    @property
+    def settled(self) -> bool:
+        """Whether in addition all that was decided is on disk: nothing is left that could not be written."""
+        return self.idle and self.volatile.again is None
 
     def recover(self) -> None:
         """Takes the task up after a restart of the agent. Called once, before any event."""
@@ -77,6 +88,7 @@ class HandOff:
         """
         if not isinstance(self._waiting, Persist):
             return
+        self.trouble = reason
         event = PersistFailed(reason, self._waiting.record)
         self._waiting = None
         self._effects.clear()
@@ -111,4 +123,5 @@ class HandOff:
         self._waiting = None
         if isinstance(effect, Persist):
             self.record = effect.record
+            self.trouble = ""
         self._turn()

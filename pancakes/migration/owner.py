@@ -16,7 +16,7 @@ from pancakes.migration.effect import (
     Send,
     StartTask,
 )
-from pancakes.migration.event import Adopt, Arrived, Born, Checkpoint, Ended, Start, WriteAgain
+from pancakes.migration.event import Adopt, Arrived, Born, Checkpoint, Ended, Forget, Start, WriteAgain
 from pancakes.migration.messages import Moved
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
 from pancakes.migration.volatile import Volatile
@@ -67,9 +67,9 @@ def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
 
 def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[Effect]:
     """Writes down what failed to be written, and goes on from there, unless somebody has decided otherwise since."""
-    if record != event.old or volatile.running:
+    if record != event.old or volatile.running or volatile.again != event.record:
         return []
-    return [Persist(event.record), *recover(event.record)]
+    return [Remember(Volatile()), Persist(event.record), *recover(event.record)]
 
 
 def checkpoint(record: Record, volatile: Volatile, event: Checkpoint) -> list[Effect]:
@@ -96,12 +96,21 @@ def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
 
 
 def adopt(me: str, record: Record, event: Adopt) -> list[Effect]:
-    """Takes a task that is in doubt, under a new epoch, on a person's word."""
-    if record.phase not in (Phase.COMMITTED, Phase.PREPARED):
+    """Takes a task that is in doubt, or whose record was lost, under a new epoch, on a person's word."""
+    fits = (Phase.ABSENT,) if event.snapshot else (Phase.COMMITTED, Phase.PREPARED)
+    if record.phase not in fits:
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to adopt")]
-    epoch = Epoch(record.seen.n + 1, me)
-    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=record.snapshot)
+    epoch = Epoch(max(record.seen.n, event.seen) + event.jump, me)
+    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot or record.snapshot)
     return [Persist(own), *_run(own)]
+
+
+def forget(me: str, record: Record, event: Forget) -> list[Effect]:
+    """Writes down that a task whose record was lost is not here, so that it is not born here again."""
+    if record.phase is not Phase.ABSENT:
+        return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to forget")]
+    seen = max(record.seen, event.seen, Epoch(0, me))
+    return [Remember(Volatile()), Persist(Record(record.task_id, seen=seen))]
 
 
 def recover(record: Record) -> list[Effect]:

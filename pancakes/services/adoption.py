@@ -1,4 +1,4 @@
-"""Adopting a task by force: which one is meant, and what a person has to know before (see docs/protocol.md)."""
+"""What a person decides about a task: which one is meant, and what has to be known before (see docs/protocol.md)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pancakes.errors import ControlRefused
-from pancakes.migration.record import Phase, Record
+from pancakes.migration.record import NO_EPOCH, Phase, Record
+from pancakes.services.lost import Lost
 
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 """The phases in which an agent cannot know by itself whether a task is its own."""
@@ -17,29 +18,47 @@ def in_doubt(records: Iterable[Record]) -> list[Record]:
     return [record for record in records if record.phase in DOUBT]
 
 
-def chosen(service: str, name: str, birthplace: str, records: Sequence[Record]) -> Record:
-    """Returns the record of the task that is to be adopted.
+def was_forgotten(record: Record) -> bool:
+    """Returns whether a person has let the task rest here, after its record was lost."""
+    return record.phase is Phase.ABSENT and record.seen != NO_EPOCH and not record.peer
+
+
+def chosen(
+    service: str,
+    name: str,
+    birthplace: str,
+    records: Sequence[Record],
+    lost: Sequence[Lost],
+    verb: str = "adopt",
+) -> Record | Lost:
+    """Returns what is known of the task that is to be adopted or forgotten.
 
     Args:
         service: address of the service that is asked.
         name: the task's name.
         birthplace: the agent that it was born on; empty: any.
         records: what the service has of tasks of this name.
+        lost: those of this name whose records were lost.
+        verb: what is to be done: `adopt`, or `forget`, which is for the latter alone.
 
     Raises:
-        ControlRefused: none of them is in doubt, or several are.
+        ControlRefused: none of them can be meant, or several can.
     """
     meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
-    found = in_doubt(meant)
+    found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
+    if verb == "adopt":
+        found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record))]
+    known = {one.task_id for one in found}
+    meant = [record for record in meant if record.task_id in known or _heard_of(record)]
     if len(found) == 1:
         return found[0]
     if found:
-        ids = " and ".join(str(record.task_id) for record in found)
+        ids = " and ".join(str(one.task_id) for one in found)
         raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace")
     if not meant:
         raise ControlRefused(f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""))
     stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
-    raise ControlRefused(f"there is nothing to adopt: {stands}")
+    raise ControlRefused(f"there is nothing to {verb}: {stands}")
 
 
 def meaning(record: Record, me: str) -> str:
@@ -58,6 +77,10 @@ def meaning(record: Record, me: str) -> str:
     )
 
 
+def _heard_of(record: Record) -> bool:
+    return record.phase is not Phase.ABSENT or record.seen != NO_EPOCH
+
+
 def _standing(record: Record) -> str:
     match record.phase:
         case Phase.OWNER:
@@ -66,5 +89,7 @@ def _standing(record: Record) -> str:
             return f"with {record.peer}, which has said so"
         case Phase.FROZEN:
             return "here, and about to be handed over"
+        case Phase.COMMITTED | Phase.PREPARED:
+            return f"in doubt between this agent and {record.peer}, so adopt it or wait"
         case _:
             return "not here" + (f", {record.peer} had it last" if record.peer else "")

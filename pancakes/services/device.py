@@ -278,7 +278,7 @@ class DeviceTask(Task):
         self._put_up = None
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
-            self._refuse(waiting[0], f"the journal could not write its epoch: {reason}")
+            self._refuse(waiting[0], f"its epoch is not on disk: {reason}")
 
     def _refusal(self, packet: Packet) -> str:
         fence = packet.fence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pancakes.control import Adopt, Describe, Migrate
+from pancakes.control import Adopt, Describe, Forget, Migrate
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.keep import LATEST
 from pancakes.migration.candidate import would_take
@@ -27,7 +27,6 @@ from pancakes.migration.effect import (
     Resume,
     Send,
 )
-from pancakes.migration.event import Adopt as RunHere
 from pancakes.migration.event import Award, Concluded, FreezeFailed, Frozen, Received
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.ledger import Ledger
@@ -37,7 +36,8 @@ from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
-from pancakes.services import adoption
+from pancakes.services.adoption import DOUBT
+from pancakes.services.decisions import Decisions
 from pancakes.services.recorded import RecordedService
 from pancakes.services.snapshots import spec_of
 from pancakes.settings import make_settings
@@ -86,24 +86,25 @@ class DurableService(RecordedService):
         self._ask_again_s: dict[TaskId, float] = {}
         self._watched: list[str] = []
         self._asks = 0
+        self._decisions = Decisions(self)
 
     def after_start(self) -> None:
         super().after_start()
         for record, ledger in self._broken_off:
             self._account_for_broken_off(record, ledger)
-        self._tell_migrator(lambda migrator: migrator.service_began(self))
+        self.tell_migrator(lambda migrator: migrator.service_began(self))
 
     def _account_for_broken_off(self, record: Record, ledger: Ledger) -> None:
         reason = f"{self.address} was started anew before {ledger.winner} had the task"
         ledger = ledger.stayed(str(record.offer), reason)
-        self._tell_migrator(lambda migrator: migrator.account(self, record.task_id, ledger, reason, reason))
+        self.tell_migrator(lambda migrator: migrator.account(self, record.task_id, ledger, reason, reason))
 
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
         # A task that is in doubt may be started any moment: nobody here may take its actuators before.
         for hand_off in self.hand_offs.values():
             record = hand_off.record
-            ledger = self._sequel_of(record).ledger
+            ledger = self.sequel_of(record).ledger
             if record.phase is Phase.FROZEN and ledger is not None:
                 self._broken_off.append((record, ledger))
             if record.phase is Phase.PREPARED:
@@ -130,7 +131,7 @@ class DurableService(RecordedService):
                 self._declined(task_id, effect.reason)
             case AttemptFailed():
                 ledger = self._attempt_over(task_id)
-                self._tell_migrator(
+                self.tell_migrator(
                     lambda migrator: migrator.attempt_failed(self, task_id, effect.peer, effect.reason, ledger)
                 )
             case HandedOver():
@@ -250,21 +251,21 @@ class DurableService(RecordedService):
         going_on = self.hand_off(task_id).record.phase in (Phase.FROZEN, Phase.COMMITTED)
         if task_id in self._moves and not going_on:
             ledger = self._attempt_over(task_id)
-            self._tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
+            self.tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
 
     def _send(self, peer: str, message: HandOffMessage) -> None:
-        self._tell_migrator(lambda migrator: migrator.send(peer, message))
+        self.tell_migrator(lambda migrator: migrator.send(peer, message))
 
     def _handed_over(self, task_id: TaskId, effect: HandedOver) -> None:
         slot = self.slots.get(task_id.name)
         if slot is not None and slot.task is None and slot.name not in self._residents:
             self._forget(slot)
         self.event("task_handed_over", task=task_id.name, to=effect.peer, epoch=effect.epoch.n)
-        sequel = self._sequel_of(self.hand_off(task_id).record)
+        sequel = self.sequel_of(self.hand_off(task_id).record)
         # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
         self.call(lambda: self._conclude(task_id, effect, sequel))
 
-    def _sequel_of(self, record: Record) -> Sequel:
+    def sequel_of(self, record: Record) -> Sequel:
         try:
             return Sequel.decode(record.sequel)
         except MigrationError as error:
@@ -288,11 +289,11 @@ class DurableService(RecordedService):
         anew = f"the Task Migrator of {self.agent}" if task_id in self._moves else self.address
         peer = effect.peer
         note = f"{anew} was started anew while the task was on its way, so the duration ends with the choice of {peer}"
-        if self._migrator() is None:
+        if self.migrator() is None:
             self.log("warning", f"the move of {task_id} to {peer} leaves no account: the Network Service is stopped")
             one_done()
         else:
-            self._tell_migrator(account)
+            self.tell_migrator(account)
         self._follow(sequel.then, one_done)
 
     def _follow(self, name: str, then: Callable[[], None]) -> None:
@@ -324,12 +325,12 @@ class DurableService(RecordedService):
         ledger, move.ledger = move.ledger, None
         return ledger
 
-    def _tell_migrator(self, tell: Callable[[TaskMigrator], None]) -> None:
-        migrator = self._migrator()
+    def tell_migrator(self, tell: Callable[[TaskMigrator], None]) -> None:
+        migrator = self.migrator()
         if migrator is not None:
             migrator.call(lambda: tell(migrator))
 
-    def _migrator(self) -> TaskMigrator | None:
+    def migrator(self) -> TaskMigrator | None:
         component = self.kernel.registry.get(join(self.agent, "network", MIGRATOR))
         return component if component is not None and hasattr(component, "negotiate") else None  # type: ignore[return-value]
 
@@ -399,7 +400,10 @@ class DurableService(RecordedService):
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, Adopt):
-            self._adopt(body, request)
+            self._decisions.adopt(body, request)
+            return
+        if isinstance(body, Forget):
+            self._decisions.forget(body, request)
             return
         if slot is not None and not isinstance(body, Describe):
             hand_off = self.hand_off(self.id_of(slot))
@@ -425,7 +429,7 @@ class DurableService(RecordedService):
             raise ControlRefused(f"{slot.address} cannot move: {fault}")
         if body.then and body.then not in self.slots:
             raise ControlRefused(f"{self.address} has no task {body.then!r} that could follow {slot.name}")
-        migrator = self._migrator()
+        migrator = self.migrator()
         if migrator is None:
             raise ControlRefused(f"{slot.address} cannot move: the Network Service of {self.agent} is stopped")
         self._asks += 1
@@ -446,62 +450,25 @@ class DurableService(RecordedService):
         self.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost))
         migrator.call(lambda: migrator.negotiate(self, request, asked_by, body.to, body.dry_run))
 
-    # Adopting --------------------------------------------------------------------------------------------------
+    # What a person decides -------------------------------------------------------------------------------------
 
     def has(self, name: str) -> bool:
-        # What was given away and stands in doubt has no slot any more.
-        return super().has(name) or bool(adoption.in_doubt(self._records_of(name)))
+        # What was given away and stands in doubt has no slot any more, nor has what came here and was lost.
+        return super().has(name) or self._decisions.concern(name)
 
-    def _records_of(self, name: str) -> list[Record]:
+    def records_of(self, name: str) -> list[Record]:
+        """Returns what this service has of tasks of a name. Any thread."""
         return [self.hand_offs[task_id].record for task_id in list(self._ids.get(name, ()))]
-
-    def _adopt(self, body: Adopt, request: Request) -> None:
-        record = adoption.chosen(self.address, body.target, body.birthplace, self._records_of(body.target))
-        task_id, peer = record.task_id, record.peer
-        ledger = self._sequel_of(record).ledger
-        migrator = self._migrator()
-        if migrator is None:
-            raise ControlRefused(
-                f"{task_id} is not adopted: the Network Service of {self.agent} is stopped, so nobody knows whether"
-                f" {peer} is there"
-            )
-        if migrator.connected(peer):
-            raise ControlRefused(
-                f"{task_id} is not adopted: {peer} is connected, so it is not gone. The hand-off goes on by itself;"
-                f" where {peer} has lost its disk, switch it off first"
-            )
-        if not body.force:
-            raise ControlRefused(adoption.meaning(record, self.agent))
-        done = {"task_id": str(task_id), "peer": peer}
-        if body.dry_run:
-            self.reply(request, result=done)
-            return
-        reason = f"{task_id} was adopted on {self.agent}, as {request.by} asked, because {peer} is gone for good"
-        self.log("warning", reason)
-        self.event("asked", what="adopt", task=task_id.name, service=self.name, by=request.by, number=request.number)
-
-        def begun(why_not: str) -> None:
-            owned = self.hand_off(task_id).record.phase is Phase.OWNER
-            if owned:
-                # Whoever asked for the move that was in doubt has waited for this.
-                self._tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
-                self.event("task_adopted", task=task_id.name, peer=peer, epoch=self.hand_off(task_id).record.epoch.n)
-            if owned and why_not:
-                why_not = f"{task_id} belongs to {self.agent} now, but does not run: {why_not}"
-            self.reply(request, why_not, done if not why_not else None)
-
-        self._starting.setdefault(task_id, []).append(begun)
-        self.hand_off(task_id).feed(RunHere())
 
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
         super()._not_written(hand_off, reason)
         record = hand_off.record
         if record.phase is not Phase.PREPARED and record.task_id not in self._starting:
             self.kernel.registry.unreserve(self._place_of(record.task_id))
-        if record.phase in adoption.DOUBT and hand_off.idle:
+        if record.phase in DOUBT and hand_off.idle:
             # An adoption is not tried again by itself: the person may have learnt better meanwhile.
             for then in self._starting.pop(record.task_id, []):
-                then(f"{record.task_id} is not adopted: the journal could not write: {reason}")
+                then(f"{record.task_id} is not adopted: {reason}")
 
     # Rules -----------------------------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from pancakes.migration.effect import (
     StartTask,
     Warn,
 )
-from pancakes.migration.event import Born, Checkpoint, Ended
+from pancakes.migration.event import Born, Checkpoint, Ended, Event
 from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.post import Letter
@@ -31,9 +31,11 @@ from pancakes.packet import Fence, Packet, join
 from pancakes.service import Service
 from pancakes.services.catalogue import Catalogue
 from pancakes.services.checkpoints import Checkpoints, plain_of
+from pancakes.services.lost import Lost
 from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.services.snapshots import begins_alike, carried_of, settings_now, snapshot_of, spec_of
+from pancakes.services.waiters import Waiters
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.task import Carried, Task, TaskSpec
 from pancakes.weight import in_brief
@@ -75,12 +77,15 @@ class RecordedService(Service):
         self._writing = 0  # how many records wait for the disk
         self._when_written: Callable[[], None] | None = None
         self._postbox = Postbox(self)
+        self._waiters = Waiters(self, records)
 
     # Records and slots -----------------------------------------------------------------------------------------
 
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
         self._residents = {spec.name for spec in specs}
+        for name in self._residents:
+            self._records.claim(TaskId(self.agent, name), self.name)
         for record in self._records.all().values():
             if self._is_ours(record):
                 self._add_hand_off(record)
@@ -182,7 +187,9 @@ class RecordedService(Service):
     def _report(self, slot: Slot, reason: str) -> None:
         if slot.state is TaskState.RESTARTING:
             return  # it failed, and is tried again
-        if reason and slot.state is TaskState.STOPPED:  # else it failed, which has been told
+        # Of one whose record was lost the agent itself has said so; one that failed has been told of.
+        told = slot.state is not TaskState.STOPPED or self._undecided(self.hand_off(self.id_of(slot)).record)
+        if reason and not told:
             self.log("error", f"{slot.address} was not started: {reason}")
         self.settle(slot)
 
@@ -198,10 +205,11 @@ class RecordedService(Service):
 
     def _begin(self, slot: Slot, then: Callable[[str], None]) -> None:
         hand_off = self.hand_off(self.id_of(slot))
-        lost = self._records.lost(hand_off.record.task_id)
-        if lost and hand_off.record.phase is Phase.ABSENT:
+        undecided = self._undecided(hand_off.record)
+        if undecided:
             self.kernel.registry.unreserve(slot.address)
-            then(f"it may run elsewhere, and what this agent knew of it is lost: {lost}")
+            slot.reason = undecided
+            then(undecided)
             return
         self._starting.setdefault(hand_off.record.task_id, []).append(then)
         record = hand_off.record
@@ -218,11 +226,36 @@ class RecordedService(Service):
         self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
 
     def refuse_start(self, slot: Slot) -> str:
-        record = self.hand_off(self.id_of(slot)).record
+        return self._undecided(self.hand_off(self.id_of(slot)).record) or super().refuse_start(slot)
+
+    def _undecided(self, record: Record) -> str:
+        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
         lost = self._records.lost(record.task_id)
-        if lost and record.phase is Phase.ABSENT:
-            return f"it may run elsewhere, and what this agent knew of it is lost: {lost}"
-        return super().refuse_start(slot)
+        return lost.undecided(self.agent) if lost is not None and record.phase is Phase.ABSENT else ""
+
+    def lost_of(self, name: str) -> list[Lost]:
+        """Returns the tasks of a name whose records were lost, and that are this service's. Any thread."""
+        return [
+            lost
+            for lost in self._records.all_lost()
+            if lost.task_id.name == name and self._records.decider_of(lost) == self.name
+        ]
+
+    def first_snapshot(self, slot: Slot) -> bytes:
+        """Returns how a task begins that begins as its configuration says, encoded."""
+        return self._snapshot(slot, slot.carried)
+
+    def start_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
+        """Feeds an event that starts a task; `then` is told an empty string once it runs, or why it does not."""
+        self._starting.setdefault(task_id, []).append(then)
+        self._waiters.look_after(task_id, request)
+        self.hand_off(task_id).feed(event)
+
+    def write_by(self, task_id: TaskId, event: Event, then: Callable[[str], None], request: Request) -> None:
+        """Feeds an event that only changes a record; `then` is told an empty string once it is on disk, or why not."""
+        self._stopped.setdefault(task_id, []).append(then)
+        self._waiters.look_after(task_id, request)
+        self.hand_off(task_id).feed(event)
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.hand_off(self.id_of(slot)).record
@@ -294,8 +327,18 @@ class RecordedService(Service):
         task_id = hand_off.record.task_id
         self._checkpoints.forget(task_id)
         hand_off.failed(reason)
-        for then in self._stopped.pop(task_id, []):
-            then(f"{task_id} is stopped, but the journal could not write that, and tries again: {reason}")
+        slot = self._slot_of(task_id)
+        if slot is not None and slot.state is TaskState.STARTING and slot.task is None:
+            # It starts once it can be written down; nothing else waits for that.
+            slot.reason = reason
+            self.settle(slot)
+        if hand_off.settled:
+            # It is not tried again.
+            for then in self._stopped.pop(task_id, []):
+                then(reason)
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        self._waiters.look_after(self.id_of(slot), request)
 
     def _written(self, hand_off: HandOff, done: Callable[[], None]) -> None:
         self._writing -= 1
@@ -309,7 +352,7 @@ class RecordedService(Service):
                 self._checkpoint_some([name])
 
     def _tell_stopped(self, hand_off: HandOff) -> None:
-        if hand_off.idle:
+        if hand_off.settled:
             for then in self._stopped.pop(hand_off.record.task_id, []):
                 then("")
 
@@ -358,7 +401,7 @@ class RecordedService(Service):
 
     def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
         task_id = self.id_of(slot)
-        if self.hand_off(task_id).idle:
+        if self.hand_off(task_id).settled:
             then("")
         else:
             # Who was told that it is stopped may rely on that, also where this agent is killed the moment after.

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from pancakes.errors import MigrationError
 from pancakes.journal import Entry, Journal, RecordStore
 from pancakes.migration.record import Record, TaskId
+from pancakes.services.lost import Lost
 
 KIND = "record"
 
@@ -19,20 +20,30 @@ class Records:
     Args:
         journal: read once, here.
         store: what writes to that journal.
-        log: takes a level and a line about what could not be read.
     """
 
-    def __init__(self, journal: Journal, store: RecordStore, log: Callable[[str, str], None]) -> None:
+    def __init__(self, journal: Journal, store: RecordStore) -> None:
         self._store = store
         self._records: dict[TaskId, Record] = {}
-        self._aside = {aside.key: str(aside) for aside in journal.set_aside if aside.kind == KIND}
+        self._lost: dict[TaskId, Lost] = {}
+        self._claims: dict[TaskId, str] = {}
+        for aside in journal.missing:
+            if aside.kind == KIND:
+                self._lose(aside.key, str(aside), _read(aside.entry), aside.times)
         for entry in journal.entries(KIND):
             try:
                 record = Record.decode(entry.data)
             except MigrationError as error:
-                log("error", f"the journal's record of {entry.key} is not used: {error}")
+                self._lose(entry.key, f"the journal has it, and it is not used: {error}")
                 continue
             self._records[record.task_id] = record
+
+    def _lose(self, key: str, why: str, read: Record | None = None, times: int = 1) -> None:
+        try:
+            task_id = TaskId.parse(key)
+        except MigrationError:
+            return  # no task was ever called so
+        self._lost[task_id] = Lost(task_id, f"what this agent knew of it is lost: {why}", read, times)
 
     def all(self) -> dict[TaskId, Record]:
         """Returns the records as they are on disk."""
@@ -43,12 +54,31 @@ class Records:
         record = self._records.get(task_id)
         return record.service if record is not None else ""
 
-    def lost(self, task_id: TaskId) -> str:
-        """Returns how a task's record was lost; empty where it was not.
+    def lost(self, task_id: TaskId) -> Lost | None:
+        """Returns what is known of a task whose record was lost; None: it was not, or has been decided about since.
 
-        Such a task may run elsewhere, for all that this agent knows, so it must not be born here a second time.
+        Such a task may run elsewhere, for all that this agent knows, so it must not be born here a second time. That
+        holds over any number of starts, until its agent has a record of it again: because a person has decided, or
+        because another agent has handed it over.
         """
-        return self._aside.get(str(task_id), "")
+        return None if task_id in self._records else self._lost.get(task_id)
+
+    def all_lost(self) -> list[Lost]:
+        """Returns all of them that are undecided."""
+        return [lost for task_id, lost in self._lost.items() if task_id not in self._records]
+
+    def claim(self, task_id: TaskId, service: str) -> None:
+        """Learns which service has a place for a task from its start on: what is decided about it is decided there."""
+        self._claims[task_id] = service
+
+    def decider_of(self, lost: Lost) -> str:
+        """Returns the service that decides about a task whose record was lost."""
+        told = lost.read.service if lost.read is not None else ""
+        return self._claims.get(lost.task_id) or told or "client"
+
+    def trouble(self, task_id: TaskId) -> str:
+        """Says what keeps a task's record from being written; empty: nothing that is known of."""
+        return self._store.trouble(KIND, str(task_id))
 
     def persist(self, record: Record, service: str, then: Callable[[], None], failed: Callable[[str], None]) -> None:
         """Writes a record.
@@ -70,3 +100,12 @@ class Records:
     def close(self) -> None:
         """Writes what still waits, and closes the journal. Waits for the disk."""
         self._store.close()
+
+
+def _read(entry: Entry | None) -> Record | None:
+    if entry is None:
+        return None
+    try:
+        return Record.decode(entry.data)
+    except MigrationError:
+        return None

@@ -27,6 +27,7 @@ from pancakes.control import (
     Configure,
     Describe,
     Follow,
+    Forget,
     History,
     Migrate,
     Migrations,
@@ -357,7 +358,7 @@ class Root(Component):
             self._tell_description(request)
             return
         service, task = self.find(target)
-        if isinstance(body, Adopt) and task:
+        if isinstance(body, (Adopt, Forget)) and task:
             # A task that was given away has no place in its service any more: the service is asked, not the task.
             self._hand(service, "", replace(body, target=task), request)
         elif task:
@@ -418,7 +419,7 @@ class Root(Component):
                 )
             else:
                 self._change_service(place, body, request)
-        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt)):
+        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget)):
             raise ControlRefused(f"{place.address} is a service: name one of its tasks")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)

@@ -217,6 +217,25 @@ def test_what_was_set_aside_is_named(tmp_path: Path, journal: FileJournal):
     assert (finding.level, torn.name + ".bad" in finding.text) == ("warning", True)
 
 
+def test_a_record_that_was_lost_is_to_be_decided_about_until_there_is_another(tmp_path: Path, journal: FileJournal):
+    journal.write([JournalEntry("record", "a/Scan", b"")])
+    (record,) = journal.directory.glob("record.*")
+    record.rename(record.with_name(record.name + ".2.bad"))
+
+    _, finding = check_state_dirs(tmp_path / "state")
+
+    assert finding.level == "warning" and "pancakes task forget" in finding.advice
+    journal.write([JournalEntry("record", "a/Scan", b"")])
+    _, finding = check_state_dirs(tmp_path / "state")
+    assert finding.advice == "none is needed any more: remove them"
+
+
+def test_a_state_directory_that_others_can_write(tmp_path: Path, journal: FileJournal):
+    journal.directory.chmod(0o770)
+    _, finding = check_state_dirs(tmp_path / "state")
+    assert finding.level == "error" and f"chmod go-w {journal.directory}" in finding.text
+
+
 @pytest.mark.parametrize(("free_mib", "level"), [(10, "error"), (100, "warning"), (10_000, "ok")])
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free_mib: int, level: str):
     usage = namedtuple("usage", "total used free")

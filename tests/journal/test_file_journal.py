@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.journal import Entry, FileJournal, JournalError
+from pancakes.journal import Entry, FileJournal, JournalError, JournalLost
 
 SCAN = Entry("task", "agent1/ScanTarget", b"x")
 
@@ -71,9 +71,9 @@ def test_entries_are_on_disk_before_write_returns(tmp_path: Path, monkeypatch: p
         calls.append(f"fsync {Path(os.readlink(f'/proc/self/fd/{handle}')).name}")
         fsync(handle)
 
-    def spy_replace(old: Path, new: Path) -> None:
+    def spy_replace(old: Path, new: Path, **directories: int) -> None:
         calls.append(f"rename {Path(new).name}")
-        replace(old, new)
+        replace(old, new, **directories)
 
     monkeypatch.setattr(os, "fsync", spy_fsync)
     monkeypatch.setattr(os, "replace", spy_replace)
@@ -96,7 +96,7 @@ def test_a_full_disk_is_an_error_that_names_the_directory(tmp_path: Path, monkey
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(JournalError, match=f"{tmp_path} cannot be written: No space left on device"):
+    with pytest.raises(JournalError, match=f"cannot write: No space left on device .{tmp_path}.$"):
         journal.write([Entry("task", SCAN.key, b"y")])
 
     assert journal.entries("task") == [SCAN]
@@ -112,3 +112,70 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     FileJournal(tmp_path)
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+# Whose the directory must be, and whether it is still there ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", [0o720, 0o702, 0o1777])
+def test_a_directory_that_others_can_write_is_refused_with_what_to_do(tmp_path: Path, mode: int) -> None:
+    tmp_path.chmod(mode)
+
+    with pytest.raises(
+        JournalError, match=rf"can be written by other users \(mode {mode:04o}\).*: chmod go-w {tmp_path}$"
+    ):
+        FileJournal(tmp_path)
+
+    tmp_path.chmod(mode & ~0o022)
+    FileJournal(tmp_path).close()
+
+
+def test_a_directory_of_another_user_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    theirs = Path("/")
+    if os.geteuid() == 0:
+        theirs = tmp_path
+        os.chown(theirs, 65534, 65534)
+
+    with pytest.raises(
+        JournalError, match=f"{theirs} belongs to the user .*: chown -R {os.geteuid()} {theirs}, or name"
+    ):
+        FileJournal(theirs)
+
+
+def test_a_symbolic_link_is_followed_and_told(tmp_path: Path) -> None:
+    target, link = tmp_path / "target", tmp_path / "link"
+    link.symlink_to(target)
+    with pytest.raises(JournalError, match=f"{link} is a symbolic link to {target}: make that"):
+        FileJournal(link)
+    target.mkdir(mode=0o700)
+
+    journal = FileJournal(link)
+
+    assert journal.remarks == (f"the state directory {link} is a symbolic link: what lies in {target} is used",)
+    journal.write([SCAN])
+    journal.check()
+    link.unlink()
+    with pytest.raises(JournalLost, match=f"{link} was removed or replaced"):
+        journal.check()
+
+
+def test_nothing_is_written_into_a_directory_that_has_taken_the_place_of_the_one_that_was_opened(
+    tmp_path: Path,
+) -> None:
+    first = FileJournal(tmp_path / "state", "first")
+    (tmp_path / "state").rename(tmp_path / "old")
+    second = FileJournal(tmp_path / "state", "second")
+
+    with pytest.raises(JournalLost, match="was removed or replaced while the agent ran"):
+        first.write([SCAN])
+
+    assert not list((tmp_path / "state").glob("task.*"))
+    second.write([SCAN])
+    second.check()
+
+
+def test_a_lock_that_was_removed_is_noticed(tmp_path: Path) -> None:
+    journal = FileJournal(tmp_path)
+    (tmp_path / "lock").unlink()
+    with pytest.raises(JournalLost, match="was removed while the agent ran"):
+        journal.check()

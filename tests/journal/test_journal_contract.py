@@ -147,6 +147,38 @@ def test_a_damaged_entry_is_set_aside_by_name_and_never_used(
     assert disk.open().set_aside == ()
 
 
+def test_what_was_set_aside_is_missing_at_each_opening_until_it_is_written_again(disk: Disk) -> None:
+    journal = disk.open()
+    journal.write([SCAN, HOME])
+    journal.close()
+    whole = disk.read(NAME)
+    for at in range(len(whole)):
+        disk.write(NAME, whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        disk.open().close()
+
+    for _ in range(3):
+        reopened = disk.open()
+        (missing,) = reopened.missing
+        assert (missing.kind, missing.key, missing.times) == ("task", "agent1/ScanTarget", len(whole))
+        assert missing.entry is None and reopened.read("task", SCAN.key) is None
+        reopened.close()
+
+    reopened = disk.open()
+    reopened.write([SCAN])
+    reopened.close()
+    assert disk.open().missing == ()
+
+
+def test_of_a_journal_that_lost_its_identity_all_is_missing_and_can_be_read(disk: Disk) -> None:
+    journal = disk.open("first")
+    journal.write([SCAN, HOME])
+    journal.close()
+    disk.write("identity.identity.rec", b"garbage")
+    disk.open("second").close()
+
+    assert [missing.entry for missing in disk.open("third").missing] == [HOME, SCAN]
+
+
 def test_a_second_damaged_entry_does_not_overwrite_the_first(disk: Disk) -> None:
     disk.open().close()
     for text in (b"one", b"two"):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from pancakes.journal import Entry, JournalError, MemoryJournal, ThreadedStore, VirtualStore
+from pancakes.journal import Entry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
 
 
 class SlowJournal(MemoryJournal):
@@ -155,3 +155,105 @@ def test_a_virtual_store_reports_a_write_that_fails() -> None:
     later.turn()
 
     assert told == ["No space left on device"]
+
+
+# A journal that cannot write -----------------------------------------------------------------------------------------
+
+
+class FullJournal(MemoryJournal):
+    """A journal whose disk is full for a time, and that counts the tries."""
+
+    def __init__(self) -> None:
+        super().__init__({}, "id")
+        self.full = True
+        self.tries = 0
+
+    def write(self, batch: Sequence[Entry]) -> None:
+        self.tries += 1
+        if self.full:
+            raise JournalError("the journal cannot write: No space left on device (/state)")
+        super().write(batch)
+
+
+class Time:
+    """A clock that stands still until the next call that was put off is due."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.calls: list[tuple[float, int, Callable[[], None]]] = []
+
+    def call_later(self, delay_s: float, function: Callable[[], None]) -> None:
+        self.calls.append((self.now_s + delay_s, len(self.calls), function))
+
+    def run_until(self, time_s: float) -> None:
+        while self.calls and (first := min(self.calls))[0] <= time_s:
+            self.calls.remove(first)
+            self.now_s = first[0]
+            first[2]()
+        self.now_s = time_s
+
+
+def test_who_tries_again_at_once_is_held_back_and_what_is_said_of_it_is_little() -> None:
+    time, journal = Time(), FullJournal()
+    said: list[tuple[float, str, str]] = []
+    store = VirtualStore(
+        journal, time.call_later, now=lambda: time.now_s, say=lambda level, text: said.append((time.now_s, level, text))
+    )
+    done: list[float] = []
+
+    def write(data: bytes) -> None:
+        store.persist(entry(data), lambda: done.append(time.now_s), lambda reason: write(data))
+
+    write(b"a")
+    time.run_until(60.0)
+
+    assert 12 <= journal.tries <= 20
+    times = [when for when, _, _ in said]
+    assert all(later - earlier > 4.99 for earlier, later in zip(times, times[1:], strict=False))
+    full = "the journal cannot write: No space left on device (/state)"
+    assert said[0][1:] == ("error", f"{full}: it is tried again, first soon, then every 5 s")
+    assert said[-1][2].startswith(f"{full}: {journal.tries} tries in ")
+    assert store.trouble("task", "a") == full
+
+    journal.full = False
+    time.run_until(70.0)
+    assert len(done) == 1 and done[0] <= 65.0
+    assert said[-1][1] == "info" and said[-1][2].startswith(
+        f"the journal can write again ({journal.tries - 1} tries in "
+    )
+    assert store.trouble("task", "a") == ""
+
+
+def test_what_did_not_fail_does_not_wait_for_what_did() -> None:
+    time, journal = Time(), FullJournal()
+    store = VirtualStore(journal, time.call_later, now=lambda: time.now_s)
+    for _ in range(6):
+        store.persist(entry(b"large"), lambda: None, lambda reason: None)
+        time.run_until(time.now_s + 5.0)
+    journal.full = False
+    done: list[str] = []
+    store.persist(entry(b"large"), lambda: done.append("large"), never)
+    store.persist(entry(b"small"), lambda: done.append("small"), never)
+    time.run_until(time.now_s + 0.01)
+    assert "small" in done
+    store.close()
+    assert sorted(done) == ["large", "small"]
+
+
+def test_a_journal_that_is_not_the_one_any_more_ends_the_store_within_a_second_and_fails_all_that_comes() -> None:
+    class Replaced(MemoryJournal):
+        check_s = 0.01
+
+        def check(self) -> None:
+            raise JournalLost("the state directory was replaced")
+
+    told: list[str] = []
+    lost = threading.Event()
+    store = ThreadedStore(Replaced({}, "id"), lost=lambda reason: (told.append(reason), lost.set())[0])
+
+    assert lost.wait(10)
+    store.persist(entry(b"a"), lambda: told.append("written"), told.append)
+    store.close()
+
+    assert told == ["the state directory was replaced"] * 2
+    assert store.trouble("task", "a") == "the state directory was replaced"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pancakes.migration.effect import Ack, Effect, Persist, Resume, Send, StartTask, Warn
+from pancakes.migration.effect import Ack, Effect, Persist, Resume, Send, StartTask
 from pancakes.migration.event import Award, Born, Checkpoint, Frozen, PacketId, Received
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.messages import Activated, Prepared, Reserved, Solicit
@@ -109,7 +109,7 @@ def test_after_a_failed_write_nothing_of_what_was_to_follow_happens() -> None:
 
     bench.handoff.failed("disk full")
 
-    assert [type(effect) for effect in bench.asked[:2]] == [Warn, Resume]
+    assert isinstance(bench.asked[0], Resume)
     assert not any(isinstance(effect, Send) for effect in bench.asked)
     assert bench.handoff.record.phase is Phase.OWNER
     # The write that failed comes to an end after all: that changes nothing any more.

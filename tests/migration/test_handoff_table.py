@@ -7,6 +7,7 @@ import random
 import pytest
 from msgspec.structs import replace
 
+from pancakes.migration.candidate import would_take
 from pancakes.migration.core import TIMES, handle, recover
 from pancakes.migration.effect import (
     Ack,
@@ -34,6 +35,7 @@ from pancakes.migration.event import (
     Checkpoint,
     Concluded,
     Ended,
+    Forget,
     FreezeFailed,
     Frozen,
     GiveUp,
@@ -493,16 +495,14 @@ class TestFailedWrites:
     """Nothing that was to follow has happened; the core goes on from the record that is known to hold."""
 
     def test_a_task_that_could_not_be_frozen_goes_on(self) -> None:
-        warn, *rest = at_source(OWNER, FREEZING, PersistFailed("disk full", FROZEN))
-        assert isinstance(warn, Warn) and "disk full" in warn.text
-        assert rest == [
+        assert at_source(OWNER, FREEZING, PersistFailed("disk full", FROZEN)) == [
             Remember(RUNNING),
             Resume(BIRTH, 0, b"checkpoint"),
-            AttemptFailed("agent2", "the journal could not write: disk full"),
+            AttemptFailed("agent2", "disk full"),
         ]
 
     def test_a_frozen_task_is_taken_back_as_soon_as_the_disk_allows_it(self) -> None:
-        _, after = at_source(FROZEN, REST, PersistFailed("disk full", COMMITTED))
+        (after,) = at_source(FROZEN, REST, PersistFailed("disk full", COMMITTED))
         assert isinstance(after, After) and after.delay_s == TIMES.retry_write_s
         assert at_source(FROZEN, REST, after.event)[0] == Persist(TAKEN_BACK)
 
@@ -516,10 +516,11 @@ class TestFailedWrites:
         ids=["birth", "start", "stop"],
     )
     def test_a_birth_a_start_and_a_stop_are_tried_again(self, record: Record, wanted: Record) -> None:
-        _, after = at_source(record, REST, PersistFailed("disk full", wanted))
-        assert isinstance(after, After)
+        remember, after = at_source(record, REST, PersistFailed("disk full", wanted))
+        assert isinstance(remember, Remember) and isinstance(after, After)
         run = [Remember(RUNNING), StartTask(BIRTH, wanted.incarnation, b"checkpoint")]
-        assert at_source(record, REST, after.event) == [
+        assert at_source(record, remember.volatile, after.event) == [
+            Remember(REST),
             Persist(wanted),
             *(run if wanted.wanted is Wanted.RUNNING else []),
         ]
@@ -530,9 +531,51 @@ class TestFailedWrites:
         assert isinstance(after, After)
         assert at_source(replace(OWNER, incarnation=1), RUNNING, after.event) == []
 
-    def test_a_checkpoint_that_failed_is_only_reported(self) -> None:
-        (warn,) = at_source(OWNER, RUNNING, PersistFailed("disk full", OWNER))
-        assert isinstance(warn, Warn)
+    def test_of_two_decisions_that_could_not_be_written_the_later_one_is_tried_again(self) -> None:
+        stopped, started = replace(OWNER, wanted=Wanted.STOPPED), replace(OWNER, incarnation=1)
+        _, first = at_source(OWNER, REST, PersistFailed("disk full", stopped))
+        remember, second = at_source(OWNER, REST, PersistFailed("disk full", started))
+        assert isinstance(remember, Remember) and isinstance(first, After) and isinstance(second, After)
+        assert at_source(OWNER, remember.volatile, first.event) == []
+        assert Persist(started) in at_source(OWNER, remember.volatile, second.event)
+
+    def test_a_checkpoint_that_failed_is_left_to_the_next_one(self) -> None:
+        assert at_source(OWNER, RUNNING, PersistFailed("disk full", OWNER)) == []
+
+
+class TestLostRecords:
+    """What a person decides about a task of which this agent has lost its record."""
+
+    def test_it_is_adopted_under_an_epoch_that_it_cannot_have_reached(self) -> None:
+        epoch = Epoch(1_000_003, "agent1")
+        own = Record(SCAN, Phase.OWNER, epoch, epoch, snapshot=b"as configured")
+        assert at_source(ABSENT, REST, Adopt(b"as configured", 3, 1_000_000)) == [
+            Persist(own),
+            Remember(RUNNING),
+            StartTask(epoch, 0, b"as configured"),
+        ]
+        (decline,) = at_source(OWNER, RUNNING, Adopt(b"as configured", 3, 1_000_000))
+        assert isinstance(decline, Decline)
+
+    def test_it_is_forgotten_and_neither_born_nor_started_again_but_may_come_back(self) -> None:
+        _, persist = at_source(ABSENT, REST, Forget(Epoch(3, "agent2")))
+        assert isinstance(persist, Persist)
+        forgotten = persist.record
+        assert (forgotten.phase, forgotten.seen) == (Phase.ABSENT, Epoch(3, "agent2"))
+        for event in (Born(b"anew"), Start()):
+            (decline,) = at_source(forgotten, REST, event)
+            assert isinstance(decline, Decline)
+        assert would_take(forgotten, Epoch(4, "agent2")) and not would_take(forgotten, Epoch(3, "agent2"))
+
+    def test_one_of_which_nothing_is_known_is_not_born_again_either(self) -> None:
+        _, persist = at_source(ABSENT, REST, Forget(NO_EPOCH))
+        assert isinstance(persist, Persist)
+        (decline,) = at_source(persist.record, REST, Born(b"anew"))
+        assert isinstance(decline, Decline)
+
+    def test_what_is_here_is_not_forgotten(self) -> None:
+        (decline,) = at_source(RELEASED, REST, Forget(NO_EPOCH))
+        assert isinstance(decline, Decline) and "nothing to forget" in decline.reason
 
 
 def test_a_resend_is_spread_by_half_each_way() -> None:

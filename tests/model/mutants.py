@@ -221,10 +221,10 @@ MUTANTS = (
         (
             (
                 core,
-                "    warning = Warn(",
+                "    if record.phase is Phase.OWNER and volatile.freezing:\n",
                 "    if event.record.phase is Phase.COMMITTED:\n"
                 "        return source._commit(event.record, 0, times)\n"
-                "    warning = Warn(",
+                "    if record.phase is Phase.OWNER and volatile.freezing:\n",
             ),
         ),
         Bounds(faults=1),

@@ -196,7 +196,7 @@ def test_a_disk_that_is_full_leaves_everything_as_it_was(fleet, monkeypatch):
 
     reply = a.ask(Adopt("Count", force=True))
 
-    assert reply.reason == f"a/Count is not adopted: the journal could not write: {full}"
+    assert reply.reason == f"a/Count is not adopted: {full}"
     assert phase(fleet, "a") is Phase.COMMITTED and a.running() == []
     monkeypatch.undo()
     assert a.ask(Adopt("Count", force=True)).ok

@@ -111,7 +111,7 @@ def test_a_mark_that_cannot_be_written_lets_nothing_through_and_is_tried_again(f
     store.persist = lambda entry, then, failed: failed("the disk is full")
     give(fleet, a, command((2, "b")))
     assert Wheels.told == []
-    assert a.events("command_refused")[0]["reason"] == "the journal could not write its epoch: the disk is full"
+    assert a.events("command_refused")[0]["reason"] == "its epoch is not on disk: the disk is full"
     store.persist = persist
     give(fleet, a, command((2, "b")))
     assert Wheels.told == [("a", 0.5)]

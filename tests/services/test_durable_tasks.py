@@ -251,7 +251,8 @@ def test_a_stop_that_cannot_be_written_down_says_so_and_is_written_later(fleet):
     persist = store.persist
     store.persist = lambda entry, then, failed: failed("the disk is full")
     reply = agent.ask(Stop("Count"))
-    assert reply.reason == "a/Count is stopped, but the journal could not write that, and tries again: the disk is full"
+    waits = "what was asked for waits: the disk is full. It is done as soon as the journal can write"
+    assert reply.reason == f"a/client/Count is stopped; {waits}"
     assert agent.running() == []
     store.persist = persist
     fleet.run_for(2.0)

@@ -148,6 +148,7 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 
 def _check_journal(directory: Path) -> Finding:
     """Looks at one agent's journal without opening it: whoever opens it counts a boot and locks others out."""
+    from pancakes.journal.directory import fault_of
     from pancakes.journal.entry import Unbelievable, unseal
     from pancakes.journal.journal import BAD, SUFFIX
 
@@ -155,6 +156,7 @@ def _check_journal(directory: Path) -> Finding:
     torn = []
     try:
         aside = sorted(path.name for path in directory.glob(f"*{BAD}"))
+        there = {path.name for path in directory.glob(f"*{SUFFIX}")}
         for path in sorted(directory.glob(f"*{SUFFIX}")):
             try:
                 unseal("", path.read_bytes())
@@ -165,11 +167,21 @@ def _check_journal(directory: Path) -> Finding:
     except OSError as error:
         text = f"{directory} cannot be read: {(error.strerror or str(error)).lower()}"
         return Finding("error", about, text, f"make it yours: chown -R {os.getuid()} {directory}")
+    fault = fault_of(directory, directory.stat())
+    if fault:
+        return Finding("error", about, fault, "do that: its agent does not start before")
     if torn:
         advice = "the agent sets it aside at its next start; look there for a task that is missing"
         return Finding("error", about, f"in {directory}, {'; '.join(torn)}", advice)
+    undecided = [
+        name for name in aside if name.startswith("record.") and f"{name.partition(SUFFIX)[0]}{SUFFIX}" not in there
+    ]
+    if undecided:
+        text = f"{directory} has lost what it knew of tasks: {', '.join(undecided)}"
+        advice = "decide with `pancakes task adopt` or `pancakes task forget`, whose --help says what each means"
+        return Finding("warning", about, text, advice)
     if aside:
-        advice = "look whether a task is missing, then remove them"
+        advice = "none is needed any more: remove them"
         return Finding("warning", about, f"{directory} has entries that were set aside: {', '.join(aside)}", advice)
     holder = _holder(directory)
     return Finding(

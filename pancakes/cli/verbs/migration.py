@@ -1,4 +1,4 @@
-"""`pancakes task migrate|migrations|adopt`: tasks that move, have moved, or are stuck between two agents."""
+"""`pancakes task migrate|migrations|adopt|forget`: tasks that move, have moved, or are somewhere unknown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
 from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json
 from pancakes.client import Client, Where
-from pancakes.control import Adopt, Migrate, Migrations
+from pancakes.control import Adopt, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
 
 LINES = ("neighbour", "answer", "cost", "terms", "fate", "reason")
@@ -133,12 +133,17 @@ def adopt(
     at: Where,
     timeout: float,
 ) -> None:
-    """Run a task on AGENT whose hand-off is in doubt, because the other agent is gone for good.
+    """Run a task on AGENT that rests there because AGENT cannot know where it is. You know: it runs nowhere else.
 
-    This is the one act that can make two of a task: where the other agent runs it, or comes back with its disk. So
-    see first that the task runs nowhere, and switch the other agent off; set it up anew, with an empty state_dir, only
-    after the adoption. It is refused while the other agent is connected. Without --force nothing is done, and the exit
-    code is 1.
+    This is the one act that can make two of a task: where it runs elsewhere after all, or comes back on an agent that
+    is off. So see first, with `pancakes task list`, that it runs nowhere. Without --force nothing is done but to say
+    what it would mean, and the exit code is 1.
+
+    Where its hand-off to another agent is in doubt, that agent must be gone for good: switch it off, adopt, and only
+    then set it up anew, with an empty state_dir. It is refused while the other agent is connected.
+
+    Where AGENT's own record of it was lost, it goes on from what can be read of that, or else begins as its
+    configuration says, without its state. Where it does run elsewhere, see `pancakes task forget`.
 
     \b
     Example:
@@ -153,6 +158,43 @@ def adopt(
         "task_id": reply.result["task_id"],
         "done": DRY_RUN if dry_run else "adopted",
         "instead_of": reply.result["peer"],
+        "number": reply.number,
+    }
+    show([row], tuple(row), format_)
+
+
+@click.command()
+@a_task
+@click.option(
+    "--birthplace",
+    metavar="AGENT",
+    type=AgentNameType(),
+    default="",
+    help="Where it was born, if the records of two of its name were lost.",
+)
+@dry_run_option
+@orders_agents
+@sentences
+def forget(name: TaskName, birthplace: str, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+    """Let a task rest on AGENT for good, because it runs elsewhere, and AGENT has lost its record of it.
+
+    An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start it, however
+    often it is started itself, until you decide: `forget` where the task runs elsewhere, or is not wanted any more;
+    `pancakes task adopt` where it runs nowhere, and shall run on AGENT.
+
+    What was forgotten can still be moved to AGENT, and `pancakes task adopt` takes the decision back.
+
+    \b
+    Example:
+        pancakes task forget agent1/ScanTarget --dry-run
+        pancakes task forget agent1/ScanTarget
+    """
+    with Client(at, timeout) as client:
+        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run))
+    row = {
+        "agent": name.agent,
+        "task_id": reply.result["task_id"],
+        "done": DRY_RUN if dry_run else "forgotten",
         "number": reply.number,
     }
     show([row], tuple(row), format_)

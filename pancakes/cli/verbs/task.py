@@ -14,7 +14,7 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.names import TaskName, a_task, agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
-from pancakes.cli.verbs.migration import adopt, migrate, migrations
+from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.client import Client, Where
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 
@@ -33,6 +33,7 @@ def task() -> None:
 task.add_command(migrate)
 task.add_command(migrations)
 task.add_command(adopt)
+task.add_command(forget)
 
 
 @task.command("list")

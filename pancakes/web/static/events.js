@@ -5,7 +5,7 @@ import { clock, colour, h } from "./words.js";
 const SHOWN = 250;
 const MOVES = new Set([
   "migration_asked", "migration_bid", "migration_refused", "migration", "task_frozen", "task_arrived",
-  "task_handed_over", "task_resumed", "task_adopted", "handoff_failed",
+  "task_handed_over", "task_resumed", "task_adopted", "task_forgotten", "handoff_failed",
 ]);
 
 /** Says what kind of event it is, for its colour and the filter. */

@@ -1,0 +1,134 @@
+"""What an agent does with the directory that holds its state: whose it must be, and what if it goes away."""
+
+import os
+import resource
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from processes import Rig
+
+COUNT = '[task.Count]\ntype = "count.Count"\ndurability = "each"\n'
+ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"
+SOURCE = """
+from dataclasses import dataclass
+from pancakes.task import Task, every
+
+class Count(Task):
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += 1
+        if self.state.n == 3:
+            self.log("info", "counted")
+"""
+
+
+def replaced(state: Path) -> None:
+    state.rename(state.with_name("old"))
+    state.mkdir(mode=0o700)
+
+
+def removed(directory: Path) -> None:
+    while directory.exists():
+        shutil.rmtree(directory, ignore_errors=True)  # the agent writes there meanwhile
+
+
+GONE = {
+    "removed": removed,
+    "replaced": replaced,
+    "given another name": lambda state: state.rename(state.with_name("old")),
+    "its parent is removed": lambda state: removed(state.parent),
+    "emptied": lambda state: [path.unlink(missing_ok=True) for path in state.iterdir()],
+}
+
+
+@pytest.fixture
+def state(rig: Rig) -> Path:
+    rig.install("count", ENTRY_POINTS, SOURCE)
+    return rig.directory / "state" / "pancakes" / "test" / "a"
+
+
+@pytest.mark.parametrize("how", GONE)
+def test_an_agent_whose_state_directory_goes_away_ends_its_tasks_and_itself(rig: Rig, state: Path, how: str):
+    agent = rig.ready("a", COUNT)
+    agent.hear("counted")
+
+    GONE[how](state)
+
+    agent.hear("task_stopped task=Count")
+    assert agent.ended() == 1
+    last = agent.said[-1]
+    assert last.startswith("a cannot run: the ") and f"the state directory {state} was re" in last
+    assert "while the agent ran; its tasks were ended" in last
+    assert "Traceback" not in agent.everything()
+
+
+def test_an_agent_without_tasks_notices_that_as_well(rig: Rig, state: Path):
+    agent = rig.ready("a")
+    removed(state)
+    assert agent.ended() == 1
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o702, 0o777])
+def test_a_state_directory_that_others_can_write_is_refused(rig: Rig, state: Path, mode: int):
+    state.mkdir(parents=True)
+    state.chmod(mode)
+
+    agent = rig.agent(rig.config("a"))
+
+    assert agent.ended() == 1
+    text = f"the state directory {state} can be written by other users (mode {mode:04o}), so each of them could change"
+    assert agent.everything() == f"{text} what its tasks are: chmod go-w {state}"
+    state.chmod(mode & ~0o022)
+    rig.ready("a")
+
+
+def test_a_full_disk_is_answered_for_and_told_and_all_goes_on_when_there_is_room_again(rig: Rig, state: Path):
+    agent = rig.ready("a", COUNT)
+    agent.hear("counted")
+    _, hard = resource.prlimit(agent.pid, resource.RLIMIT_FSIZE)
+
+    resource.prlimit(agent.pid, resource.RLIMIT_FSIZE, (0, hard))  # as a full disk: no file may become longer
+    agent.hear(f"the journal cannot write: File too large ({state}): it is tried again")
+    stopped = rig.pancakes("task", "stop", "a/Count")
+    assert stopped.returncode == 1
+    assert (
+        f"a/client/Count is stopped; what was asked for waits: the journal cannot write: File too large ({state})"
+        in (stopped.stderr)
+    )
+    started = rig.pancakes("task", "start", "a/Count")
+    assert "is stopped; what was asked for waits: the journal cannot write" in started.stderr
+
+    resource.prlimit(agent.pid, resource.RLIMIT_FSIZE, (hard, hard))
+    agent.hear("the journal can write again")
+    agent.hear("task_started task=Count")
+    assert rig.pancakes("task", "stop", "a/Count").returncode == 0
+    agent.signalled(signal.SIGTERM)
+
+
+def test_a_damaged_record_is_decided_about_with_adopt_or_forget(rig: Rig, state: Path):
+    rig.ready("a", COUNT).signalled(signal.SIGTERM)
+    record = state / "record.a%2FCount.rec"
+    record.write_bytes(record.read_bytes()[:-1] + b"?")
+    for _ in range(2):
+        agent = rig.agent(rig.config("a", COUNT))
+        agent.hear("/kernel: ready")
+        agent.hear("a/Count is not started: it may run elsewhere")
+        rig.entry(agent.pid)
+        asked = rig.pancakes("task", "start", "a/Count")
+        assert asked.returncode == 1 and "`pancakes task forget a/Count` leaves it there" in asked.stderr
+        agent.signalled(signal.SIGTERM)
+    rig.ready("a", COUNT)
+
+    assert "would" not in rig.pancakes("task", "forget", "a/Count", "--dry-run").stderr
+    forgotten = rig.pancakes("task", "forget", "a/Count")
+    assert forgotten.returncode == 0 and "forgotten" in forgotten.stdout
+    assert rig.pancakes("task", "adopt", "a/Count").returncode == 1
+    adopted = rig.pancakes("task", "adopt", "a/Count", "--force")
+    assert adopted.returncode == 0 and "adopted" in adopted.stdout
+    assert os.path.exists(record)

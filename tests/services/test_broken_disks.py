@@ -1,0 +1,155 @@
+"""What an agent does while its journal cannot write: each asker hears what it waits for, and all goes on afterwards."""
+
+import os
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from pancakes.control import Configure, Describe, Start, Stop
+from pancakes.devices.driver import Sensor
+from pancakes.devices.types import Pose
+from pancakes.packet import SYSCTRL
+from pancakes.task import Task, every
+from pancakes.testing import threaded_agent
+
+
+class Count(Task):
+    """Counts its ticks."""
+
+    @dataclass
+    class Settings:
+        step: int = 1
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=20)
+    def tick(self, tick):
+        self.state.n += self.settings.step
+
+
+class Spoiler(Sensor):
+    """A device that is opened before tasks are born, and then makes the record of Count one that cannot be written."""
+
+    type = "pose"
+
+    @dataclass
+    class Settings:
+        state: str = ""
+
+    def open(self):
+        temporary(Path(self.settings.state)).mkdir()
+
+    def sample(self):
+        return Pose(0.0, 0.0, 0.0)
+
+
+def temporary(state):
+    return state / "record.a%2FCount.rec.tmp"
+
+
+@contextmanager
+def obstacle(state, kind="directory"):
+    """Lies where the journal makes the temporary file for the record of Count."""
+    path = temporary(state)
+    if kind == "directory":
+        while True:
+            with suppress(FileExistsError):  # one is being written
+                path.mkdir()
+                break
+        yield
+        path.rmdir()
+        return
+    os.mkfifo(path)  # who opens it to write waits until somebody reads
+    try:
+        yield
+    finally:
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        path.unlink()
+        os.close(reader)
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [("directory", "cannot write: Is a directory"), ("pipe", "has been waiting for the disk for")],
+    ids=["it fails", "it hangs"],
+)
+def test_each_asker_is_answered_while_the_journal_cannot_write_and_all_is_done_in_order_afterwards(
+    tmp_path, kind, what
+):
+    state = tmp_path / "a"
+    with threaded_agent("a", tasks={"Count": {"type": Count, "start": False}}, state_dir=state) as agent:
+        with obstacle(state, kind):
+            bodies = (Start("Count"), Configure("Count", {"step": 2}), Stop("Count"))
+            asked = [agent.publish(SYSCTRL, body) for body in bodies]
+            for packet in asked:
+                reply = agent.reply_to(packet, at_most_s=3.0)
+                assert not reply.ok
+                assert reply.reason.startswith("a/client/Count is starting; what was asked for waits: the journal ")
+                assert what in reply.reason and f"({state})" in reply.reason
+            assert agent.running() == []
+            assert agent.ask(Describe("Count"), at_most_s=3.0).result["state"] == "starting"
+
+        agent.wait_for_event("task_started", task="Count")
+        agent.wait_for_event("task_stopped", task="Count")
+        for number in (1, 2, 3):
+            became = f"what a/test/Probe asked for (#{number}) is done"
+            agent.wait_until(lambda became=became: became in agent.lines(), what=became)
+        assert agent.ask(Start("Count")).ok
+        assert agent.ask(Stop("Count")).ok
+
+
+def test_a_stop_and_a_start_that_could_not_be_written_leave_what_was_asked_for_last(tmp_path):
+    state = tmp_path / "a"
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=state) as agent:
+        with obstacle(state):
+            assert "is stopped; what was asked for waits" in agent.ask(Stop("Count")).reason
+            assert agent.running() == []
+            assert "is stopped; what was asked for waits" in agent.ask(Start("Count")).reason
+        agent.wait_until(lambda: agent.running() == ["Count"])
+        assert agent.ask(Configure("Count", {"step": 3})).ok
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=state) as agent:
+        assert agent.running() == ["Count"]
+
+
+def test_an_agent_whose_task_cannot_be_written_down_at_its_start_gets_ready_all_the_same(tmp_path):
+    state = tmp_path / "a"
+    devices = {"spoiler": {"type": Spoiler, "settings": {"state": str(state)}}}
+    with threaded_agent("a", tasks={"Count": Count}, devices=devices, state_dir=state) as agent:
+        assert agent.running() == []
+        assert "cannot write: Is a directory" in agent.ask(Describe("Count")).result["reason"]
+        temporary(state).rmdir()
+        agent.wait_for_event("task_started", task="Count")
+
+
+def test_a_task_that_is_written_down_each_time_neither_keeps_the_machine_busy_nor_fills_the_log(tmp_path):
+    state = tmp_path / "a"
+    tasks = {"Count": {"type": Count, "durability": "each"}}
+    with threaded_agent("a", tasks=tasks, state_dir=state) as agent:
+
+        def lines():
+            return [line for line in agent.lines() if "the journal can" in line]
+
+        with obstacle(state):
+            agent.wait_until(lambda: len(lines()) == 2, what="a second line about the journal")
+        first, second = lines()
+        reason = f"the journal cannot write: Is a directory ({state})"
+        assert first == f"{reason}: it is tried again, first soon, then every 5 s"
+        tries, words, *_ = second.partition("): ")[2].split()
+        assert words == "tries" and 3 <= int(tries) <= 9
+        agent.wait_until(lambda: len(lines()) == 3)
+        assert lines()[-1].startswith("the journal can write again (")
+        assert agent.ask(Stop("Count")).ok
+
+
+def test_a_symbolic_link_is_followed_and_told(tmp_path):
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "elsewhere")
+    with threaded_agent("a", tasks={"Count": Count}, state_dir=link) as agent:
+        (told,) = [line for line in agent.lines("warning") if "symbolic link" in line]
+        assert told.endswith(f"{link} is a symbolic link: what lies in {tmp_path / 'elsewhere'} is used")
+    assert (tmp_path / "elsewhere" / "record.a%2FCount.rec").exists()
