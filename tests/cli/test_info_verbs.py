@@ -137,7 +137,7 @@ def test_an_agent_that_is_not_there_or_silent(rig: Rig, agent: Running, freeze: 
     assert failed(rig, "agent", "info", "c") == (3, "there is no agent 'c', only a")
     assert rig.pancakes("agent", "info").returncode == 2
     assert rig.pancakes("task", "list", "--state", "runing").returncode == 2
-    assert rig.pancakes("agent", "info", "a/client").returncode == 2
+    assert rig.pancakes("agent", "info", "test/a/client").returncode == 2
     freeze(agent)
     code, sentence = failed(rig, "agent", "info", "a", "--timeout", "0.5")
     assert (code, sentence) == (3, f"a ({rig.address(agent)}) did not answer: nothing came within 0.5 s")

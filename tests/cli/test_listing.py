@@ -88,6 +88,7 @@ def test_tasks_are_listed_with_what_they_do(rig: Rig):
         "type": "host.load",
         "state": "running",
         "rate_hz": 2.0,
+        "rest": "",
     } in rows
     assert next(row for row in rows if row["task"] == "NetworkClient")["rate_hz"] is None
 

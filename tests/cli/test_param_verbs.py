@@ -246,7 +246,7 @@ def test_a_file_that_is_none(rig: Rig, agent: Running, text: str, code: int, exp
 
 @pytest.mark.parametrize(
     "arguments",
-    [("set", "a/Count"), ("set", "a/Count", "step"), ("set", "a", "step=1"), ("get", "a"), ("list", "a/b/c/d")],
+    [("set", "a/Count"), ("set", "a/Count", "step"), ("set", "a", "step=1"), ("get", "a"), ("list", "a/b/c/d/e")],
 )
 def test_what_cannot_be_read_is_exit_code_2(rig: Rig, arguments: tuple[str, ...]):
     result = rig.pancakes("param", *arguments)
