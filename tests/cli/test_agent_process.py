@@ -258,7 +258,7 @@ def test_what_libraries_log_goes_to_the_log_without_a_traceback(rig: Rig):
 
     agent = rig.agent(rig.config("a", '[task.Chatty]\ntype = "chatty.Chatty"\n'))
 
-    assert "wheels: no wheel: KeyError: 'left' (plugin_chatty.py" in agent.hear("no wheel")
+    assert "wheels: no wheel: KeyError: 'left' at plugin_chatty.py:" in agent.hear("no wheel")
     assert agent.signalled(signal.SIGTERM)[0] == 0
     assert "Traceback" not in agent.everything()
 

@@ -25,7 +25,7 @@ class NoKernel:
     def seq_of(self, address):
         return Counter(1)
 
-    def log(self, level, text):
+    def log(self, level, text, traceback=""):
         self.said.append(text)
 
 
