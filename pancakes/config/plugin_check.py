@@ -97,8 +97,8 @@ class _Check:
             return None
         if not _is_class_of(group, found):
             kind = group.removeprefix("pancakes.")[:-1]
-            problem = f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution"
-            self._fault((*table, key), problem)
+            fault = f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution"
+            self._fault((*table, key), fault)
             return None
         for problem in check_settings(found.Settings, settings):
             self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)

@@ -71,16 +71,8 @@ class Console(Task):
             level, text = body.level, body.text
         elif isinstance(body, Event):
             level = "info"
-            text = " ".join(
-                [
-                    body.kind,
-                    *(
-                        f"{key}={value}"
-                        for key, value in without_arrays(body.fields).items()
-                        if value not in (None, "")
-                    ),
-                ]
-            )
+            fields = without_arrays(body.fields).items()
+            text = " ".join([body.kind, *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
         else:
             level, text = "info", f"{packet.type} {body}"
         if level in LEVELS and LEVELS.index(level) < LEVELS.index(self.settings.level):
