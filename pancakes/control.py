@@ -185,7 +185,8 @@ class Channels(msgspec.Struct, frozen=True):
 
     Each has `agent`, `channel`, `core` (whether it cannot be removed), `subscribers` (a list of mappings: `address`,
     `types` or None for all, `open_types`: those of them that it gets without being addressed, `keep`, `limit`,
-    `waiting`, `waiting_bytes`: of the large bodies among these, `dropped`) and `followers` (agents that it is
+    `waiting`, `waiting_bytes`: of the large bodies among these, `dropped`: lost by one that wants more than the
+    newest) and `followers` (agents that it is
     forwarded to).
 
     Attributes:

@@ -38,7 +38,7 @@ def test_assert_published_tells_what_there_was_instead():
         fleet.run_for(1.0)
         assert assert_published(agent, Load, channel="system").body == Load(1.0)
         assert assert_published(agent.probe, Load, lambda load: load.cpu < 1.0, times=1).body == Load(0.5)
-        with pytest.raises(AssertionError, match=r"2 packets of the type 'load' fit, 3 wanted(.|\n)*Load\(cpu=0\.5\)"):
+        with pytest.raises(AssertionError, match=r"2 packets of the type 'load' fit, 3 wanted(.|\n)*cpu: 0\.5"):
             assert_published(agent, Load, times=3)
         with pytest.raises(AssertionError, match="0 packets of the type 'line' fit, at least one wanted"):
             assert_published(agent, LogLine, lambda line: line.text == "never said")

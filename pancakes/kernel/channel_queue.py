@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from pancakes.kernel.counter import Counter
-from pancakes.kernel.keep import MOST_BYTES, Keep
+from pancakes.kernel.keep import LATEST, MOST_BYTES, Keep
 from pancakes.packet import Packet
 from pancakes.weight import heavy_weight
 
@@ -27,6 +27,7 @@ class ChannelQueue:
 
     Attributes:
         shared: whether packets under several bounds wait here (`SharedQueue`).
+        earlier: how many packets were lost in the queues that this one took the place of.
         heavy: the bytes of each heavy packet that waits, by its `id`; None until the first has come.
         heavy_bytes: their sum.
         refused: packets from other agents that found no room under a `reliable` subscription.
@@ -36,6 +37,7 @@ class ChannelQueue:
         "_offered",
         "bounds",
         "channel",
+        "earlier",
         "handled",
         "heavy",
         "heavy_bytes",
@@ -61,6 +63,7 @@ class ChannelQueue:
         self.handled = 0
         self.in_runs = 0
         self.refused = 0
+        self.earlier = 0
         self.heavy: dict[int, int] | None = None
         self.heavy_bytes = 0
         self._offered = Counter()
@@ -182,5 +185,10 @@ class ChannelQueue:
         return self._offered.value + self.in_runs
 
     def dropped(self) -> int:
-        """Returns how many packets fell out (derived, so that no publisher counts under a lock), or were refused."""
-        return max(0, self.offered() - self.handled - len(self.items)) + self.refused
+        """Returns how many packets were lost: those that fell out, and those that were refused from other agents.
+
+        Where only the newest is wanted (`LATEST`), the others are not lost.
+        """
+        # Derived, so that no publisher counts under a lock.
+        fallen = 0 if self.keep == LATEST else max(0, self.offered() - self.handled - len(self.items))
+        return fallen + self.refused + self.earlier

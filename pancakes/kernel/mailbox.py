@@ -52,7 +52,6 @@ class Mailbox:
     """
 
     __slots__ = (
-        "_dropped",
         "closed",
         "component",
         "control",
@@ -77,7 +76,6 @@ class Mailbox:
         self.component: Component | None = None
         self.closed = False
         self.paused = False
-        self._dropped = 0
 
     def put(self, item: Any, /) -> None:
         """Puts into the control lane (pykka calls this for `tell`, `ask` and `stop`)."""
@@ -141,7 +139,7 @@ class Mailbox:
                     made.put_heavy(packet, weight)
                 else:
                     made.put(packet)
-            self._dropped += before.dropped()
+            made.earlier = before.dropped()
         return made
 
     def clear_data(self) -> None:
@@ -162,5 +160,5 @@ class Mailbox:
                 self.waiting.append(waiting)
 
     def dropped(self) -> int:
-        """Returns how many packets fell out of all queues."""
-        return self._dropped + sum(queue.dropped() for queue in list(self.queues.values()))
+        """Returns how many packets were lost in all queues; see `ChannelQueue.dropped`."""
+        return sum(queue.dropped() for queue in list(self.queues.values()))

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from pancakes.kernel.channel_queue import ChannelQueue
-from pancakes.kernel.keep import MOST_BYTES, Keep
+from pancakes.kernel.keep import LATEST, MOST_BYTES, Keep
 from pancakes.packet import Packet
 from pancakes.weight import heavy_weight
 
@@ -34,11 +34,12 @@ class _Lane:
         first: the number of the oldest that waits.
         next: the number that the next one will have.
         fallen: how many have fallen out and are still in the queue's row, before the first.
+        lost: how many have ever fallen out, where more than the newest is wanted.
         weights: of the heavy ones, by number.
         bytes: their sum.
     """
 
-    __slots__ = ("bytes", "fallen", "first", "keep", "most", "next", "weights")
+    __slots__ = ("bytes", "fallen", "first", "keep", "lost", "most", "next", "weights")
 
     def __init__(self, keep: Keep) -> None:
         self.keep = keep
@@ -46,6 +47,7 @@ class _Lane:
         self.first = 0
         self.next = 0
         self.fallen = 0
+        self.lost = 0
         self.weights: dict[int, int] = {}
         self.bytes = 0
 
@@ -127,6 +129,8 @@ class SharedQueue(ChannelQueue):
                 self._fallen_bytes += self._unweigh(lane, fallen)
         lane.first += number
         lane.fallen += number
+        if lane.keep != LATEST:
+            lane.lost += number
         self._fallen += number
         if self._fallen > max(SPARE, len(self.items) // 2) or self._fallen_bytes > SPARE_BYTES:
             self._sweep()
@@ -191,7 +195,7 @@ class SharedQueue(ChannelQueue):
 
     def dropped(self) -> int:
         with self._lock:
-            return max(0, self.offered() - self.handled - len(self)) + self.refused
+            return sum(lane.lost for lane in self._lanes.values()) + self.refused + self.earlier
 
 
 def _is_full(lane: _Lane, weight: int) -> bool:

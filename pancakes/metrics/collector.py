@@ -133,7 +133,9 @@ class AgentMetrics(Collector):
         labels = ["agent", "service", "task", "channel"]
         waiting = GaugeMetricFamily("pancakes_mailbox_waiting_packets", "Packets that wait.", labels=labels)
         handled = CounterMetricFamily("pancakes_mailbox_handled_packets", "Packets taken out.", labels=labels)
-        dropped = CounterMetricFamily("pancakes_mailbox_dropped_packets", "Packets that fell out.", labels=labels)
+        dropped = CounterMetricFamily(
+            "pancakes_mailbox_dropped_packets", "Packets that a reader wanted and lost.", labels=labels
+        )
         for component in components:
             for channel, box in list(component.actor_inbox.queues.items()):
                 where = [*_place(component), channel]

@@ -44,7 +44,7 @@ class OneTask(msgspec.Struct, frozen=True):
         task_id: its identity for life; empty where it cannot move.
         incarnation: how often it was started.
         waiting: how many packets wait in its mailbox.
-        dropped: how many packets fell out of its mailbox so far.
+        dropped: how many packets it has lost so far, on channels of which it wants more than the newest.
         timers: its time-driven methods.
     """
 

@@ -59,16 +59,8 @@ class Console(LogWriter):
         if isinstance(body, LogLine):
             text = body.text
         elif isinstance(body, Event):
-            text = " ".join(
-                [
-                    body.kind,
-                    *(
-                        f"{key}={value}"
-                        for key, value in without_arrays(body.fields).items()
-                        if value not in (None, "")
-                    ),
-                ]
-            )
+            fields = without_arrays(body.fields).items()
+            text = " ".join([body.kind, *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
         else:
             text = f"{packet.type} {body}"
         line = f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}"

@@ -132,9 +132,8 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
 
 
 def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:
-    """Who keeps only the newest packet wants it so."""
     for read in described["reads"] if described is not None else ():
-        if read["dropped"] and read["limit"] > 1:
+        if read["dropped"]:
             text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
             yield Finding("warning", about, text, f"see who publishes: pancakes channel hz {agent}/{read['channel']}")
 
