@@ -28,7 +28,7 @@ def fail_at_start(supervision, now_s, source=LONGEST):
 
 
 def fail_after(supervision, ran_s, now_s=0.0):
-    """It is started at `now_s`, and fails once it has run for so long; returns what follows, and when the next try is."""
+    """It is started at `now_s`, and fails after it has run for so long; returns what follows, and the next try."""
     supervision.runs(now_s)
     return supervision.ended(True, now_s + ran_s, LONGEST), supervision.due_s
 

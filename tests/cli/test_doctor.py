@@ -95,8 +95,9 @@ class Boom(Task):
 
 def test_a_task_that_was_given_up_is_found(rig: Rig):
     rig.install("boom", "[pancakes.tasks]\nboom.Boom = plugin_boom:Boom\n", RAISES)
-    agent = rig.ready("a", '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "temporary" }\n')
-    agent.hear("a/client/Boom is given up")
+    agent = rig.agent(rig.config("a", '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "temporary" }\n'))
+    agent.hear("a/client/Boom is given up")  # which may come before the agent is ready
+    rig.entry(agent.pid)
 
     code, found = diagnosis(rig, "--no-machine")
 

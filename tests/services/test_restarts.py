@@ -146,7 +146,9 @@ def test_the_pauses_grow_and_a_fault_that_stays_is_given_up(thing, fleet):
     assert it.failures() == 6
     assert it.row()["failures"] == 6 and it.row()["next_try_s"] is None
     kind = "service_failed" if it.kind == "service" else "task_failed"
-    stamps = [packet.stamp for packet in it.agent.probe.packets(channel="log") if getattr(packet.body, "kind", "") == kind]
+    stamps = [
+        packet.stamp for packet in it.agent.probe.packets(channel="log") if getattr(packet.body, "kind", "") == kind
+    ]
     pauses_s = [after - before for before, after in zip(stamps, stamps[1:], strict=False)]
     for found_s, most_s in zip(pauses_s, (0.1, 0.2, 0.4, 0.8, 1.6), strict=True):
         assert 0.75 * most_s <= found_s <= most_s + 0.01
