@@ -9,7 +9,10 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import stat
+import sys
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -21,6 +24,17 @@ VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
 """The environment variable that names another directory."""
 _SUFFIX: Final = ".json"
 _TEMPORARY: Final = ".tmp"
+_NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
+"""Files of these names are written by agents, `NAME.PID.json`."""
+_LIMIT_BYTES: Final = 65_536
+_KINDS: Final = {
+    stat.S_IFDIR: "a directory",
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFBLK: "a block device",
+    stat.S_IFCHR: "a character device",
+}
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -94,44 +108,63 @@ def register(entry: Entry) -> Registration:
     return Registration(path, handle)
 
 
+class Found(msgspec.Struct, frozen=True):
+    """What lies in the runtime directory.
+
+    Attributes:
+        entries: the agents that run on this machine, by name.
+        cleared: the entries of agents that died without taking them away, as `NAME.PID`; they have just been removed.
+        odd: a sentence for each thing there that no agent has written; it is left as it is.
+    """
+
+    entries: list[Entry]
+    cleared: list[str]
+    odd: list[str]
+
+
 def entries() -> list[Entry]:
     """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
 
-    Raises:
-        PancakesError: the directory cannot be used; the sentence says why.
-    """
-    return _look()[0]
-
-
-def leftovers() -> list[str]:
-    """Clears away what agents left behind that died without taking their entries away.
-
-    Returns:
-        The names of these entries, `NAME.PID`.
+    What else lies there is passed over, with a warning on standard error, once in a process.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
     """
-    return _look()[1]
+    found = look()
+    for sentence in found.odd:
+        _warn(sentence)
+    return found.entries
 
 
-def _look() -> tuple[list[Entry], list[str]]:
-    """Returns the entries of those that live, by name, and the names of those that were cleared away."""
+@cache
+def _warn(sentence: str) -> None:
+    print(f"warning: {sentence}; passed over", file=sys.stderr)
+
+
+def look() -> Found:
+    """Looks at all that lies in the runtime directory, and clears away what the dead left behind.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
     directory = runtime_dir()
-    found: list[Entry] = []
-    cleared: list[str] = []
+    found = Found([], [], [])
     try:
         if not directory.exists():
-            return [], []
+            return found
         usable(directory)
         for path in sorted(directory.iterdir()):
             if path.name.endswith((_SUFFIX, _SUFFIX + _TEMPORARY)):
-                entry = _read(path, cleared)
-                if entry is not None:
-                    found.append(entry)
+                try:
+                    _read(path, found)
+                except FileNotFoundError:
+                    pass  # it has gone in the meantime
+                except OSError as error:
+                    found.odd.append(f"{_shown(path)} cannot be read: {(error.strerror or str(error)).lower()}")
     except OSError as error:
         raise _unusable(directory, error) from None
-    return sorted(found, key=lambda entry: (entry.name, entry.pid)), cleared
+    found.entries.sort(key=lambda entry: (entry.name, entry.pid))
+    return found
 
 
 def usable(directory: Path) -> None:
@@ -150,29 +183,66 @@ def usable(directory: Path) -> None:
         raise PancakesError(f"the runtime directory {directory} is open to other users (mode {mode:o}, not 700)")
 
 
-def _read(path: Path, cleared: list[str]) -> Entry | None:
-    """Returns the entry of an agent that lives; clears away that of a dead one, and notes its name."""
+def _read(path: Path, found: Found) -> None:
+    """Looks at one entry. Whatever it is, this neither waits for it nor reads more of it than an entry has.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    oddity = _oddity(os.lstat(path))
+    if oddity:
+        found.odd.append(f"{_shown(path)} is {oddity}, no agent's entry")
+        return
+    # What it is may have changed since: to open a FIFO would wait for a writer.
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
-    except OSError:
-        return None  # it has gone in the meantime
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if path.name.endswith(_TEMPORARY):
-                return None
-            return msgspec.json.decode(os.read(handle, 65_536), type=Entry)
-        path.unlink()
-        cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
-    except FileNotFoundError:
-        return None  # it has gone in the meantime, in order
-    except msgspec.DecodeError:
-        return None  # not ours
+        oddity = _oddity(os.fstat(handle))
+        lives = not oddity and _is_locked(handle)
+        if lives and path.name.endswith(_TEMPORARY):
+            return  # it is being written
+        if lives:
+            try:
+                found.entries.append(msgspec.json.decode(os.read(handle, _LIMIT_BYTES), type=Entry))
+                return
+            except (msgspec.MsgspecError, ValueError, RecursionError):
+                oddity = "in use, but what it says is"
+        elif not oddity and _NAME.fullmatch(path.name):
+            path.unlink()
+            found.cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
+            return
+        found.odd.append(f"{_shown(path)} is {oddity or 'a file of another kind,'} no agent's entry")
     finally:
         os.close(handle)
-    return None
+
+
+def _oddity(status: os.stat_result) -> str:
+    """Returns what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
+    kind = stat.S_IFMT(status.st_mode)
+    if kind != stat.S_IFREG:
+        return _KINDS.get(kind, "no file")
+    if status.st_uid != os.getuid():
+        return f"a file of another user (uid {status.st_uid})"
+    if status.st_size > _LIMIT_BYTES:
+        return f"a file of {status.st_size} bytes"
+    return ""
+
+
+def _is_locked(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    return False
+
+
+def _shown(path: Path) -> str:
+    """Returns a path as it may be printed."""
+    text = str(path)
+    return text if text.isprintable() else ascii(text)
 
 
 def _unusable(directory: Path, error: OSError) -> PancakesError:
-    return PancakesError(f"the runtime directory {directory} cannot be used: {(error.strerror or str(error)).lower()}")
+    what = (error.strerror or str(error)).lower()
+    if error.filename is not None and Path(os.fsdecode(error.filename)) != directory:
+        what = f"{_shown(Path(os.fsdecode(error.filename)))}: {what}"
+    return PancakesError(f"the runtime directory {directory} cannot be used: {what}")

@@ -197,7 +197,7 @@ class Service(Supervisor):
 
     def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
         """Starts a task; the answer comes once it runs."""
-        if slot.state not in (TaskState.STOPPED, TaskState.FAILED):
+        if slot.state not in (TaskState.STOPPED, TaskState.FAILED, TaskState.RESTARTING):
             raise ControlRefused(f"{slot.address} is {slot.state.value} already")
         carried = self.carried_of(slot)
         if body.settings is not None:
@@ -206,11 +206,19 @@ class Service(Supervisor):
         if body.dry_run:
             self.reply(request, self.refuse_start(slot))
             return
-        if body.settings is not None:
-            slot.carried = carried
-        slot.supervision.forget()
+        answer = self._occupy(slot, request)
+
+        def begin() -> None:
+            if body.settings is not None:
+                slot.carried = carried
+            slot.supervision.forget()
+            self.start_anew(slot, answer)
+
         self.tell_asked("start", slot, request)
-        self.start_anew(slot, self._occupy(slot, request))
+        if slot.supervision.due_s is None:
+            begin()
+        else:
+            self.halt(slot, begin, f"start asked for by {request.by}")
 
     def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
         """Stops a task; the answer comes once it has ended."""

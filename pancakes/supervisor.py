@@ -138,6 +138,7 @@ class Supervisor(Component):
             slot: a slot whose task does not run.
             then: called in this actor once it runs, with an empty string, or when it did not start, with the reason.
         """
+        slot.supervision.cancel()
         reason = "its service stops" if self.closing else self.admit(slot)
         reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
         if reason:
@@ -170,7 +171,7 @@ class Supervisor(Component):
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
-            self._task_failed(slot, error)
+            self._task_failed(slot, error, hopeless=isinstance(error, SettingsError))
             return
         assert isinstance(component, Task)
         slot.task = component
@@ -193,14 +194,15 @@ class Supervisor(Component):
         """
         if slot.state is TaskState.STUCK and stuck is not None:
             stuck(f"{slot.address} is stuck")
-        if slot.state in (TaskState.STOPPED, TaskState.FAILED):
+        if slot.state in (TaskState.STOPPED, TaskState.FAILED) and slot.supervision.due_s is None:
             self._let_go(slot)
             if then is not None:
                 then()
             return
         if then is not None:
             slot.on_ended = (*slot.on_ended, then)
-        if slot.state is TaskState.RESTARTING:
+        if slot.supervision.due_s is not None:
+            slot.supervision.forget()
             self._rest(slot, reason)
             return
         if slot.state in (TaskState.STOPPING, TaskState.STUCK):
@@ -288,6 +290,7 @@ class Supervisor(Component):
             "rate_hz": first.rate_hz if first is not None else None,
             "incarnation": slot.incarnation,
             "reason": slot.reason,
+            **slot.supervision.describe(self.kernel.host.now()),
             "ticks": first.ticks if first is not None else 0,
             "lateness_sum_s": first.lateness_sum_s if first is not None else 0.0,
             "missed": sum(timer.missed_total for timer in timers),
@@ -298,7 +301,6 @@ class Supervisor(Component):
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         """Returns all that is to be known about a task, its settings among it, as plain values."""
         task = slot.task
-        restart = slot.spec.restart
         return {
             **self.describe_task(slot),
             # No configuration names it: it comes with its service, whose settings are where its own come from.
@@ -309,7 +311,7 @@ class Supervisor(Component):
             "settings": self.settings_of(slot),
             "settings_schema": self.schema_of_settings(slot),
             "durability": slot.spec.durability,
-            "restart": {"policy": restart.policy, "at_most": restart.at_most, "within_s": restart.within_s},
+            "restart": msgspec.structs.asdict(slot.spec.restart),
             "failure": msgspec.to_builtins(slot.failure),
             "fence": {"task_id": slot.fence.task_id, "epoch": slot.fence.epoch[0]} if slot.fence is not None else None,
         }
@@ -424,6 +426,7 @@ class Supervisor(Component):
         if slot is None or slot.task is not task or slot.state is not TaskState.STARTING:
             return
         slot.state = TaskState.RUNNING
+        slot.supervision.runs(self.kernel.host.now())
         self.event(
             "task_started",
             task=slot.name,
@@ -476,17 +479,20 @@ class Supervisor(Component):
         else:
             self._decide(slot, failed=False, text="it stopped itself")
 
-    def _task_failed(self, slot: Slot, error: BaseException) -> None:
-        self._decide(slot, failed=True, text=self._note_failure(slot, error).text)
+    def _task_failed(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
+        self._decide(slot, failed=True, text=self._note_failure(slot, error).text, hopeless=hopeless)
 
     def _note_failure(self, slot: Slot, error: BaseException) -> Failure:
         slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
         return slot.failure
 
-    def _decide(self, slot: Slot, failed: bool, text: str) -> None:
+    def _decide(self, slot: Slot, failed: bool, text: str, hopeless: bool = False) -> None:
         """A task ended unasked: restart it, let it rest, or give up on it."""
         slot.reason = text
-        following = slot.supervision.ended(failed, self.kernel.host.now())
+        supervision, now_s = slot.supervision, self.kernel.host.now()
+        following = supervision.ended(failed, now_s, self.random, hopeless)
+        if self.closing:
+            supervision.forget()
         restart = following is Next.RESTART and not self.closing
         if restart:
             slot.state = TaskState.RESTARTING
@@ -496,19 +502,20 @@ class Supervisor(Component):
             self.event("task_failed", task=slot.name, error=text, then=following.value)
         for then in waiting:
             then(f"{slot.address} failed to start: {text}")
+        due_s = supervision.due_s
+        if due_s is not None:
+            self.after_host(due_s - now_s, lambda: self._try_again(slot, due_s))
         if restart:
-            self.log("warning", f"{slot.address} is started again: {text}", traceback)
-            # In a turn of its own: a task that fails at once must not hold up what its service is asked meanwhile.
-            self.call(lambda: self._relaunch(slot))
+            self.log("warning", f"{slot.address} is started again {supervision.when(now_s)}: {text}", traceback)
+            # The agent is ready without it, and goes on to what can start.
+            self.settle(slot)
             return
         if following is Next.GIVE_UP:
             slot.state = TaskState.FAILED
-            spec = slot.supervision.spec
-            self.log(
-                "error",
-                f"{slot.address} is given up: {text} ({spec.policy}, {spec.at_most} restarts in {spec.within_s:g} s)",
-                traceback,
-            )
+            then_again = "" if due_s is None else f", and tried again {supervision.when(now_s)}"
+            spec = supervision.spec
+            why = "" if hopeless else f" ({spec.policy}, {spec.at_most} restarts in {spec.within_s:g} s)"
+            self.log("error", f"{slot.address} is given up{then_again}: {text}{why}", traceback)
             self.event("task_given_up", task=slot.name, error=text)
             self._let_go(slot)
             self.settle(slot)
@@ -518,8 +525,8 @@ class Supervisor(Component):
             self.log("warning", f"{slot.address} failed as its service stops: {text}", traceback)
         self._rest(slot, text)
 
-    def _relaunch(self, slot: Slot) -> None:
-        if slot.state is TaskState.RESTARTING:
+    def _try_again(self, slot: Slot, due_s: float) -> None:
+        if not self.closing and slot.supervision.take(due_s):
             slot.state = TaskState.STOPPED
             self.relaunch(slot)
 

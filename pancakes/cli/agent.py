@@ -22,4 +22,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    from pancakes.cli import entry  # noqa: F401 - a SIGINT ends it quietly
+
     main()

@@ -59,10 +59,12 @@ def run(options: Options) -> None:
 class Orders:
     """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
 
-    From then on it has `STOP_S` to end: one that a stuck task or driver holds up is ended all the same.
+    From then on it has `STOP_S` to end: one that a stuck task or driver holds up is ended all the same. Before it has
+    begun there is nothing to end in order, and the process ends at once.
     """
 
     def __init__(self) -> None:
+        self._begun = False
         self._reasons: deque[str] = deque()
         self._now = MonotonicClock().now
         self._seen: dict[int, float] = {}  # when each signal came first
@@ -74,6 +76,10 @@ class Orders:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
                 signal.signal(number, self._heard)
+
+    def begin(self) -> None:
+        """The agent begins: from here on it is ended in order."""
+        self._begun = True
 
     def give_up(self, reason: str) -> None:
         """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
@@ -89,6 +95,8 @@ class Orders:
         return self._reasons[0]
 
     def _heard(self, number: int, frame: FrameType | None) -> None:
+        if not self._begun:
+            os._exit(OK)
         # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
         if number in self._seen:
             # `timeout` tells a process, and then its group, in which it is again: that is once.
@@ -113,6 +121,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     interpreter.keep()
     running.on_fatal(orders.give_up)
     running.on_shutdown(lambda: orders.give_up(""))
+    orders.begin()
     running.start()
     registration = _register(running)
     if ready_fd is not None:

@@ -8,7 +8,26 @@ import threading
 from types import FrameType
 
 
-def event_at(*signals: signal.Signals, again: int | None = None) -> threading.Event:
+def end_by_signals(*signals: signal.Signals) -> None:
+    """From here on these signals end the process at once: nothing is left that must end in order. Main thread."""
+    for number in signals:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
+
+
+class Interrupted(threading.Event):
+    """Is set once one of some signals has come."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[int] = []
+
+    def is_set(self) -> bool:
+        # The thread that wakes those who wait comes later than the handler.
+        return bool(self.seen) or super().is_set()
+
+
+def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
     """Returns an event that is set when one of these signals comes. Main thread, and once in a process.
 
     It is set by a thread that reads what Python writes for each signal at once, and not by a handler. That runs in the
@@ -20,14 +39,16 @@ def event_at(*signals: signal.Signals, again: int | None = None) -> threading.Ev
         signals: which.
         again: the exit code with which the second one ends the process at once; None: the second one does nothing.
     """
-    event = threading.Event()
+    event = Interrupted()
+    seen = event.seen
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    seen: list[int] = []
 
     def pass_on() -> None:
-        while not event.is_set():
+        heard = False
+        while not heard:
             if any(number in signals for number in os.read(reader, 64)):
+                heard = True
                 event.set()
 
     def hear(number: int, frame: FrameType | None) -> None:

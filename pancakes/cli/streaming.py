@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 import click
@@ -67,7 +68,10 @@ class Printer:
 @contextmanager
 def until_ended() -> Iterator[None]:
     """Lets Ctrl-C, or whoever reads the output and has had enough, end what goes on: in good order, without a word."""
+    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.entry`
     try:
+        if quiet:
+            signal.signal(signal.SIGINT, _interrupt)
         yield
     except KeyboardInterrupt:
         if sys.stdout.isatty():
@@ -75,6 +79,15 @@ def until_ended() -> Iterator[None]:
     except BrokenPipeError:
         # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    finally:
+        if quiet:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """The first SIGINT ends what goes on in good order, the second one ends the process at once."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    raise KeyboardInterrupt
 
 
 def say(text: str) -> None:

@@ -14,7 +14,7 @@ from msgspec import Meta, Struct, field
 from pancakes.config.places import Places
 from pancakes.migration.rule import MigrationRule
 from pancakes.recording.settings import RecordingSettings
-from pancakes.supervision import RestartSpec
+from pancakes.supervision import DeviceRestartSpec, RestartSpec
 
 SCHEMA: Final = 1
 """The number of the format that this version reads; a file states it as `schema = 1`."""
@@ -97,7 +97,7 @@ class DeviceConfig(Struct, frozen=True):
     service: str = "device"
     rate_hz: Positive | None = None
     settings: Mapping[str, Any] = {}
-    restart: RestartSpec = field(default_factory=RestartSpec)
+    restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
     hold_after_s: Positive = 0.5
 
 

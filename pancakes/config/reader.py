@@ -34,7 +34,7 @@ from pancakes.packet import CORE_CHANNELS
 from pancakes.plugins import Plugins
 from pancakes.settings import check_settings, dotted, known_keys, required_keys
 from pancakes.suggestion import suggestion
-from pancakes.supervision import RestartSpec
+from pancakes.supervision import RestartSpec, fault_of_pauses
 
 _T = TypeVar("_T")
 
@@ -240,6 +240,13 @@ class _Reader:
             self._fault((*key, "at_most"), f"expected an integer >= 0, not {spec.at_most}")
         if not 0 < spec.within_s < inf:
             self._fault((*key, "within_s"), f"expected a number of seconds > 0, not {spec.within_s:g}")
+        for name in ("pause_s", "pause_max_s", "again_s"):
+            value = getattr(spec, name)
+            if not 0 <= value < inf:
+                self._fault((*key, name), f"expected a number of seconds >= 0, not {value:g}")
+        fault = fault_of_pauses(spec.pause_s, spec.pause_max_s)
+        if fault:
+            self._fault((*key, "pause_max_s"), fault)
 
     def _check_service(self, key: KeyPath, service: str, config: Config) -> None:
         if service not in config.services:

@@ -6,6 +6,7 @@ within its limits, or given up. On the way down an agent is told to end once tho
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -79,6 +80,7 @@ class State(Enum):
 
     WAITING = "waiting"
     STARTING = "starting"
+    RESTARTING = "restarting"
     READY = "ready"
     ENDED = "ended"
 
@@ -106,11 +108,13 @@ class Course:
     Args:
         members: its agents, in the order in which they are to start.
         begin: whether missions that wait at 0 are let begin once all agents are ready.
+        source: the pauses before restarts are drawn with it; None: with one of its own.
     """
 
-    def __init__(self, members: Sequence[Member], begin: bool = True) -> None:
+    def __init__(self, members: Sequence[Member], begin: bool = True, source: random.Random | None = None) -> None:
         self._places = {member.name: _Place(member) for member in members}
         self._begin = begin
+        self._source = source or random.Random()
         self._begun = False
         self._stopping_s: float | None = None
         self._failed = False
@@ -132,6 +136,8 @@ class Course:
         for place in self._places.values():
             if place.state is State.STARTING and not place.late:
                 times.append(place.started_s + READY_S)
+            if place.supervision.due_s is not None:
+                times.append(place.supervision.due_s)
         if self._stopping_s is not None and any(it.runs and not it.killed for it in self._places.values()):
             times.append(self._stopping_s + ALL_END_S)
         return min(times, default=None)
@@ -159,6 +165,7 @@ class Course:
         if place.state is not State.STARTING:
             return []
         place.state = State.READY
+        place.supervision.runs(now_s)
         if self._stopping_s is not None:
             return []
         told = [Tell(name, "ready", "is ready")]
@@ -180,9 +187,11 @@ class Course:
             how += ", killed because it took too long" if place.killed else ""
             return [Tell(name, "ended", f"has ended ({how})"), *self._stop_who_can(now_s)]
         restart = place.member.restart
-        following = Next.GIVE_UP if code == BAD_CONFIGURATION else place.supervision.ended(code != 0, now_s)
+        supervision = place.supervision
+        following = supervision.ended(code != 0, now_s, self._source, hopeless=code == BAD_CONFIGURATION)
         if following is Next.RESTART:
-            return [Tell(name, "restarted", f"has ended ({how}) and is started again"), *self._spawn(place, now_s)]
+            place.state = State.RESTARTING
+            return [Tell(name, "restarted", f"has ended ({how}) and is started again {supervision.when(now_s)}")]
         place.state = State.ENDED
         if following is Next.REST:
             return [Tell(name, "ended", f"has ended ({how})"), *self._follow(now_s)]
@@ -198,7 +207,8 @@ class Course:
             return self._kill(place for place in self._places.values() if place.runs)
         self._stopping_s = now_s
         for place in self._places.values():
-            if place.state is State.WAITING:
+            if place.state in (State.WAITING, State.RESTARTING):
+                place.supervision.cancel()
                 place.state = State.ENDED
         return self._stop_who_can(now_s)
 
@@ -206,6 +216,9 @@ class Course:
         """Time has passed."""
         actions: list[Action] = []
         for place in self._places.values():
+            due_s = place.supervision.due_s
+            if due_s is not None and now_s >= due_s:
+                actions += self._spawn(place, now_s)
             if place.state is State.STARTING and not place.late and now_s >= place.started_s + READY_S:
                 place.late = True
                 actions.append(Tell(place.member.name, "late", f"is not ready after {READY_S:g} s"))
@@ -229,6 +242,7 @@ class Course:
         ]
 
     def _spawn(self, place: _Place, now_s: float) -> list[Action]:
+        place.supervision.cancel()
         place.state = State.STARTING
         place.started_s = now_s
         place.late = False
@@ -288,7 +302,8 @@ class Course:
 
 
 def _spec(restart: ProcessRestart) -> RestartSpec:
-    return RestartSpec(_POLICIES[restart.policy], restart.at_most, restart.within_s)  # type: ignore[arg-type]
+    policy = _POLICIES[restart.policy]
+    return RestartSpec(policy, restart.at_most, restart.within_s, restart.pause_s, restart.pause_max_s)  # type: ignore[arg-type]
 
 
 def _how(code: int) -> str:

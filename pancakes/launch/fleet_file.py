@@ -18,6 +18,7 @@ from pancakes.launch.member import ProcessRestart
 from pancakes.schema import schema_of
 from pancakes.settings import check_settings
 from pancakes.suggestion import suggestion
+from pancakes.supervision import fault_of_pauses
 
 FLEET_FILE: Final = "fleet.toml"
 """The name of a folder's fleet file."""
@@ -120,6 +121,7 @@ class _Reader:
     def read(self) -> FleetFile:
         self._check_top()
         fleet = self._make(FleetTable, self._values.get("fleet", {}), ("fleet",))
+        self._check_pauses(("fleet",), fleet.restart)
         tables = self._values.get("agent", {})
         if not isinstance(tables, dict) or not tables:
             self._fault(("agent",), "expected a table for each agent, such as [agent.NAME]")
@@ -127,6 +129,7 @@ class _Reader:
         agents = {name: self._make(MemberTable, table, ("agent", name)) for name, table in tables.items()}
         for name, table in agents.items():
             self._check_after(name, table, agents)
+            self._check_pauses(("agent", name), table.restart)
         if not self.faults:
             self._check_circles(agents)
         return FleetFile(fleet, agents, self.places)
@@ -152,6 +155,11 @@ class _Reader:
         for problem in problems:
             self._fault((*key, *problem.path), problem.text, problem.suggestion)
         return msgspec.convert({} if problems else values, cls)
+
+    def _check_pauses(self, key: KeyPath, restart: ProcessRestart | None) -> None:
+        fault = fault_of_pauses(restart.pause_s, restart.pause_max_s) if restart is not None else ""
+        if fault:
+            self._fault((*key, "restart", "pause_max_s"), fault)
 
     def _check_after(self, name: str, table: MemberTable, agents: Mapping[str, MemberTable]) -> None:
         for index, other in enumerate(table.after):

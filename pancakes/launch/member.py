@@ -21,12 +21,18 @@ class ProcessRestart:
         policy: `on-failure`: it is started again where its exit code is not 0, as after a crash; `always`: also where
             it ended in order, as after `pancakes down`; `never`.
         at_most: how many restarts are tried ...
-        within_s: ... in so many seconds; one more end, and the agent is given up.
+        within_s: ... in so many seconds in which it is ready; one more end, and the agent is given up. The pauses, and
+            starts that fail, take none of this time.
+        pause_s: how long the first restart waits, in seconds. Each further one in `within_s` waits twice as long as the
+            one before, less up to a quarter, by chance.
+        pause_max_s: no restart waits longer than this.
     """
 
     policy: Policy = "on-failure"
     at_most: Annotated[int, Meta(ge=0)] = 3
     within_s: Annotated[float, Meta(gt=0, le=1e9)] = 60.0
+    pause_s: Annotated[float, Meta(ge=0, le=1e9)] = 0.1
+    pause_max_s: Annotated[float, Meta(ge=0, le=1e9)] = 10.0
 
 
 @dataclass(frozen=True, slots=True)

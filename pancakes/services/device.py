@@ -20,7 +20,7 @@ from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.service import Service
 from pancakes.services.fences import Fences
 from pancakes.slot import Slot
-from pancakes.supervision import RestartSpec
+from pancakes.supervision import DeviceRestartSpec, RestartSpec
 from pancakes.task import Task, TaskSpec
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class DeviceSpec(msgspec.Struct, frozen=True):
     settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
     rate_hz: float | None = None
     hold_after_s: float = 0.5
-    restart: RestartSpec = RestartSpec()
+    restart: RestartSpec = DeviceRestartSpec()
 
 
 class SharedThings:

@@ -172,6 +172,9 @@ class RecordedService(Service):
         if hand_off is None:
             reason = self.admit(slot)
             if reason:
+                # Born once that has changed, as when a device that it requires comes up later.
+                slot.reason = reason
+                self._owed[self.id_of(slot)] = None
                 self._report(slot, reason)
             else:
                 # Born even where another has its actuators just now: it is wanted, and follows once these are free.
@@ -222,6 +225,7 @@ class RecordedService(Service):
             hand_off.feed(StartAgain())
 
     def relaunch(self, slot: Slot) -> None:
+        slot.supervision.cancel()
         slot.state = TaskState.STARTING
         self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
 
@@ -294,7 +298,10 @@ class RecordedService(Service):
             if snapshot and not (hand_off.idle and begins_alike(snapshot, hand_off.record.snapshot)):
                 hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
             return
-        wanted = Wanted.FAILED if slot.state is TaskState.FAILED else Wanted.STOPPED
+        wanted = Wanted.STOPPED
+        if slot.state is TaskState.FAILED:
+            # What is tried again later is still wanted, also after a reboot.
+            wanted = Wanted.FAILED if slot.supervision.due_s is None else Wanted.RUNNING
         hand_off.feed(Ended(wanted, snapshot))
 
     def task_running(self, slot: Slot) -> None:
@@ -303,6 +310,7 @@ class RecordedService(Service):
     def _forget(self, slot: Slot) -> None:
         """A task was given away: what is left of it here is the tombstone in the journal."""
         self._let_go(slot)
+        slot.supervision.cancel()
         slot.state = TaskState.STOPPED
         slot.carried = None
         slot.mailbox.clear_data()

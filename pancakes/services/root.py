@@ -45,9 +45,11 @@ from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.service import WAITING, Service, ServiceSpec
 from pancakes.services.network import NetworkService
+from pancakes.settings import SettingsError
 from pancakes.slot import Request, Slot
 from pancakes.suggestion import suggestion
 from pancakes.supervision import Next, Supervision
+from pancakes.supervisor import STUCK_S
 from pancakes.task import Carried
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ class ServiceState(Enum):
     STARTING = "starting"
     RUNNING = "running"
     STOPPING = "stopping"
+    RESTARTING = "restarting"
     FAILED = "failed"
 
 
@@ -155,6 +158,7 @@ class Root(Component):
         """Starts a service; `then` is called once it runs, or with the reason why it does not."""
         place.state = ServiceState.STARTING
         place.reason = ""
+        place.supervision.cancel()
         if place.alarm is not None:
             place.alarm.cancel()
         if then is not None:
@@ -174,7 +178,7 @@ class Root(Component):
                 **spec.arguments,
             )
         except Exception as error:  # what a service's author wrote in __init__ may raise anything
-            self._service_failed(place, error)
+            self._service_failed(place, error, hopeless=isinstance(error, SettingsError))
             return
         assert isinstance(service, Service)
         place.service = service
@@ -187,12 +191,13 @@ class Root(Component):
             then: called in this actor.
             request: who asked for it: what was asked for before is begun before; None: it stops at once.
         """
-        if place.state in (ServiceState.STOPPED, ServiceState.FAILED):
+        if place.state in (ServiceState.STOPPED, ServiceState.FAILED) and place.supervision.due_s is None:
             then()
             return
         place.on_ended.append(then)
         if place.service is None:
-            # It has failed, and waits for the last of its tasks to end before it begins anew.
+            # It has failed, and waits for its next try, or for the last of its tasks to end.
+            place.supervision.cancel()
             self._rest(place)
             return
         if place.state is ServiceState.STOPPING:
@@ -225,10 +230,9 @@ class Root(Component):
         if place.service is not service or place.state is not ServiceState.STARTING:
             return
         place.state = ServiceState.RUNNING
+        place.supervision.runs(self.kernel.host.now())
         self.event("service_started", service=place.spec.name)
-        waiting, place.on_running = place.on_running, []
-        for then in waiting:
-            then("")
+        self._tell_running(place, "")
 
     def _service_ended(self, place: ServicePlace, service: Component, error: BaseException | None) -> None:
         if place.service is not service:
@@ -255,41 +259,57 @@ class Root(Component):
     def _rest(self, place: ServicePlace) -> None:
         place.state = ServiceState.STOPPED
         self.event("service_stopped", service=place.spec.name)
-        unstarted, place.on_running = place.on_running, []
-        for then_not in unstarted:
-            then_not(f"{place.address} was stopped before it ran")
+        self._tell_running(place, f"{place.address} was stopped before it ran")
         waiting, place.on_ended = place.on_ended, []
         for then in waiting:
             then()
 
-    def _service_failed(self, place: ServicePlace, error: BaseException) -> None:
+    def _service_failed(self, place: ServicePlace, error: BaseException, hopeless: bool = False) -> None:
         text, traceback = describe(error, place.spec.cls), traceback_of(error)
         place.reason = text
-        following = place.supervision.ended(True, self.kernel.host.now())
+        supervision, now_s = place.supervision, self.kernel.host.now()
+        following = supervision.ended(True, now_s, self.random, hopeless)
         self.event("service_failed", service=place.spec.name, error=text, then=following.value)
+        if self._closing:
+            supervision.cancel()
+        due_s = supervision.due_s
+        if due_s is not None:
+            self.after_host(due_s - now_s, lambda: self._try_again(place, due_s))
         if following is Next.RESTART and not self._closing:
-            self.log("warning", f"{place.address} is started again: {text}", traceback)
-            place.state = ServiceState.STARTING
-            self._relaunch_when_clear(place)
-            return
-        place.state = ServiceState.FAILED
-        self.log("error", f"{place.address} is given up: {text}", traceback)
-        if place.spec.name == LOG_SERVICE:
-            # Nobody is left who would show that to whoever sits at the terminal.
-            print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
-        waiting, place.on_running = place.on_running, []
-        for then in waiting:
-            then(f"{place.address} failed: {text}")
+            self.log("warning", f"{place.address} is started again {supervision.when(now_s)}: {text}", traceback)
+            place.state = ServiceState.RESTARTING
+        else:
+            place.state = ServiceState.FAILED
+            then_again = "" if due_s is None else f", and tried again {supervision.when(now_s)}"
+            self.log("error", f"{place.address} is given up{then_again}: {text}", traceback)
+            if place.spec.name == LOG_SERVICE:
+                # Nobody is left who would show that to whoever sits at the terminal.
+                print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
+        self._tell_running(place, f"{place.address} failed: {text}")
 
-    def _relaunch_when_clear(self, place: ServicePlace) -> None:
+    def _try_again(self, place: ServicePlace, due_s: float) -> None:
         """Starts a failed service anew once the last of its old tasks has ended: no task may run twice."""
-        if self._closing or place.state is not ServiceState.STARTING or place.service is not None:
+        if self._closing or place.supervision.due_s != due_s:
             return
         prefix = place.address + "/"
-        if any(component.address.startswith(prefix) for component in self.kernel.registry.components()):
-            self.after_host(WATCH_S, lambda: self._relaunch_when_clear(place))
-        else:
+        old = [it.address for it in self.kernel.registry.components() if it.address.startswith(prefix)]
+        if not old:
             self.launch(place)
+            return
+        self.after_host(WATCH_S, lambda: self._try_again(place, due_s))
+        if self.kernel.host.now() > due_s + STUCK_S:
+            self._tell_running(place, f"{place.address} waits for the end of {old[0]}, which is stuck")
+
+    def begin_anew(self, place: ServicePlace, then: Callable[[str], None]) -> None:
+        """Starts a service because that was asked for, at once; `then` is told as by `launch`."""
+        place.on_running.append(then)
+        self._try_again(place, place.supervision.hasten(self.kernel.host.now()))
+
+    def _tell_running(self, place: ServicePlace, reason: str) -> None:
+        """Tells all that wait for a service to run an empty string, or why it does not."""
+        waiting, place.on_running = place.on_running, []
+        for then in waiting:
+            then(reason)
 
     # Control ---------------------------------------------------------------------------------------------------
 
@@ -429,27 +449,25 @@ class Root(Component):
     def _change_service(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         name = place.spec.name
         if isinstance(body, Start):
-            if place.state not in (ServiceState.STOPPED, ServiceState.FAILED):
+            if place.state not in (ServiceState.STOPPED, ServiceState.FAILED, ServiceState.RESTARTING):
                 raise ControlRefused(f"{place.address} is {place.state.value} already")
             if body.settings is not None:
                 raise ControlRefused(f"{place.address} is a service: only a task can be started with other settings")
             if body.dry_run:
                 self.reply(request)
                 return
-            place.supervision.forget()
             self._tell_asked("start", name, request)
-            self.launch(place, self._occupy(place, request))
+            self.begin_anew(place, self._occupy(place, request))
         elif isinstance(body, Stop):
             self._stop_service(place, body, request)
         elif body.dry_run:
             self.reply(request)
         else:
-            place.supervision.forget()
             place.keep_state = body.keep_state
             self._tell_asked("restart", name, request)
             if name == NETWORK and place.service is not None:
                 place.service.stopped_for_s = 0.0  # who is told goodbye shall dial again soon
-            self._halt_as_asked(place, request, lambda answer: self.launch(place, answer))
+            self._halt_as_asked(place, request, lambda answer: self.begin_anew(place, answer))
 
     def _occupy(self, place: ServicePlace, request: Request, answered: bool = False) -> Callable[[str], None]:
         """Lets later commands for a service wait; returns what answers this one and lets them go on."""
@@ -468,7 +486,8 @@ class Root(Component):
             place.commands.popleft()()
 
     def _stop_service(self, place: ServicePlace, body: Stop, request: Request) -> None:
-        if place.state is not ServiceState.RUNNING:
+        waits = place.supervision.due_s is not None  # for its next try, which a stop calls off
+        if place.state is not ServiceState.RUNNING and not waits:
             raise ControlRefused(f"{place.address} is {place.state.value}, not running")
         if body.for_s is not None and not 0 < body.for_s < math.inf:
             raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")
@@ -477,14 +496,14 @@ class Root(Component):
             raise ControlRefused(
                 f"{place.address} can be stopped from elsewhere only for a time (for_s): nobody could start it again"
             )
-        assert place.service is not None
-        reason = place.service.refuse_stop()
+        reason = place.service.refuse_stop() if place.service is not None else ""
         if reason:
             raise ControlRefused(reason)
         if body.dry_run:
             self.reply(request)
             return
-        place.service.stopped_for_s = body.for_s
+        if place.service is not None:
+            place.service.stopped_for_s = body.for_s
         self._tell_asked("stop", place.spec.name, request)
         wakes_s = self.now() + body.for_s if body.for_s is not None else None
 
@@ -596,6 +615,7 @@ class Root(Component):
             "type": place.spec.cls.__name__,
             "state": place.state.value,
             "reason": place.reason,
+            **place.supervision.describe(self.kernel.host.now()),
             "tasks": [slot.name for slot in _slots(place.service)] if place.service is not None else [],
         }
 

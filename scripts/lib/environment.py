@@ -7,7 +7,12 @@ call installed for the same metadata is not installed again. With the extra "tes
 last line that it prints is the environment's Python.
 """
 
+# ruff: noqa: E402 - it goes before the other imports: a SIGINT while they are read ends it quietly
 from __future__ import annotations
+
+import signal
+
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import fcntl
 import hashlib

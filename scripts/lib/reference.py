@@ -24,7 +24,7 @@ from pancakes.migration.rule import MigrationRule
 from pancakes.packet import has_fields, known_types
 from pancakes.plugins import Plugins
 from pancakes.schema import dataclasses_of, field_notes, schema_of, summary_of
-from pancakes.supervision import RestartSpec
+from pancakes.supervision import DeviceRestartSpec, RestartSpec
 from pancakes.task import Nothing
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"
@@ -39,6 +39,7 @@ SECTIONS = {
     "[service.NAME]": model.ServiceConfig,
     "[task.NAME]": model.TaskConfig,
     "restart = { ... }": RestartSpec,
+    "[device.NAME] restart = { ... }": DeviceRestartSpec,
     "migrate = { ... }": MigrationRule,
 }
 IN_THE_HEADER = ("name",)

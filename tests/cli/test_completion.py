@@ -43,6 +43,12 @@ def pair(rig: Rig) -> tuple[Running, Running]:
     return rig.ready("ant", TASKS), rig.ready("bee")
 
 
+def test_a_warning_does_not_come_between_the_words(rig: Rig, pair: tuple[Running, Running]):
+    (rig.runtime / "x.json").mkdir()
+
+    assert completed(rig, "task", "stop", "") == ["ant/", "bee/"]
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_task_is_completed_agent_first(rig: Rig, pair: tuple[Running, Running], shell: str):
     assert completed(rig, "task", "stop", "", shell=shell) == ["ant/", "bee/"]

@@ -95,8 +95,9 @@ class Boom(Task):
 
 def test_a_task_that_was_given_up_is_found(rig: Rig):
     rig.install("boom", "[pancakes.tasks]\nboom.Boom = plugin_boom:Boom\n", RAISES)
-    agent = rig.ready("a", '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "temporary" }\n')
-    agent.hear("a/client/Boom is given up")
+    agent = rig.agent(rig.config("a", '[task.Boom]\ntype = "boom.Boom"\nrestart = { policy = "temporary" }\n'))
+    agent.hear("a/client/Boom is given up")  # which may come before the agent is ready
+    rig.entry(agent.pid)
 
     code, found = diagnosis(rig, "--no-machine")
 
@@ -259,6 +260,10 @@ def task(name: str = "Scan", **other: Any) -> dict[str, Any]:
     return {**plain, "lateness_max_s": 0.0, "dropped": 0, **other}
 
 
+def service(**other: Any) -> dict[str, Any]:
+    return {"service": "camera", "state": "running", "reason": "", **other}
+
+
 def agent(name: str = "a", **other: Any) -> dict[str, Any]:
     """What a healthy agent says of itself."""
     return {
@@ -292,7 +297,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3}
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
         (
-            {"services": [{"service": "camera", "state": "failed", "reason": "no light"}]},
+            {"services": [service(state="failed", reason="no light")]},
             "error",
             "a/camera",
             "was given up: no light",
@@ -306,7 +311,24 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3}
         ),
         ({"tasks": [task(state="failed", reason="ValueError")]}, "error", "a/Scan", "was given up: ValueError"),
         ({"tasks": [task(state="stuck")]}, "error", "a/Scan", "does not come back"),
-        ({"tasks": [task(state="restarting", reason="x")]}, "warning", "a/Scan", "is started again: x"),
+        (
+            {"tasks": [task(state="failed", reason="ValueError", failures=9, next_try_s=42.0)]},
+            "error",
+            "a/Scan",
+            "was given up: ValueError (failed 9 times, next try in 42.0 s)",
+        ),
+        (
+            {"tasks": [task(state="restarting", reason="x", failures=3, next_try_s=3.21)]},
+            "warning",
+            "a/Scan",
+            "failed 3 times, next try in 3.2 s: x",
+        ),
+        (
+            {"services": [service(state="restarting", reason="no light", failures=1, next_try_s=0.1)]},
+            "warning",
+            "a/camera",
+            "failed once, next try in 0.1 s: no light",
+        ),
         ({"tasks": [task(missed=50, lateness_max_s=0.2)]}, "warning", "a/Scan", "missed 50 of 1050 ticks"),
         (
             {"mesh": {"peers": [], "asleep": [], "addresses": [STATIC]}},

@@ -225,7 +225,7 @@ def test_the_table_of_a_task_has_its_sections(rig: Rig, agent: Running):
 
     assert lines[0] == "a/client/Steer"
     assert [title for title in ("timers", "reads", "settings") if title in lines] == ["timers", "reads", "settings"]
-    assert "started again permanent, at most 3 times in 5 s" in lines
+    assert "started again permanent, at most 8 times in 60 s, after 0.1 s to 10 s" in lines
     assert any(line.startswith("epoch ") and line.endswith(" of a/Steer") for line in lines)
     assert "requires pose" in lines
     assert "radius_m 0.8" in lines

@@ -1,9 +1,14 @@
 """The runtime directory: what agents write there, and what is believed of it."""
 
+import fcntl
+import json
 import os
+import socket
+import stat
 from pathlib import Path
 
 import pytest
+from processes import Rig
 
 from pancakes.errors import PancakesError
 from pancakes.runtime_dir import Entry, entries, register, runtime_dir
@@ -90,3 +95,162 @@ def test_where_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
 
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert runtime_dir() == Path(f"/tmp/pancakes-{os.getuid()}")
+
+
+# What no agent has written -------------------------------------------------------------------------------------
+
+
+def a_directory(path: Path) -> None:
+    path.mkdir()
+
+
+def a_named_pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        # The path of a socket must be short.
+        here = os.getcwd()
+        os.chdir(path.parent)
+        try:
+            made.bind(path.name)
+        finally:
+            os.chdir(here)
+
+
+def a_symbolic_link_to_nothing(path: Path) -> None:
+    path.symlink_to("nowhere")
+
+
+def a_link_to_a_device_without_end(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def a_huge_file(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+
+
+def broken_json(path: Path) -> None:
+    path.write_text('{"name": "a", ')
+
+
+def no_text(path: Path) -> None:
+    path.write_bytes(b"\xff\xfe\x00")
+
+
+def an_unreadable_file(path: Path) -> None:
+    path.write_text("[]")
+    path.chmod(0)
+
+
+def a_file_in_use_that_says_something_else(path: Path) -> None:
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)  # until the end of the tests
+    os.write(handle, b'{"name": 1}')
+    fcntl.flock(handle, fcntl.LOCK_EX)
+
+
+def a_file_in_use_that_is_nested_deep(path: Path) -> None:
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    os.write(handle, b'{"x": ' + b"[" * 60_000)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+
+
+ODD = [
+    a_directory,
+    a_named_pipe,
+    a_socket,
+    a_symbolic_link_to_nothing,
+    a_link_to_a_device_without_end,
+    a_huge_file,
+    broken_json,
+    no_text,
+    an_unreadable_file,
+    a_file_in_use_that_says_something_else,
+    a_file_in_use_that_is_nested_deep,
+]
+
+
+@pytest.mark.parametrize("make", ODD, ids=lambda make: make.__name__)
+def test_what_no_agent_has_written_is_passed_over_with_a_warning(directory: Path, make, capfd):
+    registration = register(ENTRY)
+    make(directory / "x.json")
+
+    assert entries() == [ENTRY]
+    (warning,) = capfd.readouterr().err.splitlines()
+    assert warning.startswith(f"warning: {directory}/x.json ")
+    assert warning.endswith("; passed over")
+    assert os.path.lexists(directory / "x.json")
+    assert entries() == [ENTRY]
+    assert capfd.readouterr().err == ""  # said once
+    registration.remove()
+
+
+def test_an_odd_thing_that_bears_the_name_of_an_entry_is_passed_over_too(directory: Path, capfd):
+    registration = register(ENTRY)
+    a_named_pipe(directory / "b.7.json")
+    a_directory(directory / "b.8.json.tmp")
+
+    assert entries() == [ENTRY]
+    assert "b.7.json is a named pipe" in (said := capfd.readouterr().err) and "b.8.json.tmp is a directory" in said
+    registration.remove()
+
+
+def test_a_file_of_another_user_is_passed_over(directory: Path, monkeypatch: pytest.MonkeyPatch, capfd):
+    registration = register(ENTRY)
+    (directory / "b.7.json").write_text("{}")
+    mine, lstat = os.getuid(), os.lstat
+
+    def of_another(path, *args, **others):
+        status = list(lstat(path, *args, **others))
+        status[stat.ST_UID] = mine + 1 if str(path).endswith("b.7.json") else mine
+        return os.stat_result(status)
+
+    monkeypatch.setattr(os, "lstat", of_another)  # only root can give a file away
+    assert entries() == [ENTRY]
+    assert f"b.7.json is a file of another user (uid {mine + 1})" in capfd.readouterr().err
+    assert (directory / "b.7.json").exists()
+    registration.remove()
+
+
+def test_a_name_with_control_characters_is_shown_without_them(directory: Path, capfd):
+    register(ENTRY).remove()
+    (directory / "\x1b]0;owned\x07.json").mkdir()
+
+    assert entries() == []
+    said = capfd.readouterr().err
+    assert "\\x1b]0;owned\\x07.json" in said
+    assert said.rstrip("\n").isprintable()
+
+
+def test_an_agent_that_finds_an_odd_thing_in_its_place_says_which(directory: Path):
+    register(ENTRY).remove()
+    (directory / "a.42.json").mkdir()
+
+    with pytest.raises(PancakesError, match=r"cannot be used: .*a\.42\.json\S*: is a directory"):
+        register(ENTRY)
+    assert entries() == []
+
+
+def test_all_commands_go_on_beside_what_no_agent_has_written(rig: Rig):
+    rig.ready("a")
+    a_directory(rig.runtime / "x.json")
+    a_named_pipe(rig.runtime / "y.json")
+    a_huge_file(rig.runtime / "z.json")
+
+    listed = rig.pancakes("agent", "list", "--format", "json")
+    assert (listed.returncode, [row["agent"] for row in json.loads(listed.stdout)]) == (0, ["a"])
+    assert [line.split()[1].rpartition("/")[2] for line in listed.stderr.splitlines()] == ["x.json", "y.json", "z.json"]
+
+    looked = rig.pancakes("doctor", "--format", "json")
+    about = [row["text"] for row in json.loads(looked.stdout) if row["about"] == "runtime directory"]
+    assert [text.rpartition("/")[2] for text in about] == [
+        "x.json is a directory, no agent's entry",
+        "y.json is a named pipe, no agent's entry",
+        f"z.json is a file of {1 << 40} bytes, no agent's entry",
+    ]
+    assert looked.returncode == 0
+
+    ended = rig.pancakes("down", "a")
+    assert ended.returncode == 0

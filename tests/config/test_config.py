@@ -107,7 +107,8 @@ def test_everything_that_a_file_can_say():
     )
     assert (scan.migrate.cost, scan.migrate.then) == ("tasks", "GoHome")
     assert (home.service, home.start, home.rate_hz, home.migrate) == ("vision", False, 4.0, None)
-    assert (home.restart.policy, home.restart.at_most, home.restart.within_s) == ("permanent", 3, 5.0)
+    assert (home.restart.policy, home.restart.at_most, home.restart.within_s) == ("permanent", 8, 60.0)
+    assert (home.restart.pause_s, home.restart.pause_max_s, home.restart.again_s) == (0.1, 10.0, 0.0)
 
 
 def test_tables_keep_the_order_of_the_file():

@@ -122,6 +122,18 @@ def test_an_unknown_key_at_the_top():
             "[service.log]\nrestart = { at_most = -1 }\n",
             "a.toml:5: [service.log] restart.at_most: expected an integer >= 0, not -1",
         ),
+        (
+            "[task.X]\ntype = 'x'\nrestart = { pause_s = -1 }\n",
+            "a.toml:6: [task.X] restart.pause_s: expected a number of seconds >= 0, not -1",
+        ),
+        (
+            "[device.X]\ndriver = 'x'\nrestart = { again_s = -0.5 }\n",
+            "a.toml:6: [device.X] restart.again_s: expected a number of seconds >= 0, not -0.5",
+        ),
+        (
+            "[device.X]\ndriver = 'x'\nrestart = { pause_s = 30 }\n",
+            "a.toml:6: [device.X] restart.pause_max_s: is 10 s, less than the first pause (pause_s), which is 30 s",
+        ),
         ("[task]\ntype = 'x'\n", "a.toml:5: [task.type]: expected a table with a name, such as [task.NAME]"),
         ("[[task]]\ntype = 'x'\n", "a.toml:4: [task]: expected tables with a name each, such as [task.NAME]"),
         ("[channel.system]\n", "a.toml:4: [channel.system]: the channel 'system' is a core one and always there"),

@@ -32,6 +32,14 @@ def running(*members: Member) -> Course:
     return course
 
 
+def again(course: Course, ended: list[Action]) -> list[Action]:
+    """The next try after an end, which comes after a pause."""
+    assert done(ended) == []
+    assert course.deadline_s is not None
+    assert course.tick(course.deadline_s - 0.001) == []
+    return done(course.tick(course.deadline_s))
+
+
 def test_an_agent_starts_once_those_are_ready_that_it_comes_after() -> None:
     course = Course([member("c", "a", "b"), member("a"), member("b", "a")])
 
@@ -103,8 +111,8 @@ def test_a_stop_while_they_start_starts_no_more() -> None:
 def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
     course = running(member("a", restart=ProcessRestart("on-failure", at_most=2, within_s=10.0)), member("b"))
 
-    assert done(course.ended("a", 1, 1.0)) == [Spawn("a")]
-    assert done(course.ended("a", -11, 2.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", 1, 1.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", -11, 2.0)) == [Spawn("a")]
     actions = course.ended("a", 1, 3.0)
     assert told(actions) == [("a", "given_up")]
     assert done(actions) == []
@@ -118,16 +126,51 @@ def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
 def test_failures_that_lie_far_apart_do_not_add_up() -> None:
     course = running(member("a", restart=ProcessRestart("on-failure", at_most=1, within_s=10.0)))
 
-    assert done(course.ended("a", 1, 100.0)) == [Spawn("a")]
-    assert done(course.ended("a", 1, 111.0)) == [Spawn("a")]
-    assert done(course.ended("a", 1, 112.0)) == []
+    assert again(course, course.ended("a", 1, 100.0)) == [Spawn("a")]
+    course.ready("a", 101.0)
+    assert again(course, course.ended("a", 1, 111.0)) == [Spawn("a")]
+    course.ready("a", 112.0)
+    assert told(course.ended("a", 1, 121.0)) == [("a", "given_up")]
+
+
+def test_each_restart_waits_longer_than_the_one_before() -> None:
+    """An agent whose port comes free a second later is found, and one that never starts is given up all the same."""
+    restart = ProcessRestart("on-failure", at_most=4, within_s=60.0, pause_s=1.0, pause_max_s=4.0)
+    course = running(member("a", restart=restart))
+    now_s, waited_s = 100.0, []
+    while "given_up" not in [event for _, event in told(course.ended("a", 1, now_s))]:
+        assert course.deadline_s is not None
+        waited_s.append(course.deadline_s - now_s)
+        now_s = course.deadline_s
+        assert done(course.tick(now_s)) == [Spawn("a")]
+
+    assert len(waited_s) == 4
+    for found_s, most_s in zip(waited_s, (1.0, 2.0, 4.0, 4.0), strict=True):
+        assert 0.75 * most_s <= found_s <= most_s
+
+
+def test_a_person_is_told_when_the_next_try_is() -> None:
+    course = running(member("a", restart=ProcessRestart(pause_s=8.0)))
+    (only,) = course.ended("a", 1, 1.0)
+    assert isinstance(only, Tell) and course.deadline_s is not None
+    assert only.text == f"has ended (exit code 1) and is started again in {course.deadline_s - 1.0:.1f} s"
+
+
+def test_a_stop_calls_the_next_try_off() -> None:
+    course = running(member("a"))
+    course.ended("a", 1, 1.0)
+
+    assert course.stop(1.01) == []
+    assert course.over
+    assert course.tick(2.0) == []
+    assert course.exit_code == 0
 
 
 def test_what_ended_in_order_is_started_again_by_always_alone() -> None:
     course = running(member("a"), member("b", restart=ProcessRestart("always")), member("c"))
 
     assert told(course.ended("a", 0, 1.0)) == [("a", "ended")]
-    assert done(course.ended("b", 0, 1.0)) == [Spawn("b")]
+    assert again(course, course.ended("b", 0, 1.0)) == [Spawn("b")]
     course.ended("c", 0, 1.0)
     assert not course.over
     assert course.exit_code == 0
@@ -187,7 +230,7 @@ def test_missions_that_wait_begin_once_everybody_is_ready() -> None:
 
 def test_one_that_was_started_again_begins_by_itself() -> None:
     course = running(member("a", hold=True), member("b", hold=True))
-    course.ended("a", 1, 3.0)
+    assert again(course, course.ended("a", 1, 3.0)) == [Spawn("a")]
 
     assert done(course.ready("a", 4.0)) == [Begin(("a",))]
 

@@ -59,7 +59,7 @@ def test_where_their_service_fails(heard: bool, reason: str):
         reasons = [agent.reply_to(packet).reason for packet in asked]
 
         assert reasons[1].startswith(reason)
-        agent.wait_for_event("service_started", service="fragile")
+        agent.wait_until(lambda: len(agent.events("service_started", service="fragile")) == 2)
         assert agent.ask(Restart("Count")).ok
 
 

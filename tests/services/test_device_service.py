@@ -157,6 +157,7 @@ def test_a_driver_that_fails_is_opened_anew_and_goes_on(fleet):
 def test_a_driver_that_fails_in_open_is_given_up_and_the_agent_runs(fleet):
     spec = {"type": Thermometer, "settings": {"fail_at_open": True}, "restart": {"at_most": 2, "within_s": 5}}
     agent = fleet.start("a", devices={"cpu": spec}, tasks={"Meddling": Meddling})
+    fleet.run_for(1.0)
     assert [event["then"] for event in agent.events("task_failed", task="cpu")] == ["restart", "restart", "give up"]
     assert Thermometer.opened == Thermometer.closed == 3
     assert agent.kernel.registry.devices() == []

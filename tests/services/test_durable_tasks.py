@@ -92,7 +92,7 @@ def test_a_change_outlives_a_failure_the_moment_after(fleet):
     fleet.run_for(2.55)  # the next checkpoint is half a second away
     assert agent.ask(Configure("Count", {"step": 2})).ok
     agent.publish("system", Pose(0.0, 0.0, 0.0))
-    fleet.run_for(0.01)
+    fleet.run_for(0.11)
 
     assert agent.task("Count").settings.step == 2
 
@@ -261,7 +261,7 @@ def test_a_stop_that_cannot_be_written_down_says_so_and_is_written_later(fleet):
 
 
 def test_a_stop_while_a_task_is_being_restarted_outlives_a_reboot(fleet):
-    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"at_most": 9}}})
+    agent = fleet.start("a", tasks={"Count": {"type": Count, "restart": {"at_most": 9, "pause_s": 0.0}}})
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     fleet.run_for(0.0005)  # it has failed; that it is to run again is being written
     assert agent.ask(Stop("Count")).ok
@@ -289,7 +289,7 @@ def test_a_failed_task_begins_from_its_checkpoint(fleet):
     fleet.run_for(5.55)
     n = agent.task("Count").state.n
     agent.publish("system", Pose(0.0, 0.0, 0.0))
-    fleet.run_for(0.05)
+    fleet.run_for(0.12)
     assert n - 12 <= agent.task("Count").state.n < n
     assert agent.slot("Count").incarnation > 1
 

@@ -252,8 +252,10 @@ def test_a_service_that_fails_too_often_is_given_up_and_may_be_started_again(fle
 
 def test_a_service_that_cannot_start_does_not_keep_the_agent_from_getting_ready(fleet):
     agent = with_mapper(fleet, fail_at_start=True)
-    assert states(agent)["mapper"] == "failed"
+    assert states(agent)["mapper"] == "restarting"
     assert states(agent)["client"] == "running"
+    fleet.run_for(1.0)
+    assert states(agent)["mapper"] == "failed"
     refused = agent.ask(Start("mapper"))
     assert not refused.ok and "no map" in refused.reason
 

@@ -340,6 +340,7 @@ def test_a_task_whose_class_cannot_be_made_is_given_up_as_well(fleet, service):
             raise RuntimeError("cannot be made")
 
     agent = start(fleet, service, Broken=Broken)
+    fleet.run_for(30.0)
     assert "cannot be made" in agent.events("task_given_up")[0]["error"]
 
 

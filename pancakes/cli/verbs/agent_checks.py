@@ -8,6 +8,7 @@ from typing import Any, Final
 from pancakes import __version__
 from pancakes.cli.verbs.finding import Finding
 from pancakes.runtime_dir import Entry
+from pancakes.supervision import tries
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""
@@ -83,9 +84,7 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
     for service in agent["services"]:
-        if service["state"] == "failed":
-            advice = f"mend that, then: pancakes service start {name}/{service['service']}"
-            yield Finding("error", f"{name}/{service['service']}", f"was given up: {service['reason']}", advice)
+        yield from _check_tries(f"{name}/{service['service']}", "service", service)
     if agent["dead_letters"]:
         text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
         yield Finding("warning", name, text, f"see who and why: pancakes log --from {name} --level warning")
@@ -113,22 +112,27 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
     name = agent["agent"]
     for task in agent["tasks"]:
         about = f"{name}/{task['task']}"
-        if task["state"] == "failed":
-            advice = f"mend that, then: pancakes task start {about}"
-            yield Finding("error", about, f"was given up: {task['reason']}", advice)
-        elif task["state"] == "stuck":
+        yield from _check_tries(about, "task", task)
+        if task["state"] == "stuck":
             text = "was asked to stop and does not come back from what it is doing"
             yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
-        elif task["state"] == "restarting":
-            yield Finding(
-                "warning", about, f"fails and is started again: {task['reason']}", f"pancakes log --from {name}"
-            )
         ticks = task["ticks"] + task["missed"]
         if task["missed"] and task["missed"] > MISSED_SHARE * ticks:
             late = f"missed {task['missed']} of {ticks} ticks, and was up to {task['lateness_max_s']:.3g} s late"
             yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
         if task["dropped"]:
             yield from _check_drops(name, about, ask(name, f"{task['service']}/{task['task']}"))
+
+
+def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding]:
+    """Looks at a task or a service that has failed; a device is a task."""
+    when = tries(row)
+    if row["state"] == "failed":
+        text = f"was given up: {row['reason']}" + (f" ({when})" if when else "")
+        yield Finding("error", about, text, f"mend that, then: pancakes {noun} start {about}")
+    elif row["state"] == "restarting":
+        advice = f"mend that; to try at once: pancakes {noun} start {about}"
+        yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
 
 
 def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:

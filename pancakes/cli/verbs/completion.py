@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import sys
 
@@ -66,7 +68,8 @@ def answer_shell() -> None:
     """Answers a shell that asks, by the environment, how the line may go on. Exits."""
     add_completion_class(WordsOfBash)
     try:
-        pancakes(prog_name=PROGRAM, complete_var=VARIABLE)
+        with contextlib.redirect_stderr(io.StringIO()):  # a warning would stand between the words
+            pancakes(prog_name=PROGRAM, complete_var=VARIABLE)
     except Exception:  # nothing of ours may come between somebody and what they type
         if os.environ.get(TRACEBACK):
             raise

@@ -15,16 +15,18 @@ import click
 
 from pancakes.cli import interpreter
 from pancakes.cli.errors import sentences
-from pancakes.cli.interrupts import event_at
+from pancakes.cli.interrupts import end_by_signals, event_at
 from pancakes.cli.options import FiniteRange
 from pancakes.cli.verbs.demo_page import DemoPage
 from pancakes.cli.verbs.view import port_option
+from pancakes.errors import PancakesError
 from pancakes.plugins import Plugins, UnknownPlugin
 
 if TYPE_CHECKING:
     from pancakes.demo import Comparison, Demo, Run
 
 PASSED, FAILED, INTERRUPTED = 0, 1, 130
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class DemoNames(click.ParamType):
@@ -122,15 +124,23 @@ def demo(
     interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
     # The agents end with the launcher, also where a second signal ends that at once.
-    interrupted = event_at(signal.SIGINT, signal.SIGTERM, signal.SIGHUP, again=INTERRUPTED)
+    interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     try:
-        code = _run(plugins, found, name, out, options, interrupted, page)
+        try:
+            code = _run(plugins, found, name, out, options, interrupted, page)
+        except PancakesError:
+            if not interrupted.is_set():  # else it follows from that
+                raise
+            code = INTERRUPTED
         if page is not None and code != INTERRUPTED:
             page.stay()
     finally:
         if page is not None:
             page.close()
+    end_by_signals(*SIGNALS)
+    if page is None and interrupted.is_set():  # a page is ended in this way
+        code = INTERRUPTED
     sys.exit(code)
 
 
@@ -180,10 +190,18 @@ def _run(
     if flown is None:
         return INTERRUPTED
     run, summary, timing = flown
-    if found.draw is not None:
+    if found.draw is not None and not interrupted.is_set():
         found.draw(run, summary)
+    if interrupted.is_set():
+        return _interrupted_late(out)
     _say_pace(timing)
-    return _verdict(summary, f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}")
+    results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}"
+    return _verdict(summary, results)
+
+
+def _interrupted_late(out: Path) -> int:
+    click.echo(f"interrupted after the mission: no verdict; what is written so far is in {_nice(out)}", err=True)
+    return INTERRUPTED
 
 
 def _fly(
@@ -250,15 +268,19 @@ def _compare(
         # What the command line says comes last, and so goes before what is different by itself.
         own = replace(options, sets=(*variant.sets, *options.sets))
         flown = _fly(plugins, mission, out / variant.name, own, interrupted, page)
-        if flown is None:
-            return INTERRUPTED
+        if flown is None or interrupted.is_set():
+            return INTERRUPTED if flown is None else _interrupted_late(out)
         runs[variant.name], summaries[variant.name], timings[variant.name] = flown
         _say_pace(timings[variant.name])
     summary = found.judge(out, runs, summaries)
     write_results(out, summary, timings)
-    found.draw(out, runs, summary)
+    if not interrupted.is_set():
+        found.draw(out, runs, summary)
+    if interrupted.is_set():
+        return _interrupted_late(out)
     folders = _listed(variant.name for variant in found.variants)
-    return _verdict(summary, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
+    results = f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}"
+    return _verdict(summary, results)
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -282,7 +304,7 @@ def _say_pace(timing: dict[str, Any]) -> None:
 
 
 def _verdict(summary: dict[str, Any], results: str) -> int:
-    """Says how it went, in the manner of Robotarium, and where the results are."""
+    """Says how it went, in the manner of Robotarium, and where the results are; returns the exit code."""
     for line in summary.get("said", ()):
         click.echo(line)
     click.echo(f"verdict: {summary['verdict']}")

@@ -20,7 +20,7 @@ from typing import Final
 from pancakes.cli.verbs.finding import Finding, Level
 from pancakes.errors import PancakesError
 from pancakes.plugins import GROUPS, Plugins
-from pancakes.runtime_dir import leftovers, runtime_dir, usable
+from pancakes.runtime_dir import look, runtime_dir
 
 DISTRIBUTION: Final = "pancakes-agents"
 FULL_MIB: Final = 50
@@ -106,16 +106,17 @@ def check_runtime_dir() -> Iterator[Finding]:
         yield Finding("ok", about, f"{directory} is not there: no agent has run yet")
         return
     try:
-        usable(directory)
-        left = leftovers()
+        found = look()
     except (PancakesError, OSError) as error:
         advice = f"make it yours alone: chown {os.getuid()} {directory} && chmod 700 {directory}"
         yield Finding("error", about, str(error), advice)
         return
-    if left:
-        text = f"{directory} has entries of agents that did not end in order: {', '.join(left)}"
+    for sentence in found.odd:
+        yield Finding("warning", about, sentence, "see who put it there, and remove it")
+    if found.cleared:
+        text = f"{directory} has entries of agents that did not end in order: {', '.join(found.cleared)}"
         yield Finding("warning", about, text, "none: they have just been cleared away; see why those agents died")
-    else:
+    elif not found.odd:
         yield Finding("ok", about, f"{directory} is yours alone")
 
 

@@ -15,11 +15,12 @@ from pancakes.client import Client, Where
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import suggestion
+from pancakes.supervision import tries
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 DONE = ("agent", "service", "done", "number")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
-STATES = ("stopped", "starting", "running", "stopping", "failed")
+STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
 """The values of `pancakes.services.root.ServiceState`, which is not imported for them: a command has to be quick."""
 
 
@@ -70,8 +71,10 @@ def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
     if format_ == "json":
         show_json([found])
         return
-    facts = {key: found[key] for key in ("type", "state", "reason")}
-    rows_of_tasks = [{**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"]} for row in tasks]
+    facts = {**{key: found[key] for key in ("type", "state", "reason")}, "tries": tries(found)}
+    rows_of_tasks = [
+        {**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"], "tries": tries(row)} for row in tasks
+    ]
     show_sections({str(name): facts, "tasks": rows_of_tasks})
 
 

@@ -17,6 +17,7 @@ from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.client import Client, Where
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
+from pancakes.supervision import tries
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
@@ -200,16 +201,17 @@ def _show_done(name: TaskName, done: str, number: int, dry_run: bool, format_: s
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
     """All about one task, for people."""
-    restart, fence, failure = found["restart"], found["fence"], found["failure"]
+    fence, failure = found["fence"], found["failure"]
     return {
         name: {
             "type": found["type"],
             "state": found["rest"] or found["state"],
             "reason": found["reason"],
+            "tries": tries(found),
             "starts": found["incarnation"],
             "requires": found["requires"],
             "on disk": found["durability"],
-            "started again": f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s",
+            "started again": _policy(found["restart"]),
             "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
             "packets dropped": found["dropped"],
         },
@@ -238,6 +240,17 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
         "settings": found["settings"],
         f"last failure, at {failure['t_s']:.3f} s" if failure else "": failure["traceback"] if failure else "",
     }
+
+
+def _policy(restart: Mapping[str, Any]) -> str:
+    """A restart policy in a line."""
+    if restart["policy"] == "temporary":
+        return "temporary"
+    again = f", then each {restart['again_s']:g} s" if restart["again_s"] else ""
+    return (
+        f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s,"
+        f" after {restart['pause_s']:g} s to {restart['pause_max_s']:g} s{again}"
+    )
 
 
 def _settings(sets: Sequence[str]) -> dict[str, Any]:

@@ -1,0 +1,240 @@
+"""SIGINT at any moment after our first line: a program ends quietly, and a shell sees that it was interrupted."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from processes import PATIENCE_S, Rig
+
+ENTRY = "pancakes.cli.entry"
+PANCAKES = f"import sys; from {ENTRY} import pancakes; sys.exit(pancakes())"
+AGENT = f"import sys; from {ENTRY} import agent; sys.exit(agent())"
+IMPORTED = "import time:"
+"""What `-X importtime` begins its lines with, one for each module that has been imported."""
+BY_SIGNAL, INTERRUPTED = -signal.SIGINT, 130
+
+
+def interrupted_after(rig: Rig, imports: int, program: str, *arguments: str) -> tuple[int, list[str]]:
+    """Starts a program and interrupts it once it has imported so many modules after its first line of ours.
+
+    Returns:
+        Its exit code, and what it has printed on standard error.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-c", program, *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=rig.environment,
+        cwd=rig.directory,
+    )
+    assert process.stderr is not None
+    said: list[str] = []
+    begun, seen = False, 0
+    try:
+        for line in process.stderr:
+            if not line.startswith(IMPORTED):
+                said.append(line.rstrip())
+                continue
+            seen += begun
+            begun = begun or line.rstrip().endswith(ENTRY)
+            if begun and seen == imports:
+                process.send_signal(signal.SIGINT)
+                seen += 1  # once
+        return process.wait(PATIENCE_S), said
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+MOMENTS = [0, 1, 10, 40, 80, 120, 160, 200, 250]
+
+
+@pytest.mark.parametrize("imports", MOMENTS)
+def test_a_command_that_is_interrupted_while_it_starts_ends_by_the_signal_without_a_word(rig: Rig, imports: int):
+    code, said = interrupted_after(rig, imports, PANCAKES, "plugin", "list")
+
+    assert said == []
+    assert code in (BY_SIGNAL, 0)  # 0: it has imported fewer
+    assert code == BY_SIGNAL or imports > 100
+
+
+@pytest.mark.parametrize("imports", [0, 40, 120, 200, 300, 400])
+def test_a_demo_that_is_interrupted_while_it_starts_ends_without_a_word_of_python(rig: Rig, imports: int):
+    mission = ("demo", "encirclement", "--virtual", "--headless", "--duration", "5", "--out", "out")
+    configs = Path(__file__).parents[2] / "configs" / "encirclement"
+
+    code, said = interrupted_after(rig, imports, PANCAKES, *mission, "--configs", str(configs))
+
+    assert [line for line in said if "no verdict" not in line] == []
+    assert code in (BY_SIGNAL, INTERRUPTED)
+
+
+@pytest.mark.parametrize("imports", [0, 10, 40, 80, 120])
+def test_an_agent_that_is_interrupted_while_it_starts_ends_without_a_word(rig: Rig, imports: int):
+    code, said = interrupted_after(rig, imports, AGENT, "--config", str(rig.config("a")))
+
+    assert said == []
+    assert code in (BY_SIGNAL, 0)  # 0: it listens to signals already, and ends in good order
+
+
+@pytest.mark.parametrize("imports", [0, 100, 200])
+def test_a_launcher_that_is_interrupted_while_it_starts_ends_quietly(rig: Rig, imports: int):
+    code, said = interrupted_after(rig, imports, PANCAKES, "launch", str(rig.config("a")))
+
+    assert not any("Traceback" in line or "KeyboardInterrupt" in line for line in said)
+    assert code in (BY_SIGNAL, 0)
+
+
+def test_a_program_that_is_to_ignore_interrupts_ignores_them(rig: Rig):
+    """As a shell asks for, of what it starts with `&`."""
+    source = f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\nimport {ENTRY}\n"
+    source += "signal.raise_signal(signal.SIGINT)\nprint('goes on')"
+    found = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert (found.returncode, found.stdout, found.stderr) == (0, "goes on\n", "")
+
+
+def test_nothing_but_the_programs_themselves_changes_what_an_interrupt_does():
+    source = "import signal, pancakes.cli.main, pancakes.cli.agent, pancakes.testing\n"
+    source += "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
+    found = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, timeout=PATIENCE_S)
+    assert found.stdout == "True\n", found.stderr
+
+
+@pytest.mark.parametrize("program", ["pancakes", "pancakes-agent"])
+def test_the_console_scripts_begin_there(program: str):
+    from importlib.metadata import entry_points
+
+    (found,) = (it for it in entry_points(group="console_scripts") if it.name == program)
+    assert found.module == ENTRY
+
+
+# A demo from its first line to its last -------------------------------------------------------------------------
+
+SLOW = """
+import atexit
+import sys
+from pancakes.demo.demo import Comparison, Demo, Variant
+
+def wait(what):
+    print(what, flush=True)
+    sys.stdin.readline()
+
+def judge(*run):
+    wait("judging")
+    atexit.register(wait, "ending")
+    return {"verdict": "PASS", "reasons": []}
+
+def draw(*run):
+    wait("drawing")
+
+ONE = Demo("one", "A slow one", ("a",), 2.0, judge, draw, records={}, virtual=True)
+ALL = Comparison("all", "Two of them", ONE, (Variant("x", "x"), Variant("y", "y")), judge, draw, "all.png")
+"""
+
+
+class Slow:
+    """A demo that waits for a line of standard input wherever it says what it does."""
+
+    def __init__(self, rig: Rig, name: str) -> None:
+        rig.install("slow", "[pancakes.demos]\none = plugin_slow:ONE\nall = plugin_slow:ALL\n", SLOW)
+        configs = rig.directory / "configs"
+        configs.mkdir()
+        # In virtual time nothing listens at that port.
+        (configs / "a.toml").write_text(
+            'schema = 1\n[agent]\nname = "a"\nlisten = "tcp://127.0.0.1:7499"\n[clock]\nhold = true\n'
+        )
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", PANCAKES, "demo", name, "--configs", str(configs), "--out", "out"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=rig.environment,
+            cwd=rig.directory,
+        )
+        self.said: list[str] = []
+
+    def wait_for(self, text: str, times: int = 1) -> None:
+        """Waits until it says a line that begins with `text`, and lets it go on wherever it waits before."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said.append(line.rstrip())
+            if line.startswith(text):
+                times -= 1
+                if not times:
+                    return
+            if line.rstrip() in ("judging", "drawing", "ending"):
+                self.go_on()
+        raise AssertionError(f"it never said {text!r}, but:\n" + "\n".join(self.said))
+
+    def go_on(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+
+    def interrupt(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+
+    def ended(self) -> int:
+        """Lets it go on to its end; returns the exit code."""
+        rest, _ = self.process.communicate("\n\n\n\n\n", PATIENCE_S)
+        self.said += rest.splitlines()
+        return self.process.returncode
+
+    def __enter__(self) -> "Slow":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.mark.parametrize(
+    ("name", "moment", "times"),
+    [
+        ("one", "A slow one", 1),
+        ("one", "judging", 1),
+        ("one", "drawing", 1),
+        ("all", "judging", 1),
+        ("all", "A slow one, y", 1),
+        ("all", "judging", 3),  # of the comparison itself
+        ("all", "drawing", 1),
+    ],
+)
+def test_a_demo_that_is_interrupted_ends_with_130_whenever_that_comes(rig: Rig, name: str, moment: str, times: int):
+    with Slow(rig, name) as demo:
+        demo.wait_for(moment, times)
+        demo.interrupt()
+        assert demo.ended() == INTERRUPTED
+    assert not any(line.startswith("verdict") for line in demo.said)
+    assert any("no verdict" in line for line in demo.said)
+
+
+@pytest.mark.parametrize("moment", ["verdict: PASS", "ending"])
+def test_a_demo_that_is_interrupted_after_its_verdict_does_not_end_with_0(rig: Rig, moment: str):
+    with Slow(rig, "one") as demo:
+        demo.wait_for("verdict: PASS")
+        if moment == "ending":
+            demo.wait_for("ending")
+        demo.interrupt()
+        assert demo.ended() in (BY_SIGNAL, INTERRUPTED)
+    assert not any("Traceback" in line for line in demo.said)
+
+
+def test_a_demo_that_is_interrupted_twice_ends_at_once(rig: Rig):
+    with Slow(rig, "one") as demo:
+        demo.wait_for("drawing")
+        demo.interrupt()
+        demo.process.send_signal(signal.SIGTERM)  # two of one kind may come as one
+        assert demo.process.wait(PATIENCE_S) == INTERRUPTED
+
+
+def test_a_demo_that_is_left_alone_ends_with_its_verdict(rig: Rig):
+    with Slow(rig, "all") as demo:
+        assert demo.ended() == 0
+    assert "verdict: PASS" in demo.said
