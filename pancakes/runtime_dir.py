@@ -15,6 +15,7 @@ from typing import Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import PancakesError
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
@@ -39,6 +40,9 @@ class Entry(msgspec.Struct, frozen=True):
     role: str
     listen: str
     pid: int
+
+
+_DECODE: Final = codecs.json_decoder(Entry)
 
 
 class Registration:
@@ -84,7 +88,7 @@ def register(entry: Entry) -> Registration:
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.write(handle, msgspec.json.encode(entry))
+            os.write(handle, codecs.encode_json(entry))
             os.replace(temporary, path)
         except BaseException:
             os.close(handle)
@@ -162,7 +166,7 @@ def _read(path: Path, cleared: list[str]) -> Entry | None:
         except BlockingIOError:
             if path.name.endswith(_TEMPORARY):
                 return None
-            return msgspec.json.decode(os.read(handle, 65_536), type=Entry)
+            return _DECODE(os.read(handle, 65_536))
         path.unlink()
         cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
     except FileNotFoundError:

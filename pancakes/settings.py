@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import PancakesError
 from pancakes.packet import field_names, has_fields
 from pancakes.suggestion import suggestion
@@ -95,7 +96,7 @@ def check_settings(cls: type, settings: Any, allow_nan: bool = False) -> list[Pr
         return [Problem((), fault)]
     if isinstance(settings, dict) and _is_simple(cls, settings, allow_nan):
         try:
-            msgspec.convert(settings, cls)
+            codecs.convert(settings, cls)
             return []
         except (TypeError, ValueError, NameError):
             pass  # the walk says what is wrong, and where
@@ -115,13 +116,13 @@ def make_settings(cls: type[_T], settings: Mapping[str, Any], allow_nan: bool = 
     """
     if _is_simple(cls, settings, allow_nan):
         try:
-            return msgspec.convert(settings, cls) if settings else cls()
+            return codecs.convert(settings, cls) if settings else cls()
         except (TypeError, ValueError):
             pass  # the walk says what is wrong, and where
     problems = check_settings(cls, settings, allow_nan)
     if problems:
         raise SettingsError(_owner(cls), problems)
-    return msgspec.convert(settings, cls)
+    return codecs.convert(settings, cls)
 
 
 def _is_simple(cls: type, settings: Mapping[str, Any], allow_nan: bool) -> bool:
@@ -161,7 +162,7 @@ def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, 
     problems = [_hinted(problem, cls, changes) for problem in check_settings(cls, merged)]
     if problems:
         raise SettingsError(_owner(cls), problems)
-    return msgspec.convert(merged, cls)
+    return codecs.convert(merged, cls)
 
 
 def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
@@ -259,7 +260,7 @@ def _walk(kind: Any, value: Any, path: tuple[str | int, ...]) -> Iterator[Proble
         yield Problem(path, f"expected one of {', '.join(_shown(c) for c in choices)}, not {_shown(value)}", near)
         return
     try:
-        msgspec.convert(value, kind)
+        codecs.convert(value, kind)
     except msgspec.ValidationError as error:
         yield Problem(path, _phrase(str(error), value))
 

@@ -10,9 +10,9 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 import click
-import msgspec
 
 from pancakes.cli.options import Duration
+from pancakes.codecs import encode_json
 from pancakes.packet import body_to_plain
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -23,7 +23,7 @@ STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else 
 
 def one_line(value: Any) -> str:
     """Returns a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
-    return msgspec.json.encode(body_to_plain(value)).decode()
+    return encode_json(body_to_plain(value)).decode()
 
 
 class Printer:

@@ -8,8 +8,7 @@ from math import inf
 from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
-import msgspec
-
+from pancakes import codecs
 from pancakes.config.address import parse_address
 from pancakes.config.model import (
     DEFAULT_SERVICES,
@@ -174,7 +173,7 @@ class _Reader:
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
         sound = {name: value for name, value in values.items() if name in own and name not in bad}
-        return msgspec.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
+        return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
 
     def _check_name(self, key: KeyPath, name: str) -> bool:
         if _NAME.fullmatch(name) and len(name) <= _LONGEST_NAME:

@@ -6,11 +6,13 @@ decides after a crash whether the task may run here. It is replaced as a whole, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
 from typing import Final, NamedTuple
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import MigrationError
 
 
@@ -117,7 +119,7 @@ class Record(msgspec.Struct, frozen=True):
 
     def encode(self) -> bytes:
         """Returns the record as msgpack bytes, for the journal."""
-        return _ENCODER.encode(self)
+        return codecs.encode(self)
 
     @classmethod
     def decode(cls, data: bytes) -> Record:
@@ -127,10 +129,9 @@ class Record(msgspec.Struct, frozen=True):
             MigrationError: the bytes are no record.
         """
         try:
-            return _DECODER.decode(data)
+            return _DECODE(data)
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise MigrationError(f"these {len(data)} bytes are no record of a task: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(Record)
+_DECODE: Callable[[bytes], Record] = codecs.decoder(Record)

@@ -7,10 +7,12 @@ are the old host's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.digest import sha256
 from pancakes.errors import MigrationError
 from pancakes.migration.record import TaskId
@@ -121,8 +123,8 @@ class Snapshot(msgspec.Struct, frozen=True):
             MigrationError: a value cannot be written, or the whole is over `LIMIT_BYTES`.
         """
         try:
-            data = _ENCODER.encode(self)
-        except (TypeError, ValueError, OverflowError, msgspec.MsgspecError) as error:
+            data = codecs.encode(self)
+        except (TypeError, ValueError, OverflowError, MemoryError, msgspec.MsgspecError) as error:
             raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {error}") from None
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"the snapshot of {self.task_id} has {len(data)} bytes, {LIMIT_BYTES} may travel")
@@ -138,13 +140,12 @@ class Snapshot(msgspec.Struct, frozen=True):
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
-            return _DECODER.decode(data)
+            return _DECODE(data)
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(Snapshot)
+_DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot)
 
 
 def digest(data: bytes) -> bytes:

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.migration.record import TaskId
 from pancakes.task import Carried, Nothing, Task
 
@@ -55,4 +56,4 @@ def plain_of(carried: Carried) -> bytes:
     Raises:
         TypeError, OverflowError: its state cannot be encoded.
     """
-    return msgspec.msgpack.encode([carried.settings, carried.state, carried.periods_s, carried.heard])
+    return codecs.encode([carried.settings, carried.state, carried.periods_s, carried.heard])

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
 
 KIND = "recording"
@@ -23,6 +24,9 @@ class Wanted(msgspec.Struct, frozen=True):
 
     first: str = ""
     settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+
+
+_DECODE = codecs.decoder(Wanted)
 
 
 class WantedRecording:
@@ -45,7 +49,7 @@ class WantedRecording:
         entry = journal.read(KIND, KEY)
         if entry is not None:
             try:
-                found = msgspec.msgpack.decode(entry.data, type=Wanted)
+                found = _DECODE(entry.data)
                 self.now = found if found.first else None
             except (msgspec.DecodeError, msgspec.ValidationError) as error:
                 self.unread.append(f"the journal does not say any more which recording is to go on: {error}")
@@ -65,4 +69,4 @@ class WantedRecording:
             self.on_disk = wanted
             then()
 
-        self._store.persist(Entry(KIND, KEY, msgspec.msgpack.encode(wanted or Wanted())), written, failed)
+        self._store.persist(Entry(KIND, KEY, codecs.encode_small(wanted or Wanted())), written, failed)

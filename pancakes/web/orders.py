@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.control import Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
 
@@ -69,6 +71,7 @@ class RestartOrder(Order, frozen=True, tag_field="do", tag="restart"):
 
 
 AnyOrder = MoveOrder | RateOrder | StopOrder | StartOrder | RestartOrder
+_ORDER: Final[Callable[[Any], AnyOrder]] = codecs.converter(AnyOrder)
 
 
 def order_from(message: Any) -> AnyOrder:
@@ -78,7 +81,7 @@ def order_from(message: Any) -> AnyOrder:
         ControlRefused: it is none; the sentence says what is wrong with it.
     """
     try:
-        order: AnyOrder = msgspec.convert(message, AnyOrder)
+        order: AnyOrder = _ORDER(message)
     except msgspec.ValidationError as error:
         raise ControlRefused(f"the page asked for what it cannot have: {_lower(str(error))}") from None
     return order

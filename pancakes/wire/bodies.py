@@ -19,6 +19,7 @@ from typing import Annotated, Any, Final
 import msgpack
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import body_from_plain, field_names, has_fields
 
@@ -238,7 +239,7 @@ def _extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
     dtype = array.dtype.str
     if not _DTYPE.match(dtype):
         raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans travel")
-    return msgspec.msgpack.Ext(ARRAY_EXTENSION, msgspec.msgpack.encode((dtype, array.shape, array.tobytes())))
+    return msgspec.msgpack.Ext(ARRAY_EXTENSION, codecs.encode((dtype, array.shape, array.tobytes())))
 
 
 def _array_from_extension(code: int, data: bytes) -> Any:
@@ -247,7 +248,7 @@ def _array_from_extension(code: int, data: bytes) -> Any:
         raise RemoteProtocolError(f"a frame holds an extension type that is not ours: {code}")
     limit = len(data)
     try:
-        array = msgspec.convert(
+        array = codecs.convert(
             msgpack.unpackb(data, max_array_len=64, max_map_len=0, max_str_len=8, max_bin_len=limit, max_ext_len=0),
             _ArrayRow,
         )

@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError
 
 VERSION: Final = 3
@@ -136,6 +137,6 @@ class Identity(msgspec.Struct, frozen=True):
         """
         row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, listen]
         try:
-            return msgspec.convert(row, Hello)
+            return codecs.convert(row, Hello)
         except msgspec.ValidationError as error:
             raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {error}") from None
