@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import click
-
 from pancakes.cli.names import TaskName
+from pancakes.cli.output import show_text
 from pancakes.client import Client
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
@@ -29,7 +28,7 @@ def survey(at: Sequence[str], timeout_s: float, *agents: str) -> list[dict[str, 
     with Client(at, timeout_s) as client:
         found = client.survey(*agents)
     for sentence in found.silent:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     return found.agents
 
 
@@ -56,7 +55,7 @@ def ask_each(at: Sequence[str], timeout_s: float, body: Any, *agents: str) -> li
     if not answers:
         raise ControlRefused("\n".join(sentences))
     for sentence in sentences:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     return answers
 
 

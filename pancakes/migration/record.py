@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
 from pancakes import codecs
 from pancakes.errors import MigrationError
+from pancakes.names import NAME
 
 
 class Epoch(NamedTuple):
@@ -37,14 +38,17 @@ NO_EPOCH: Final = Epoch(0, "")
 """Lower than every epoch that was ever minted."""
 
 
+_Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+
+
 class TaskId(NamedTuple):
     """A task's identity for life: the agent that it was born on, and its name there.
 
     It reads `birthplace/name`. Two agents may each have a `GoHome`.
     """
 
-    birthplace: str
-    name: str
+    birthplace: _Name
+    name: _Name
 
     def __str__(self) -> str:
         return f"{self.birthplace}/{self.name}"

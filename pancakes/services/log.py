@@ -18,6 +18,7 @@ from pancakes.events import LEVELS, Event, LogLine
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, Packet, agent_of
+from pancakes.printable import printable_data, printable_line
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
 from pancakes.services.wanted_recording import Wanted, WantedRecording
@@ -49,7 +50,7 @@ def line_of(record: dict[str, Any]) -> str:
     """Returns a record as one line of JSON, its keys in their order."""
     import json  # takes 2 ms of an agent's start, for files and questions that most agents never see
 
-    return json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": "))
+    return printable_data(json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": ")))
 
 
 class Console(Task):
@@ -78,7 +79,8 @@ class Console(Task):
         if level in LEVELS and LEVELS.index(level) < LEVELS.index(self.settings.level):
             return
         try:
-            print(f"{packet.stamp:9.3f} {level:<7} {packet.source}: {text}", file=sys.stderr, flush=True)
+            line = f"{packet.stamp:9.3f} {level:<7} {packet.source}: {text}"
+            print(printable_line(line), file=sys.stderr, flush=True)
         except (OSError, ValueError):
             # Whoever read us has gone; an agent does not stop for that.
             self.stop()

@@ -42,6 +42,7 @@ from pancakes.errors import ControlRefused, PancakesError, describe
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
+from pancakes.printable import printable_line
 from pancakes.service import WAITING, Service, ServiceSpec
 from pancakes.services.network import NetworkService
 from pancakes.slot import Request, Slot
@@ -266,7 +267,8 @@ class Root(Component):
         self.log("error", f"{place.address} is given up: {text}")
         if place.spec.name == LOG_SERVICE:
             # Nobody is left who would show that to whoever sits at the terminal.
-            print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
+            line = f"{place.address} is given up, so nothing is shown of what is logged: {text}"
+            print(printable_line(line), file=sys.stderr)
         waiting, place.on_running = place.on_running, []
         for then in waiting:
             then(f"{place.address} failed: {text}")

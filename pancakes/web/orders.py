@@ -11,11 +11,10 @@ import msgspec
 from pancakes import codecs
 from pancakes.control import Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
+from pancakes.names import NAME
 
-_NAME: Final = r"[^/\s]{1,100}"
-
-Name = Annotated[str, msgspec.Meta(pattern=f"^{_NAME}$")]
-Target = Annotated[str, msgspec.Meta(pattern=f"^{_NAME}/{_NAME}$")]
+Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+Target = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}/{NAME}\Z")]
 
 
 class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -22,6 +22,7 @@ from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import LEVELS
 from pancakes.packet import LOG
+from pancakes.printable import printable_line
 from pancakes.services.log import REMEMBERED, line_of, record_of
 
 COLOURS: Final = {"debug": "bright_black", "info": "", "warning": "yellow", "error": "red"}
@@ -81,7 +82,7 @@ def log(
         pancakes log --grep 'task_(failed|given_up)' --format json
     """
     asks = Asks(level, sources, grep)
-    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, text_of) as printer:
+    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, text_of, colour_of) as printer:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
             if asks.wants(record):
@@ -126,11 +127,13 @@ def words_of(record: Record) -> str:
 
 
 def text_of(record: Record) -> str:
-    """Returns a record as a line for people; its colours stay only where they can be seen."""
-    level = level_of(record)
-    colour = COLOURS.get(level, "") if "NO_COLOR" not in os.environ else ""
-    line = f"{record['t_s']:9.3f} {level:<7} {record['source']}: {words_of(record)}"
-    return click.style(line, fg=colour) if colour else line
+    """Returns a record as a line for people."""
+    return printable_line(f"{record['t_s']:9.3f} {level_of(record):<7} {record['source']}: {words_of(record)}")
+
+
+def colour_of(record: Record) -> str | None:
+    """Returns the colour of its line; it stays only where it can be seen."""
+    return COLOURS.get(level_of(record)) if "NO_COLOR" not in os.environ else None
 
 
 # Where it comes from ---------------------------------------------------------------------------------------------
