@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, get_args, get_origin
 import msgpack
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 
 ARRAY_EXTENSION: Final = 1
@@ -66,7 +67,7 @@ def extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
     dtype = array.dtype.str
     if not _DTYPE.match(dtype):
         raise LocalProtocolError(f"{where} is an array of {array.dtype}, and only numbers and booleans travel")
-    return msgspec.msgpack.Ext(ARRAY_EXTENSION, msgspec.msgpack.encode((dtype, array.shape, array.tobytes())))
+    return msgspec.msgpack.Ext(ARRAY_EXTENSION, codecs.encode((dtype, array.shape, array.tobytes())))
 
 
 def array_from_extension(code: int, data: bytes | memoryview) -> Any:
@@ -79,7 +80,7 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
         raise RemoteProtocolError(f"a frame holds an extension type that is not ours: {code}")
     limit = len(data)
     try:
-        array = msgspec.convert(
+        array = codecs.convert(
             msgpack.unpackb(data, max_array_len=64, max_map_len=0, max_str_len=8, max_bin_len=limit, max_ext_len=0),
             _ArrayRow,
         )

@@ -19,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 
@@ -168,7 +169,7 @@ def body_from_plain(name: str, plain: Any) -> Any:
     if cls is None:
         return plain
     try:
-        return msgspec.convert(plain, cls)
+        return codecs.convert(plain, cls)
     except msgspec.ValidationError as error:
         raise RemoteProtocolError(f"a packet of the type {name!r} has a bad body: {error}") from None
 

@@ -18,7 +18,9 @@ from typing import Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import PancakesError
+from pancakes.printable import printable
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
 """The environment variable that names another directory."""
@@ -53,6 +55,9 @@ class Entry(msgspec.Struct, frozen=True):
     role: str
     listen: str
     pid: int
+
+
+_DECODE: Final = codecs.json_decoder(Entry)
 
 
 class Registration:
@@ -98,7 +103,7 @@ def register(entry: Entry) -> Registration:
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.write(handle, msgspec.json.encode(entry))
+            os.write(handle, codecs.encode_json(entry))
             os.replace(temporary, path)
         except BaseException:
             os.close(handle)
@@ -160,7 +165,8 @@ def look() -> Found:
                 except FileNotFoundError:
                     pass  # it has gone in the meantime
                 except OSError as error:
-                    found.odd.append(f"{_shown(path)} cannot be read: {(error.strerror or str(error)).lower()}")
+                    why = (error.strerror or str(error)).lower()
+                    found.odd.append(f"{printable(str(path))} cannot be read: {why}")
     except OSError as error:
         raise _unusable(directory, error) from None
     found.entries.sort(key=lambda entry: (entry.name, entry.pid))
@@ -191,7 +197,7 @@ def _read(path: Path, found: Found) -> None:
     """
     oddity = _oddity(os.lstat(path))
     if oddity:
-        found.odd.append(f"{_shown(path)} is {oddity}, no agent's entry")
+        found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
         return
     # What it is may have changed since: to open a FIFO would wait for a writer.
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -202,7 +208,7 @@ def _read(path: Path, found: Found) -> None:
             return  # it is being written
         if lives:
             try:
-                found.entries.append(msgspec.json.decode(os.read(handle, _LIMIT_BYTES), type=Entry))
+                found.entries.append(_DECODE(os.read(handle, _LIMIT_BYTES)))
                 return
             except (msgspec.MsgspecError, ValueError, RecursionError):
                 oddity = "in use, but what it says is"
@@ -210,7 +216,7 @@ def _read(path: Path, found: Found) -> None:
             path.unlink()
             found.cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
             return
-        found.odd.append(f"{_shown(path)} is {oddity or 'a file of another kind,'} no agent's entry")
+        found.odd.append(f"{printable(str(path))} is {oddity or 'a file of another kind,'} no agent's entry")
     finally:
         os.close(handle)
 
@@ -235,14 +241,8 @@ def _is_locked(handle: int) -> bool:
     return False
 
 
-def _shown(path: Path) -> str:
-    """Returns a path as it may be printed."""
-    text = str(path)
-    return text if text.isprintable() else ascii(text)
-
-
 def _unusable(directory: Path, error: OSError) -> PancakesError:
     what = (error.strerror or str(error)).lower()
     if error.filename is not None and Path(os.fsdecode(error.filename)) != directory:
-        what = f"{_shown(Path(os.fsdecode(error.filename)))}: {what}"
+        what = f"{printable(os.fsdecode(error.filename))}: {what}"
     return PancakesError(f"the runtime directory {directory} cannot be used: {what}")

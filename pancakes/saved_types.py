@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final, Union
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import array_of, fault_of_array_type, is_array, is_array_type, is_number_type
 from pancakes.errors import ClassError
 from pancakes.packet import field_names
@@ -112,7 +113,7 @@ def fault_of_type(kind: Any) -> str:
         fault = _fault_in(kind, frozenset())
         if not fault:
             # Unions that it cannot tell apart, and bounds that a type cannot have, msgspec finds only here.
-            msgspec.convert(_NO_VALUE, kind, dec_hook=array_of)
+            codecs.convert(_NO_VALUE, kind, array_of)
     except (NameError, msgspec.ValidationError):
         return ""
     except TypeError as error:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import is_array_type
 
 _REF: Final = "#/$defs/{name}"
@@ -24,7 +25,7 @@ def schema_of(cls: type) -> dict[str, Any]:
         TypeError: a field has another type.
     """
     reach = dataclasses_of(cls)
-    (reference,), components = msgspec.json.schema_components((cls,), schema_hook=_array, ref_template=_REF)
+    reference, components = codecs.schema_components(cls, _REF, _array)
     for name, component in components.items():
         found = reach.get(name)
         if found is not None:
@@ -82,7 +83,7 @@ def dataclasses_of(cls: type) -> dict[str, type]:
         if found.get(one.__name__) is one:
             continue
         found[one.__name__] = one
-        info = msgspec.inspect.type_info(one)
+        info = codecs.type_info(one)
         ahead.extend(_dataclasses_in(info, top=True))
     return found
 

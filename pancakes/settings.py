@@ -22,6 +22,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.errors import PancakesError
 from pancakes.packet import field_names, has_fields
@@ -244,7 +245,7 @@ def _plain_number(value: Any) -> Any:
 
 
 def _convert(value: Any, kind: Any) -> Any:
-    return msgspec.convert(value, kind, str_keys=True, dec_hook=array_of)
+    return codecs.convert(value, kind, array_of)
 
 
 def _owner(cls: type) -> str:

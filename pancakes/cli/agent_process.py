@@ -139,8 +139,8 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
 
 def _check(config: Config, plugins: Plugins) -> None:
     """Says that a configuration is sound, and which plug-ins of this environment are not."""
-    import click
 
+    from pancakes.cli.output import show_text
     from pancakes.errors import PluginError
     from pancakes.plugins import GROUPS
 
@@ -153,7 +153,7 @@ def _check(config: Config, plugins: Plugins) -> None:
                 continue  # `problems` has it
     for problem in plugins.problems():
         _warn(f"warning: {problem}")
-    click.echo(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
+    show_text(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
 
 
 def _register(running: Agent) -> Registration | None:
@@ -228,6 +228,6 @@ def _listen_to_libraries(running: Agent) -> Callable[[], None]:
 
 
 def _warn(text: str) -> None:
-    import click  # only now: most agents have nothing to warn of
+    from pancakes.cli.output import show_text  # only now: most agents have nothing to warn of
 
-    click.echo(text, err=True)
+    show_text(text, err=True)

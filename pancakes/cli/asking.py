@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import click
-
 from pancakes.cli.names import TaskName
+from pancakes.cli.output import show_text
 from pancakes.client import Client, Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
@@ -28,7 +27,7 @@ def survey(at: Where, timeout_s: float, *agents: str) -> list[dict[str, Any]]:
     with Client(at, timeout_s) as client:
         found = client.survey(*agents)
     for sentence in found.silent:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     return found.agents
 
 
@@ -55,7 +54,7 @@ def ask_each(at: Where, timeout_s: float, body: Any, *agents: str) -> list[tuple
     if not answers:
         raise ControlRefused("\n".join(sentences))
     for sentence in sentences:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     return answers
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import PancakesError
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.suggestion import suggestion
@@ -31,13 +32,13 @@ def body_of(kind: str, text: str) -> Any:
             + (f", did you mean {near!r}?" if near else f", only {', '.join(known_types())}")
         )
     try:
-        given = msgspec.json.decode(text)
+        given: Any = codecs.json_decoder()(text)
     except msgspec.DecodeError as error:
         raise BadBody(f"the body is no JSON: {_lower(str(error).removeprefix('JSON is malformed: '))}") from None
     if not isinstance(given, Mapping):
         raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:
-        body: Any = msgspec.convert(given, cls)
+        body: Any = codecs.convert(given, cls)
     except msgspec.ValidationError as error:
         raise BadBody(f"{_sentence(kind, str(error))}; its fields are {_fields(cls)}") from None
     for path, names in _unknown(given, msgspec.to_builtins(body)):

@@ -16,6 +16,7 @@ from click.shell_completion import CompletionItem
 
 from pancakes.cli.names import TaskName, TaskNameType
 from pancakes.control import Describe
+from pancakes.printable import printable
 
 if TYPE_CHECKING:
     from pancakes.client import Where
@@ -93,7 +94,7 @@ def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
-            return client.survey(*agents).agents
+            return _printable(client.survey(*agents).agents)
     except Exception:  # whatever it is: it must not come between somebody and what they type
         return []
 
@@ -104,9 +105,18 @@ def answer(ctx: click.Context, agent: str, body: Any) -> Any:
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
-            return client.request(agent, body).result
+            return _printable(client.request(agent, body).result)
     except Exception:
         return None
+
+
+def _printable(value: Any) -> Any:
+    """Returns what an agent says with the control characters of its texts escaped: a shell shows what it completes."""
+    if isinstance(value, dict):
+        return {key: _printable(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_printable(item) for item in value]
+    return printable(value) if isinstance(value, str) else value
 
 
 def _at(ctx: click.Context) -> Where:

@@ -46,24 +46,24 @@ def exit_code(error: PancakesError) -> int:
 
 def fail(error: Exception) -> NoReturn:
     """Says what is wrong on standard error, and exits."""
-    import click
+    from pancakes.cli.output import show_text  # only now: it needs click, and an agent that starts does not
 
     if isinstance(error, PancakesError):
-        click.echo(str(error), err=True)
+        show_text(str(error), err=True)
         sys.exit(exit_code(error))
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
-        click.echo(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
+        show_text(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
         if not error.filename:
             _forget_output()
         sys.exit(REFUSED)
     missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if missing in EXTRAS:
-        click.echo(f"this needs {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'", err=True)
+        show_text(f"this needs {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'", err=True)
         sys.exit(REFUSED)
     if os.environ.get(TRACEBACK):
         raise error
     text = " ".join(str(error).split())
-    click.echo(
+    show_text(
         f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {text} (set {TRACEBACK}=1 to see where)",
         err=True,
     )

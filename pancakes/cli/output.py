@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.arrays import as_list, is_array
+from pancakes.printable import printable, printable_data
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,9 +20,23 @@ DRY_RUN: Final = "dry run"
 """What stands under `done` where it was only asked whether it would be."""
 
 
+def show_text(text: str = "", *, err: bool = False, nl: bool = True, head: str = "", colour: str | None = None) -> None:
+    """Prints text, which may be of others: with its control characters escaped.
+
+    Args:
+        text: what to print.
+        err: whether to standard error.
+        nl: whether a new line follows.
+        head: our own words before it, which may be coloured.
+        colour: the text's colour, where its terminal has any.
+    """
+    shown = printable(text)
+    click.echo(head + (click.style(shown, fg=colour) if colour else shown), err=err, nl=nl)
+
+
 def show_json(value: Any) -> None:
     """Prints a plain value to standard output, as JSON; numbers that JSON does not know (NaN, infinity) become null."""
-    click.echo(json.dumps(_known(value), indent=2, ensure_ascii=False))
+    show_text(printable_data(json.dumps(_known(value), indent=2, ensure_ascii=False)))
 
 
 def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str) -> None:
@@ -58,7 +73,7 @@ def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[st
         elif isinstance(content, Mapping):
             table = Table.grid(padding=(0, 2), pad_edge=False)
             for name, value in content.items():
-                table.add_row(Text(f"  {name}"), Text(_text(value) or "-"))
+                table.add_row(Text(printable(f"  {name}")), Text(_text(value) or "-"))
         else:
             table = _table(content, list(content[0]))
         _print(Text(title, style="bold"), table)
@@ -114,19 +129,19 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:g}" if abs(value) < 1e-3 else f"{value:.3f}".rstrip("0").rstrip(".")
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_inner(item)}" for key, item in value.items()) or "-"
+        return ", ".join(f"{printable(str(key))} {_inner(item)}" for key, item in value.items()) or "-"
     if isinstance(value, (list, tuple)):
         nested = any(isinstance(item, (list, tuple, Mapping)) for item in value)
         return _inner(value) if nested else ", ".join(_text(item) for item in value) or "-"
     if is_array(value):
         return f"{as_list(value)} ({value.dtype}, {' x '.join(map(str, value.shape)) or 'one number'})"
-    return str(value)
+    return printable(str(value))
 
 
 def _inner(value: Any) -> str:
     """A value as it stands within another: a list or table keeps its brackets, so that its end can be seen."""
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} {_inner(item)}' for key, item in value.items())}}}"
+        return f"{{{', '.join(f'{printable(str(key))} {_inner(item)}' for key, item in value.items())}}}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_inner, value))}]"
     return _text(value)

@@ -11,10 +11,12 @@ from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 import click
-import msgspec
 
 from pancakes.cli.options import Duration
+from pancakes.cli.output import show_text
+from pancakes.codecs import encode_json
 from pancakes.packet import body_to_plain
+from pancakes.printable import printable_data
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -24,7 +26,7 @@ STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else 
 
 def one_line(value: Any) -> str:
     """Returns a value as JSON in one line; numbers that JSON does not know (NaN, infinity) become null."""
-    return msgspec.json.encode(body_to_plain(value)).decode()
+    return printable_data(encode_json(body_to_plain(value)).decode())
 
 
 class Printer:
@@ -37,12 +39,20 @@ class Printer:
         format_: `table` or `json`.
         bounded: whether the command ends by itself.
         text: makes the text of a value.
+        colour: returns the colour of a value's text, where it has one.
     """
 
-    def __init__(self, format_: str, bounded: bool, text: Callable[[Any], str]) -> None:
+    def __init__(
+        self,
+        format_: str,
+        bounded: bool,
+        text: Callable[[Any], str],
+        colour: Callable[[Any], str | None] = lambda value: None,
+    ) -> None:
         self._json = format_ == "json"
         self._list = self._json and bounded
         self._text = text
+        self._colour = colour
         self.printed = 0
 
     def __enter__(self) -> Printer:
@@ -51,9 +61,11 @@ class Printer:
     def show(self, value: Any) -> None:
         """Prints a value."""
         if self._list:
-            click.echo(("[\n  " if self.printed == 0 else ",\n  ") + one_line(value), nl=False)
+            show_text(("[\n  " if self.printed == 0 else ",\n  ") + one_line(value), nl=False)
+        elif self._json:
+            show_text(one_line(value))
         else:
-            click.echo(one_line(value) if self._json else self._text(value))
+            show_text(self._text(value), colour=self._colour(value))
         self.printed += 1
 
     def __exit__(
@@ -62,7 +74,7 @@ class Printer:
         # Whoever ends the command early still gets a list; where it failed, there may be nothing to end.
         if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
             if not isinstance(error, BrokenPipeError):
-                click.echo("\n]" if self.printed else "[]")
+                show_text("\n]" if self.printed else "[]")
 
 
 @contextmanager
@@ -75,7 +87,7 @@ def until_ended() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if sys.stdout.isatty():
-            click.echo()  # so that the shell's prompt does not stand behind the ^C
+            show_text()  # so that the shell's prompt does not stand behind the ^C
     except BrokenPipeError:
         # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -92,7 +104,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def say(text: str) -> None:
     """Says something about the stream on standard error, where it does not mix with it."""
-    click.echo(text, err=True)
+    show_text(text, err=True)
 
 
 def count_option(what: str) -> Callable[[_F], _F]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from math import inf
 from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
-import msgspec
-
+from pancakes import codecs
 from pancakes.config.address import parse_address
 from pancakes.config.model import (
     DEFAULT_SERVICES,
@@ -30,6 +28,7 @@ from pancakes.config.rule_check import faults_of_rule
 from pancakes.config.scanner import KeyPath
 from pancakes.config.source import tables_of, text_of
 from pancakes.errors import ConfigError, Fault
+from pancakes.names import fault_of_name, nearest_name
 from pancakes.packet import CORE_CHANNELS
 from pancakes.plugins import Plugins
 from pancakes.settings import check_settings, dotted, known_keys, required_keys
@@ -39,8 +38,6 @@ from pancakes.supervision import RestartSpec, fault_of_pauses
 _T = TypeVar("_T")
 
 _TABLES: Final = ("agent", "clock", "record", *NAMED_TABLES)
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
-_LONGEST_NAME: Final = 64
 
 
 def load(
@@ -182,19 +179,13 @@ class _Reader:
             bad.add(problem.path[0] if problem.path else "")
             self._fault((*key, *problem.path), text, near)
         sound = {name: value for name, value in values.items() if name in own and name not in bad}
-        return msgspec.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
+        return codecs.convert({**dict.fromkeys(required_keys(cls), ""), **sound}, cls)
 
-    def _check_name(self, key: KeyPath, name: str) -> bool:
-        if _NAME.fullmatch(name) and len(name) <= _LONGEST_NAME:
-            return True
-        near = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".-")[:_LONGEST_NAME]
-        self._fault(
-            key,
-            f"{name!r} is no name: a name has letters from a to z, digits, '.', '_' and '-', begins with none"
-            f" of '.' and '-', and is at most {_LONGEST_NAME} long",
-            near if _NAME.fullmatch(near) else "",
-        )
-        return False
+    def _check_name(self, key: KeyPath, name: str, client: bool = False) -> bool:
+        fault = fault_of_name(name, client)
+        if fault:
+            self._fault(key, fault, nearest_name(name))
+        return not fault
 
     def _given(self, key: KeyPath) -> Any:
         """What the file says under a key; None where it says nothing."""
@@ -206,7 +197,7 @@ class _Reader:
     def _check_agent(self, config: Config) -> None:
         agent = config.agent
         if isinstance(self._given(("agent", "name")), str):
-            self._check_name(("agent", "name"), agent.name)
+            self._check_name(("agent", "name"), agent.name, client=agent.role == "client")
         self._check_name(("agent", "fleet"), agent.fleet)
         if agent.listen:
             self._check_listen(config)

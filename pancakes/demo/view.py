@@ -12,6 +12,7 @@ from typing import Any, TextIO
 from pancakes.client.sentences import is_quiet, sentence_of
 from pancakes.demo.conductor import Mission
 from pancakes.demo.demo import Demo
+from pancakes.printable import printable
 
 REFRESH_HZ = 8
 SHOWN_EVENTS = 14
@@ -50,7 +51,7 @@ class PlainView:
 
     def _say(self, text: str) -> None:
         with self._lock:
-            print(text, file=self._out, flush=True)
+            print(printable(text), file=self._out, flush=True)
 
 
 class LiveView:
@@ -78,7 +79,7 @@ class LiveView:
 
     def _tell(self, record: Mapping[str, Any]) -> None:
         if not is_quiet(record):
-            self._lines.append(f"{record['t_s']:8.2f} s  {sentence_of(record)}")
+            self._lines.append(printable(f"{record['t_s']:8.2f} s  {sentence_of(record)}"))
 
     def _render(self) -> Any:
         from rich import box
@@ -98,13 +99,14 @@ class LiveView:
         behind = f", {mission.behind_s:.1f} s behind" if mission.behind_s > BEHIND_S else ""
         if mission.phase == "connecting":
             waiting = "; ".join(f"{agent} {why}" for agent, why in list(mission.waiting_for.items()))
-            head = f"waiting for the agents: {waiting or 'they send what happens'}"
+            head = f"waiting for the agents: {printable(waiting) or 'they send what happens'}"
         else:
             head = f"{mission.now_s:6.1f} of {mission.duration_s:.0f} s{behind}"
         # The last lines only, as plain text: what plug-ins say is no markup.
         events = Text("\n".join(self._lines) or "nothing has happened yet", no_wrap=True, overflow="ellipsis")
         return Group(
-            Panel(Group(Text(head, style="bold"), table), title=self._demo.title), Panel(events, title="events")
+            Panel(Group(Text(head, style="bold"), table), title=self._demo.title),
+            Panel(events, title="events"),
         )
 
     def _row(self, agent: str) -> tuple[str, ...]:
@@ -115,7 +117,7 @@ class LiveView:
         distance = (self._distance(body),) if self._demo.circled else ()
         return (
             agent,
-            ", ".join(mission.running.get(agent, ())),
+            printable(", ".join(mission.running.get(agent, ()))),
             *follows,
             f"{battery.voltage_v:.2f} V {battery.level:4.0%}" if battery is not None else "",
             *distance,

@@ -6,6 +6,7 @@ from typing import Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.digest import sha256
 from pancakes.errors import PancakesError
 
@@ -69,9 +70,21 @@ class _Sealed(msgspec.Struct, frozen=True, array_like=True):
     entry: Entry
 
 
+_DECODE: Final = codecs.decoder(_Sealed)
+
+
 def seal(journal: str, entry: Entry) -> bytes:
-    """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum."""
-    body = msgspec.msgpack.encode(_Sealed(journal, entry))
+    """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
+
+    Raises:
+        JournalError: there is no memory for it.
+    """
+    try:
+        body = codecs.encode(_Sealed(journal, entry))
+    except MemoryError as error:
+        raise JournalError(
+            f"the {len(entry.data)} bytes of {entry.kind} {entry.key} cannot be written: {error}"
+        ) from None
     return _MAGIC + sha256(body) + body
 
 
@@ -92,7 +105,7 @@ def unseal(journal: str, sealed: bytes) -> Entry:
     if sha256(body) != sealed[len(_MAGIC) : head]:
         raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
     try:
-        contents = msgspec.msgpack.decode(body, type=_Sealed)
+        contents = _DECODE(body)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
         raise Unbelievable(f"cannot be understood ({error})") from None
     if journal and contents.journal != journal:

@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.journal.entry import Entry, JournalError, SetAside, Unbelievable, seal, unseal
 
 SUFFIX: Final = ".rec"
@@ -111,7 +112,7 @@ class Journal(ABC):
         self.set_aside = tuple(aside)
         self.missing = self._missing()
         self.boot += 1
-        contents = msgspec.msgpack.encode(_Identity(self.uuid, self.boot))
+        contents = codecs.encode_small(_Identity(self.uuid, self.boot))
         self._replace({identity: seal(self.uuid, Entry(_IDENTITY, _IDENTITY, contents))})
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
@@ -167,10 +168,13 @@ class _Identity(NamedTuple):
     boot: int
 
 
+_DECODE_IDENTITY: Final = codecs.decoder(_Identity)
+
+
 def _read_identity(sealed: bytes) -> _Identity:
     entry = unseal("", sealed)
     try:
-        return msgspec.msgpack.decode(entry.data, type=_Identity)
+        return _DECODE_IDENTITY(entry.data)
     except (msgspec.DecodeError, msgspec.ValidationError) as error:
         raise Unbelievable(f"cannot be understood ({error})") from None
 

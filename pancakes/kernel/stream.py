@@ -15,6 +15,7 @@ from pancakes.kernel.handlers import Subscription
 from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.shared_queue import SharedQueue
+from pancakes.names import fault_of_name
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
 from pancakes.signatures import check_called
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
@@ -238,7 +239,13 @@ class InformationStream:
         return list(self._readers)
 
     def open(self, name: str) -> None:
-        """Adds a channel; one that is there already is left alone."""
+        """Adds a channel; one that is there already is left alone.
+
+        Raises:
+            PancakesError: no channel can have such a name.
+        """
+        if fault := fault_of_name(name):
+            raise PancakesError(f"{self.agent} cannot open this channel: {fault}")
         with self._lock:
             if name in self._readers:
                 return

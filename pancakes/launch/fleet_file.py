@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-import msgspec
-
+from pancakes import codecs
 from pancakes.config import SCHEMA
 from pancakes.config.places import Places
 from pancakes.config.scanner import KeyPath
@@ -154,7 +153,7 @@ class _Reader:
         problems = check_settings(cls, values)
         for problem in problems:
             self._fault((*key, *problem.path), problem.text, problem.suggestion)
-        return msgspec.convert({} if problems else values, cls)
+        return codecs.convert({} if problems else values, cls)
 
     def _check_pauses(self, key: KeyPath, restart: ProcessRestart | None) -> None:
         fault = fault_of_pauses(restart.pause_s, restart.pause_max_s) if restart is not None else ""

@@ -6,12 +6,15 @@ decides after a crash whether the task may run here. It is replaced as a whole, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import MigrationError
+from pancakes.names import NAME
 
 
 class Epoch(NamedTuple):
@@ -35,14 +38,17 @@ NO_EPOCH: Final = Epoch(0, "")
 """Lower than every epoch that was ever minted."""
 
 
+_Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+
+
 class TaskId(NamedTuple):
     """A task's identity for life: the agent that it was born on, and its name there.
 
     It reads `birthplace/name`. Two agents may each have a `GoHome`.
     """
 
-    birthplace: str
-    name: str
+    birthplace: _Name
+    name: _Name
 
     def __str__(self) -> str:
         return f"{self.birthplace}/{self.name}"
@@ -117,7 +123,7 @@ class Record(msgspec.Struct, frozen=True):
 
     def encode(self) -> bytes:
         """Returns the record as msgpack bytes, for the journal."""
-        return _ENCODER.encode(self)
+        return codecs.encode(self)
 
     @classmethod
     def decode(cls, data: bytes) -> Record:
@@ -127,10 +133,9 @@ class Record(msgspec.Struct, frozen=True):
             MigrationError: the bytes are no record.
         """
         try:
-            return _DECODER.decode(data)
+            return _DECODE(data)
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise MigrationError(f"these {len(data)} bytes are no record of a task: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(Record)
+_DECODE: Callable[[bytes], Record] = codecs.decoder(Record)

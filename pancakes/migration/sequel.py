@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import MigrationError
 from pancakes.migration.ledger import Ledger
 
@@ -21,7 +24,7 @@ class Sequel(msgspec.Struct, frozen=True):
 
     def encode(self) -> bytes:
         """Returns it as msgpack bytes, for the record."""
-        return _ENCODER.encode(self)
+        return codecs.encode(self)
 
     @classmethod
     def decode(cls, data: bytes) -> Sequel:
@@ -33,10 +36,9 @@ class Sequel(msgspec.Struct, frozen=True):
         if not data:
             return cls()
         try:
-            return _DECODER.decode(data)
+            return _DECODE(data)
         except (msgspec.DecodeError, msgspec.ValidationError) as error:
             raise MigrationError(f"these {len(data)} bytes do not say what follows a hand-over: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(Sequel)
+_DECODE: Callable[[bytes], Sequel] = codecs.decoder(Sequel)

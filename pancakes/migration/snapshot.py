@@ -7,10 +7,12 @@ are the old host's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import array_from_extension, saved_array
 from pancakes.digest import sha256
 from pancakes.errors import MigrationError, RemoteProtocolError
@@ -122,8 +124,8 @@ class Snapshot(msgspec.Struct, frozen=True):
             MigrationError: a value cannot be written, or the whole is over `LIMIT_BYTES`.
         """
         try:
-            data = _ENCODER.encode(self)
-        except (TypeError, ValueError, OverflowError, msgspec.MsgspecError) as error:
+            data = _ENCODE(self)
+        except (TypeError, ValueError, OverflowError, MemoryError, msgspec.MsgspecError) as error:
             raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {error}") from None
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"the snapshot of {self.task_id} has {len(data)} bytes, {LIMIT_BYTES} may travel")
@@ -139,13 +141,13 @@ class Snapshot(msgspec.Struct, frozen=True):
         if len(data) > LIMIT_BYTES:
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
-            return _DECODER.decode(data)
+            return _DECODE(data)
         except (msgspec.DecodeError, msgspec.ValidationError, RemoteProtocolError) as error:
             raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
 
 
-_ENCODER = msgspec.msgpack.Encoder(enc_hook=saved_array)
-_DECODER = msgspec.msgpack.Decoder(Snapshot, ext_hook=array_from_extension)
+_ENCODE: Callable[[Any], bytes] = codecs.encoder(saved_array)
+_DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
 
 
 def digest(data: bytes) -> bytes:

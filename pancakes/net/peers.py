@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Goodbye, Hello, Refusal
+from pancakes.wire.messages import Goodbye, Hello, Refusal, fault_of_address
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
@@ -350,7 +350,7 @@ class Peers:
         it = self._book.get(address)
         is_new = it is None
         if it is None:
-            if not address or address == self._own.listen or self._learnt >= MAX_LEARNT:
+            if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
                 return False
             it = self._book[address] = _Address(False, now_s)
             self._learnt += 1

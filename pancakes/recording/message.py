@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, 
 import msgpack
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Cause, Fence, Packet, body_from_plain, field_names, has_fields
@@ -44,7 +45,7 @@ def data_of(packet: Packet) -> bytes:
     cls: type = type(packet.body)
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
-        data = _PLAIN.encode(row)
+        data = codecs.encode_json(row)
     except _CANNOT_ENCODE:
         return _exact_data(row, packet)
     # JSON says null for what is no number: most nulls are a None.
@@ -107,7 +108,7 @@ def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
     """Returns what makes something with the body of a class of a message's data; None where that cannot be."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
-        decode: Callable[[bytes], Any] = msgspec.json.Decoder(alone).decode
+        decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
     except Exception:  # as above, and there are classes that msgspec makes of nothing
         return None
     return decode
@@ -116,12 +117,12 @@ def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
 def _exact_data(row: _Row, packet: Packet) -> bytes:
     try:
         row.exact = base64.b64encode(_WIRE.packet(packet)).decode("ascii")
-        return _LISTS.encode(row)
+        return _LISTS(row)
     except (*_CANNOT_ENCODE, LocalProtocolError) as error:
         reason = error
     row.exact = ""
     try:
-        data = _PLAIN.encode(row)
+        data = codecs.encode_json(row)
         packet_from_data(packet.channel, packet.type, data)
         return data
     except (*_CANNOT_ENCODE, RemoteProtocolError):
@@ -132,10 +133,11 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
 
 _TOLD: Final = (str, bytes, int, float, bool, type(None))
 # RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
-_CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, msgspec.MsgspecError)
-_PLAIN: Final = msgspec.json.Encoder()
-_LISTS: Final = msgspec.json.Encoder(enc_hook=as_list)
+_CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
+_LISTS: Final = codecs.json_encoder(as_list)
+_READ: Final = codecs.json_decoder()
 _WIRE: Final = Encoder()
+_FENCE: Final[Callable[[Any], Fence | None]] = codecs.converter(Fence | None)
 
 
 def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
@@ -145,7 +147,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         RemoteProtocolError: it is no packet, or the body does not fit its type.
     """
     try:
-        row = msgspec.json.decode(data)
+        row: Any = _READ(data)
         exact = row.get("exact")
         if exact is not None:
             packed = base64.b64decode(exact, validate=True)
@@ -160,7 +162,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
             int(row["seq"]),
             body_from_plain(type_name, row["body"]),
             (cause[0], cause[1]) if cause else None,
-            msgspec.convert(row["fence"], Fence | None),
+            _FENCE(row["fence"]),
         )
     except RemoteProtocolError:
         raise

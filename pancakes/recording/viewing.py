@@ -7,8 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
-import msgspec
-
+from pancakes import codecs
 from pancakes.recording.entry import NANOSECONDS, Entry
 
 SHOWN: Final = ("pose", "world_state")
@@ -111,7 +110,7 @@ def _scene(entry: Entry) -> ViewerMessage:
 def _message(
     topic: str, name: str, schema: Mapping[str, object], time_ns: int, plain: Mapping[str, Any]
 ) -> ViewerMessage:
-    return ViewerMessage(topic, name, {"title": name, **schema}, time_ns, msgspec.json.encode(plain))
+    return ViewerMessage(topic, name, {"title": name, **schema}, time_ns, codecs.encode_json(plain))
 
 
 def _time(time_ns: int) -> dict[str, int]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.arrays import saved_array
 from pancakes.migration.record import TaskId
 from pancakes.task import Carried, Nothing, Task
@@ -56,5 +57,7 @@ def plain_of(carried: Carried) -> bytes:
     Raises:
         TypeError, OverflowError: its state cannot be encoded.
     """
-    parts = [carried.settings, carried.state, carried.periods_s, carried.heard]
-    return msgspec.msgpack.encode(parts, enc_hook=saved_array)
+    return _ENCODE([carried.settings, carried.state, carried.periods_s, carried.heard])
+
+
+_ENCODE: Final = codecs.encoder(saved_array)

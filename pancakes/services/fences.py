@@ -9,12 +9,15 @@ from collections.abc import Callable
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
 from pancakes.packet import Fence
 
 KIND = "fence"
 
 Epoch = tuple[int, str]
+
+_DECODE: Callable[[bytes], dict[str, Epoch]] = codecs.decoder(dict[str, Epoch])
 
 
 class Fences:
@@ -36,7 +39,7 @@ class Fences:
         self._on_disk: dict[str, dict[str, Epoch]] = {}
         for entry in journal.entries(KIND):
             try:
-                self._on_disk[entry.key] = msgspec.msgpack.decode(entry.data, type=dict[str, Epoch])
+                self._on_disk[entry.key] = _DECODE(entry.data)
             except (msgspec.DecodeError, msgspec.ValidationError) as error:
                 self.unread.append(f"the journal's fence of the actuator {entry.key} is not used: {error}")
         self._seen = {actuator: dict(marks) for actuator, marks in self._on_disk.items()}
@@ -66,4 +69,4 @@ class Fences:
             self._on_disk[actuator] = marks
             then()
 
-        self._store.persist(Entry(KIND, actuator, msgspec.msgpack.encode(marks)), written, failed)
+        self._store.persist(Entry(KIND, actuator, codecs.encode_small(marks)), written, failed)

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
 from pancakes.migration.ledger import Ledger
 
@@ -35,6 +36,9 @@ class Kept(msgspec.Struct, frozen=True):
     ledger: Ledger
 
 
+_DECODE: Final = codecs.decoder(Kept)
+
+
 class Ledgers:
     """The newest accounts of one agent. Any thread.
 
@@ -58,7 +62,7 @@ class Ledgers:
         found: list[Kept] = []
         for entry in journal.entries(KIND):
             try:
-                found.append(msgspec.msgpack.decode(entry.data, type=Kept))
+                found.append(_DECODE(entry.data))
             except (msgspec.DecodeError, msgspec.ValidationError) as error:
                 self.unread.append(f"the journal's account {entry.key} of a move is not used: {error}")
         found.sort(key=lambda kept: kept.number)
@@ -86,7 +90,7 @@ class Ledgers:
         def failed(why: str) -> None:
             self._log("warning", f"the account of the move of {ledger.task_id} is not in the journal: {why}")
 
-        self._store.persist(Entry(KIND, key, msgspec.msgpack.encode(kept)), lambda: None, failed)
+        self._store.persist(Entry(KIND, key, codecs.encode_small(kept)), lambda: None, failed)
 
     def plain(self) -> list[dict[str, Any]]:
         """Returns the accounts, oldest first, as plain values: the fields of `Ledger` besides those of `Kept`."""

@@ -19,6 +19,7 @@ from pancakes.events import LEVELS, Event, LogLine, level_of
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, Packet
+from pancakes.printable import printable, printable_line
 from pancakes.recording.recorder import Recorder
 from pancakes.service import Service
 from pancakes.services.log_record import line_of, record_of
@@ -63,9 +64,9 @@ class Console(LogWriter):
             text = " ".join([body.kind, *(f"{key}={value}" for key, value in fields if value not in (None, ""))])
         else:
             text = f"{packet.type} {body}"
-        line = f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}"
+        line = printable_line(f"{packet.stamp:9.3f} {level_of(body):<7} {packet.source}: {text}")
         if self.settings.traceback and isinstance(body, LogLine):
-            line = "\n".join([line, *(f"          {row}" for row in body.traceback.splitlines())])
+            line = "\n".join([line, *(printable(f"          {row}") for row in body.traceback.splitlines())])
         try:
             print(line, file=sys.stderr, flush=True)
         except (OSError, ValueError):

@@ -7,6 +7,7 @@ from typing import Any
 from pancakes.arrays import without_arrays
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, agent_of, body_to_plain
+from pancakes.printable import printable_data
 
 
 def record_of(packet: Packet) -> dict[str, Any]:
@@ -25,4 +26,4 @@ def line_of(record: dict[str, Any]) -> str:
     """Returns a record as one line of JSON, its keys in their order."""
     import json  # takes 2 ms of an agent's start, for files and questions that most agents never see
 
-    return json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": "))
+    return printable_data(json.dumps(record, ensure_ascii=False, default=str, separators=(", ", ": ")))

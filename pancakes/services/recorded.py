@@ -477,7 +477,7 @@ class RecordedService(Service):
             if self._checkpoints.hold(task_id, plain) and not self._postbox.owes(task_id):
                 return
             snapshot = self._snapshot(slot, carried)
-        except (PancakesError, TypeError, OverflowError) as error:
+        except (PancakesError, TypeError, OverflowError, MemoryError) as error:
             self.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
         self._checkpoints.take(task_id, task, carried, plain)

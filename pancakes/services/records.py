@@ -95,7 +95,12 @@ class Records:
             self._records[record.task_id] = record
             then()
 
-        self._store.persist(Entry(KIND, str(record.task_id), record.encode()), written, failed)
+        try:
+            data = record.encode()
+        except MemoryError as error:
+            failed(str(error))
+            return
+        self._store.persist(Entry(KIND, str(record.task_id), data), written, failed)
 
     def close(self) -> None:
         """Writes what still waits, and closes the journal. Waits for the disk."""

@@ -43,6 +43,7 @@ from pancakes.errors import ControlRefused, PancakesError, describe, traceback_o
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
+from pancakes.printable import printable_line
 from pancakes.service import WAITING, Service, ServiceSpec
 from pancakes.services.network import NetworkService
 from pancakes.settings import SettingsError
@@ -284,7 +285,8 @@ class Root(Component):
             self.log("error", f"{place.address} is given up{then_again}: {text}", traceback)
             if place.spec.name == LOG_SERVICE:
                 # Nobody is left who would show that to whoever sits at the terminal.
-                print(f"{place.address} is given up, so nothing is shown of what is logged: {text}", file=sys.stderr)
+                line = f"{place.address} is given up, so nothing is shown of what is logged: {text}"
+                print(printable_line(line), file=sys.stderr)
         self._tell_running(place, f"{place.address} failed: {text}")
 
     def _try_again(self, place: ServicePlace, due_s: float) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-import msgspec
 from msgspec.structs import asdict, replace
 
+from pancakes import codecs
 from pancakes.arrays import alike
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
@@ -71,9 +71,9 @@ def spec_of(snapshot: Snapshot, catalogue: Catalogue) -> TaskSpec:
         version=version,
         settings=snapshot.configured,
         start=False,
-        restart=msgspec.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
+        restart=codecs.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
         durability=snapshot.durability,
-        rule=msgspec.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
+        rule=codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
     )
 
 

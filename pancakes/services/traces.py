@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.clock import wall_ns
 from pancakes.control import Traces
 from pancakes.errors import ControlRefused
@@ -42,7 +43,7 @@ Told = Callable[[dict[str, Any] | None], None]
 """Takes the answer to a question; None: it has none."""
 
 _TIME: Final = itemgetter(0)
-_SIZE: Final = msgspec.json.Encoder(enc_hook=lambda value: value.tolist() if hasattr(value, "tolist") else str(value))
+_JSON: Final = codecs.json_encoder(lambda value: value.tolist() if hasattr(value, "tolist") else str(value))
 
 
 class TracedPackets:
@@ -285,6 +286,6 @@ def _row(time_ns: int, packet: Packet) -> list[Any]:
 
 def _size(body: Any) -> int:
     try:
-        return len(_SIZE.encode(body))
+        return len(_JSON(body))
     except Exception:  # as in `_row`
         return LARGE_BYTES + 1

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
 
 KIND = "recording"
@@ -22,6 +23,9 @@ class Wanted(msgspec.Struct, frozen=True):
 
     first: str = ""
     settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+
+
+_DECODE = codecs.decoder(Wanted)
 
 
 class WantedRecording:
@@ -46,7 +50,7 @@ class WantedRecording:
         entry = journal.read(KIND, self._key)
         if entry is not None:
             try:
-                found = msgspec.msgpack.decode(entry.data, type=Wanted)
+                found = _DECODE(entry.data)
                 self.now = found if found.first else None
             except (msgspec.DecodeError, msgspec.ValidationError) as error:
                 self.unread.append(f"the journal does not say any more which recording is to go on: {error}")
@@ -66,4 +70,4 @@ class WantedRecording:
             self.on_disk = wanted
             then()
 
-        self._store.persist(Entry(KIND, self._key, msgspec.msgpack.encode(wanted or Wanted())), written, failed)
+        self._store.persist(Entry(KIND, self._key, codecs.encode_small(wanted or Wanted())), written, failed)

@@ -6,11 +6,13 @@ costs no battery. Requests go to the world, replies come back, each in a frame a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import body_class
 from pancakes.wire.framing import FrameReader, frame_of
@@ -106,7 +108,7 @@ class Answer(msgspec.Struct, tag_field="is", tag="reading", array_like=True, fro
             RemoteProtocolError: the value does not fit the type.
         """
         try:
-            return _decoder(body_class(self.type) or Any).decode(self.value)
+            return _decoder(body_class(self.type) or Any)(self.value)
         except msgspec.MsgspecError as error:
             raise RemoteProtocolError(f"a packet of the type {self.type!r} has a bad body: {error}") from None
 
@@ -122,19 +124,18 @@ Request: TypeAlias = Attach | Drive | Halt | Sample
 Reply: TypeAlias = Attached | Reading | Refused
 Replied: TypeAlias = Attached | Answer | Refused
 
-_REQUESTS = msgspec.msgpack.Decoder(list[Request])
-_REPLIES = msgspec.msgpack.Decoder(list[Replied])
-_ENCODER = msgspec.msgpack.Encoder()
+_REQUESTS: Final[Callable[[Any], list[Request]]] = codecs.decoder(list[Request])
+_REPLIES: Final[Callable[[Any], list[Replied]]] = codecs.decoder(list[Replied])
 
 
 @cache
-def _decoder(cls: Any) -> msgspec.msgpack.Decoder[Any]:
-    return msgspec.msgpack.Decoder(cls)
+def _decoder(cls: Any) -> Callable[[Any], Any]:
+    return codecs.decoder(cls)
 
 
 def encode(message: Request | Reply) -> bytes:
     """Returns a message as a frame."""
-    return frame_of(_ENCODER.encode((message,)))
+    return frame_of(codecs.encode((message,)))
 
 
 class RequestReader:
@@ -152,8 +153,8 @@ class RequestReader:
         try:
             payloads = self._frames.feed(data)
             if len(payloads) == 1:
-                return _REQUESTS.decode(payloads[0])
-            return [request for payload in payloads for request in _REQUESTS.decode(payload)]
+                return _REQUESTS(payloads[0])
+            return [request for payload in payloads for request in _REQUESTS(payload)]
         except msgspec.MsgspecError as error:
             raise RemoteProtocolError(f"that is no request to a simulated world: {error}") from None
 
@@ -173,7 +174,7 @@ class ReplyReader:
         try:
             payloads = self._frames.feed(data)
             if len(payloads) == 1:
-                return _REPLIES.decode(payloads[0])
-            return [reply for payload in payloads for reply in _REPLIES.decode(payload)]
+                return _REPLIES(payloads[0])
+            return [reply for payload in payloads for reply in _REPLIES(payload)]
         except msgspec.MsgspecError as error:
             raise RemoteProtocolError(f"that is no reply of a simulated world: {error}") from None

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import msgspec
 from msgspec.structs import replace
 
+from pancakes import codecs
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse
 from pancakes.devices.driver import Driver
 from pancakes.plugins import Plugins
@@ -60,7 +60,7 @@ def parts(
             if isinstance(cls, type):
                 classes[f"test.{cls.__qualname__.rpartition('.')[2]}"] = cls
                 cls = f"test.{cls.__qualname__.rpartition('.')[2]}"
-            made[table] = msgspec.convert({"name": table, key: cls or table, **fields}, kind)
+            made[table] = codecs.convert({"name": table, key: cls or table, **fields}, kind)
         return made
 
     clock = {key: agent[key] for key in ("speed", "hold") if key in agent}

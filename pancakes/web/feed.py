@@ -7,15 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
-import msgspec
-
+from pancakes import codecs
 from pancakes.web.history import History
 from pancakes.web.model import FleetModel
 
 FRAMES_HZ: Final = 10.0
 """So often pages get news, and the history a frame."""
-
-_JSON: Final = msgspec.json.Encoder()
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +120,7 @@ class Feed:
                 frame["waiting"] = self._waiting
             if self._over:
                 frame["over"] = self._over
-            data = _JSON.encode(frame)
+            data = codecs.encode_json(frame)
             self._cached = (seen, cursor, told, data)
             return data, cursor
 

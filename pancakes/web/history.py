@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import msgspec
+from pancakes import codecs
 
 CHUNK_S: Final = 10.0
 """How much of the timeline is one piece."""
@@ -14,8 +14,6 @@ SPAN_S: Final = 600.0
 """How much of it is kept."""
 MOST_BYTES: Final = 64 * 1024 * 1024
 """How much memory that may take; then less is kept."""
-
-_JSON: Final = msgspec.json.Encoder()
 
 
 @dataclass(slots=True)
@@ -51,7 +49,7 @@ class History:
 
     def add(self, t: float, frame: Any) -> None:
         """Keeps a frame: one that holds everything where that is `due`, else what changed."""
-        data = _JSON.encode(frame)
+        data = codecs.encode_json(frame)
         if self.due(t):
             self._chunks.append(_Chunk(self._count, t, data))
             self._count += 1
@@ -82,8 +80,8 @@ class History:
         last = found == len(self._chunks) - 1
         end_s = self._end_s if last else self._chunks[found + 1].begin_s
         return b'{"begin":%s,"end":%s,"open":%s,"key":%s,"frames":[%s]}' % (
-            _JSON.encode(chunk.begin_s),
-            _JSON.encode(end_s),
+            codecs.encode_json(chunk.begin_s),
+            codecs.encode_json(end_s),
             b"true" if last else b"false",
             chunk.key,
             b",".join(chunk.frames),

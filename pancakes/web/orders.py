@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.control import Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
+from pancakes.names import NAME
 
-_NAME: Final = r"[^/\s]{1,100}"
-
-Name = Annotated[str, msgspec.Meta(pattern=f"^{_NAME}$")]
-Target = Annotated[str, msgspec.Meta(pattern=f"^{_NAME}/{_NAME}$")]
+Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+Target = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}/{NAME}\Z")]
 
 
 class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,6 +70,7 @@ class RestartOrder(Order, frozen=True, tag_field="do", tag="restart"):
 
 
 AnyOrder = MoveOrder | RateOrder | StopOrder | StartOrder | RestartOrder
+_ORDER: Final[Callable[[Any], AnyOrder]] = codecs.converter(AnyOrder)
 
 
 def order_from(message: Any) -> AnyOrder:
@@ -78,7 +80,7 @@ def order_from(message: Any) -> AnyOrder:
         ControlRefused: it is none; the sentence says what is wrong with it.
     """
     try:
-        order: AnyOrder = msgspec.convert(message, AnyOrder)
+        order: AnyOrder = _ORDER(message)
     except msgspec.ValidationError as error:
         raise ControlRefused(f"the page asked for what it cannot have: {_lower(str(error))}") from None
     return order

@@ -7,6 +7,7 @@ import hmac
 import re
 import secrets
 import threading
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.control import Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError
@@ -45,7 +47,6 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-_JSON: Final = msgspec.json.Encoder(enc_hook=as_list)
 
 
 class PageServer:
@@ -229,15 +230,15 @@ class PageServer:
         """Returns the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
         number = None
         try:
-            asked = msgspec.json.decode(message, type=dict[str, Any])
+            asked = _ASKED(message)
             number = asked.pop("id", None)
             result = await self._do(page, asked.pop("ask", None), asked)
         except (PancakesError, msgspec.MsgspecError) as error:
-            return _JSON.encode({"answer": number, "ok": False, "reason": str(error), "result": None})
+            return _ENCODE({"answer": number, "ok": False, "reason": str(error), "result": None})
         if isinstance(result, Reply):
             plain = {"answer": number, "ok": result.ok, "reason": result.reason, "result": result.result}
-            return _JSON.encode(plain)
-        return _JSON.encode({"answer": number, "ok": True, "reason": "", "result": result})
+            return _ENCODE(plain)
+        return _ENCODE({"answer": number, "ok": True, "reason": "", "result": result})
 
     async def _do(self, page: _Page, what: Any, asked: dict[str, Any]) -> Any:
         shown = self._shown
@@ -266,7 +267,7 @@ class PageServer:
 def _moment_of(asked: dict[str, Any]) -> float:
     """Returns the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
     try:
-        return msgspec.convert(asked.get("t"), float)
+        return codecs.convert(asked.get("t"), float)
     except msgspec.ValidationError:
         return 0.0
 
@@ -277,8 +278,12 @@ def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | 
     Raises:
         msgspec.ValidationError: it says so in another way.
     """
-    it = msgspec.convert(asked, _Asked)
+    it = codecs.convert(asked, _Asked)
     return it.agent, it.type, it.t, it.command, it.step
+
+
+_ENCODE: Final = codecs.json_encoder(as_list)
+_ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dict[str, Any])
 
 
 class _Asked(msgspec.Struct):

@@ -13,6 +13,8 @@ from typing import Final
 import msgspec
 from msgspec import inspect
 
+from pancakes.codecs import type_info
+
 _SCALARS: Final = (
     inspect.NoneType,
     inspect.BoolType,
@@ -29,7 +31,7 @@ _SCALARS: Final = (
 def is_closed(cls: type) -> bool:
     """Returns whether an instance holds nothing but what its class says, and all of that travels."""
     try:
-        return _is_closed(inspect.type_info(cls), ())
+        return _is_closed(type_info(cls), ())
     except Exception:  # its annotations say nothing
         return False
 

@@ -6,10 +6,11 @@ runs, see `pancakes.wire.runs`.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.packet import Fence, Packet
 from pancakes.wire.bodies import encodable, received_body, unpacked
@@ -20,8 +21,6 @@ Text = Annotated[str, msgspec.Meta(max_length=256)]
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=256)]
 Stamp = Annotated[float, msgspec.Meta(ge=0, le=1e15)]
 Seq = Annotated[int, msgspec.Meta(ge=0)]
-
-_ENCODE: Final = msgspec.msgpack.Encoder().encode
 
 
 class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -56,7 +55,7 @@ class Encoder:
         """
         try:
             body = encodable(packet.body)
-            message = _ENCODE(
+            message = codecs.encode(
                 (
                     packet.channel,
                     packet.type,
@@ -71,13 +70,13 @@ class Encoder:
             )
             if len(message) > MAX_MESSAGE_BYTES:
                 raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame holds {MAX_MESSAGE_BYTES}")
-        except (WireError, OverflowError, UnicodeError, TypeError, ValueError) as error:
+        except (WireError, OverflowError, UnicodeError, TypeError, ValueError, MemoryError) as error:
             raise unsendable(packet, error) from None
         return message
 
     def link_message(self, message: LinkMessage) -> bytes:
         """Returns a message of the link as one message of a frame."""
-        return _ENCODE(message)
+        return codecs.encode_small(message)
 
 
 def rows_from_payload(payload: bytes) -> list[list[Any]]:
@@ -106,7 +105,7 @@ def packet_from_row(row: list[Any]) -> Packet:
         RemoteProtocolError: the array is no packet, or the body does not fit its type.
     """
     try:
-        it = msgspec.convert(row, _PacketRow)
+        it = codecs.convert(row, _PacketRow)
     except msgspec.ValidationError as error:
         raise RemoteProtocolError(f"a packet is malformed: {error}") from None
     body = received_body(it.type, it.body, it.source)

@@ -32,6 +32,8 @@ from pancakes.wire.messages import (
     Refusal,
     Refuse,
     Welcome,
+    fault_of_address,
+    fault_of_hello,
 )
 from pancakes.wire.runs import Run, RunReader, Unfit, foreign_version, messages_from_payload, packets_of
 
@@ -351,6 +353,8 @@ class Link:
         own = self._own
         if hello.version != own.version:
             return self._other_version(hello.version, now_s)
+        if fault := fault_of_hello(hello):
+            raise RemoteProtocolError(f"its hello cannot be taken: {fault}")
         self.peer = hello
         self._set_quiet()
         if hello.fleet != own.fleet:
@@ -384,6 +388,9 @@ class Link:
         if self.state is not State.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
         if isinstance(message, Peers):
+            for address in message.addresses:
+                if fault := fault_of_address(address):
+                    raise RemoteProtocolError(fault)
             return [Learnt(message.addresses)]
         assert isinstance(message, Piece)
         whole = self._assembler.feed(message)

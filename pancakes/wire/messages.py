@@ -5,11 +5,14 @@ On the wire each is an array that begins with its number; 0 is the number of a r
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Final, Literal
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError
+from pancakes.names import fault_of_name
 
 VERSION: Final = 3
 """Version of the wire protocol. Agents of different versions do not talk."""
@@ -28,11 +31,14 @@ boot of that agent is connected. `duplicate`: another connection to that agent s
 peers. `protocol`: the peer broke the protocol.
 """
 
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[^/*\s]+\Z")]
+Name = Annotated[str, msgspec.Meta(max_length=256)]
+"""Of anybody; what a name may be `fault_of_hello` says, in words."""
 Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+
+_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]*://[A-Za-z0-9._:%\[\]-]+")
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
@@ -55,6 +61,17 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
     journal: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
     boot: Count
     listen: Address = ""
+
+
+def fault_of_hello(hello: Hello) -> str:
+    """Returns why a hello cannot be taken, as a sentence; empty where it can."""
+    fault = fault_of_name(hello.name, client=hello.role == "client") or fault_of_name(hello.fleet)
+    return fault or (fault_of_address(hello.listen) if hello.listen else "")
+
+
+def fault_of_address(address: str) -> str:
+    """Returns why something cannot be an address at which an agent listens, as a sentence; empty where it can."""
+    return "" if _ADDRESS.fullmatch(address) else f"{address!a} is no address, such as tcp://192.0.2.1:7401"
 
 
 class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
@@ -136,6 +153,9 @@ class Identity(msgspec.Struct, frozen=True):
         """
         row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, listen]
         try:
-            return msgspec.convert(row, Hello)
+            hello = codecs.convert(row, Hello)
         except msgspec.ValidationError as error:
             raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {error}") from None
+        if fault := fault_of_hello(hello):
+            raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {fault}")
+        return hello

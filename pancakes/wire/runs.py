@@ -14,13 +14,15 @@ All limits are checked before memory is taken: msgspec refuses a length that is 
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
-from pancakes.packet import Fence, Packet, body_class
+from pancakes.packet import Cause, Fence, Packet, body_class
+from pancakes.weight import weigher
 from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.closed import is_closed
 from pancakes.wire.codec import Seq, Stamp, Text, Word, unsendable
@@ -33,12 +35,23 @@ LONGEST_REASON: Final = 1000
 """Of what is wrong with a body no more characters are told: the sentence may quote what a peer made up."""
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
 
-ENCODE: Final = msgspec.msgpack.Encoder().encode
-"""Encodes a row: the tuple of a packet's stamp, seq, cause and body."""
+ENCODE: Final = codecs.encode_small
+"""Encodes a row, the tuple of a packet's stamp, seq, cause and body, where the body's class is small."""
 _HEAD_LENGTH: Final = 7
 _FRAME_OF_ONE: Final = struct.Struct(">IB")  # a frame's length, and the head of its array of one message
-_BAD_BODY: Final = (WireError, OverflowError, UnicodeError, TypeError, ValueError, AttributeError, RecursionError)
-"""What a body raises that cannot travel: the last two one without one of its fields, and one that holds itself."""
+_BAD_BODY: Final = (
+    WireError,
+    OverflowError,
+    UnicodeError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    RecursionError,
+    MemoryError,
+)
+"""What a body raises that cannot travel: the last three one without one of its fields, one that holds itself, and one
+for which there is no memory.
+"""
 _ARRAYS: Final = tuple(bytes((0x90 | count,)) for count in range(16))  # the heads of short arrays
 
 
@@ -62,17 +75,19 @@ class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fi
     rows: msgspec.Raw
 
 
-_FRAME: Final = msgspec.msgpack.Decoder(Annotated[list[Run | LinkMessage], msgspec.Meta(min_length=1)])
+_FRAME: Final[Callable[[Any], list[Run | LinkMessage]]] = codecs.decoder(
+    Annotated[list[Run | LinkMessage], msgspec.Meta(min_length=1)]
+)
 _Cause = tuple[Text, Seq] | None
 _Row = tuple[Stamp, Seq, _Cause, Any]
-_Rows = msgspec.msgpack.Decoder[list[_Row]]
-_RAW_ROWS: Final = msgspec.msgpack.Decoder(
+_Rows = Callable[[Any], list[_Row]]
+_RAW_ROWS: Final[Callable[[Any], list[tuple[float, int, Cause | None, msgspec.Raw]]]] = codecs.decoder(
     Annotated[list[tuple[Stamp, Seq, _Cause, msgspec.Raw]], msgspec.Meta(min_length=1)]
 )
 
 _DECODERS: Final[dict[type, _Rows | None]] = {}
 _NO_ROWS: Final = msgspec.Raw()
-_SOME_ROWS: Final = Annotated[list[_Row], msgspec.Meta(min_length=1)]
+_SOME_ROWS: Final[_Rows] = codecs.converter(Annotated[list[_Row], msgspec.Meta(min_length=1)])
 
 
 class Unfit(msgspec.Struct, frozen=True):
@@ -115,7 +130,8 @@ class RowEncoder:
     Measured with a structure of two fields: 0.2 µs a packet, where a look at each field took 0.35.
 
     Attributes:
-        closed: the class of the last body whose class was closed: such a body needs no look before it is encoded.
+        closed: the class of the last body whose class was closed and small: such a body needs no look before it is
+            encoded, and no care for how much memory that takes.
         most: so many bytes a row may have.
     """
 
@@ -135,10 +151,11 @@ class RowEncoder:
         try:
             if body.__class__ is not self.closed:
                 body = self._look(body)
+            encode = ENCODE if body.__class__ is self.closed else codecs.encode
             try:
-                row = ENCODE((packet.stamp, packet.seq, packet.cause, body))
+                row = encode((packet.stamp, packet.seq, packet.cause, body))
             except TypeError:  # a number of numpy's, say, where its class has a number
-                row = ENCODE((packet.stamp, packet.seq, packet.cause, encodable(body)))
+                row = encode((packet.stamp, packet.seq, packet.cause, encodable(body)))
             if len(row) > self.most:
                 raise LocalProtocolError(f"it takes {_ROOM - self.most + len(row)} bytes, and a frame holds {_ROOM}")
         except _BAD_BODY as error:
@@ -149,7 +166,8 @@ class RowEncoder:
         """Returns a body as it may be encoded, and learns of its class."""
         cls: type = type(body)
         if is_closed(cls):
-            self.closed = cls
+            if weigher(cls) is None:
+                self.closed = cls
             return body
         return encodable(body)
 
@@ -179,7 +197,7 @@ def messages_from_payload(payload: bytes | memoryview) -> list[Run | LinkMessage
         RemoteProtocolError: it is not an array of messages, or a message is malformed.
     """
     try:
-        return _FRAME.decode(payload)
+        return _FRAME(payload)
     except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
         raise RemoteProtocolError(f"a frame is malformed: {error}") from None
 
@@ -245,7 +263,7 @@ def _packets(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list
     cls = body_class(kind)
     decoder = _DECODERS[cls] if cls in _DECODERS else _decoder(cls)
     try:
-        rows = decoder.decode(encoded) if decoder is not None else _checked_rows(head, encoded)
+        rows = decoder(encoded) if decoder is not None else _checked_rows(head, encoded)
     except Exception:  # also of a registered class, which may run code of its own in __post_init__
         return _one_by_one(head, encoded)
     return [
@@ -255,7 +273,7 @@ def _packets(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list
 
 def _checked_rows(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> list[_Row]:
     """Decodes rows whose bodies may hold anything: with a look at each part of them."""
-    rows = msgspec.convert(unpacked(encoded), _SOME_ROWS)
+    rows = _SOME_ROWS(unpacked(encoded))
     kind, source = head.kind, head.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]
 
@@ -264,7 +282,7 @@ def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[l
     """Decodes rows of which one at least has something wrong with it."""
     kind, source = head.kind, head.source
     try:
-        rows = _RAW_ROWS.decode(encoded)
+        rows = _RAW_ROWS(encoded)
     except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
         raise RemoteProtocolError(f"a packet of the type {kind!r} from {source} is malformed: {error}") from None
     packets, unfit = [], []
@@ -287,9 +305,9 @@ def _decoder(cls: type | None) -> _Rows | None:
     """Returns what decodes rows with a body of this class in one go; None where their bodies must be looked at."""
     if cls is None:
         return None
-    made = None
+    made: _Rows | None = None
     if is_closed(cls):
         row = tuple[Stamp, Seq, _Cause, cls]  # type: ignore[valid-type]
-        made = msgspec.msgpack.Decoder(Annotated[list[row], msgspec.Meta(min_length=1)])
+        made = codecs.decoder(Annotated[list[row], msgspec.Meta(min_length=1)])
     _DECODERS[cls] = made
     return made

@@ -14,10 +14,11 @@ from typing import Any
 
 import click
 from msgspec import NODEFAULT
-from msgspec.inspect import Field, type_info
+from msgspec.inspect import Field
 
 from pancakes.cli.agent_command import agent as pancakes_agent
 from pancakes.cli.main import pancakes
+from pancakes.codecs import type_info
 from pancakes.config import model
 from pancakes.devices.driver import Driver
 from pancakes.migration.rule import MigrationRule

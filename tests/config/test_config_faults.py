@@ -149,12 +149,15 @@ def test_infinity_is_no_rate():
     ]
 
 
-@pytest.mark.parametrize(("name", "near"), [("go home", "go_home"), ("a/b", "a_b"), ("*", "_"), (".x", "x")])
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [("go home", "go_home"), ("a/b", "a_b"), ("*", "_"), (".x", "x"), ("a.b", "a_b"), ("-b", "b"), ("grün", "gr_n")],
+)
 def test_a_name_can_be_part_of_an_address_and_of_a_file_name(name: str, near: str):
     (fault,) = faults(HEAD + f"[task.'{name}']\ntype = 'x'\n")
 
     assert fault.startswith("a.toml:4: [task.")
-    assert f"{name!r} is no name: a name has letters from a to z, digits, '.', '_' and '-'" in fault
+    assert f"{name!a} is no name: a name has letters from a to z and A to Z, digits, '_' and '-'" in fault
     assert fault.endswith(f"did you mean {near!r}?")
 
 

@@ -11,7 +11,7 @@ name = "agent1"
 [task.ScanTarget]
 type = "encirclement.ScanTarget"
 settings = { radius_m = 0.55, speed_mps = 0.1 }
-[task."a.b"]
+[task.Other]
 type = "x"
 """
 
@@ -60,8 +60,8 @@ def test_lists_are_written_as_in_toml():
     assert with_sets('agent.peers=["tcp://127.0.0.1:1"]').agent.peers == ("tcp://127.0.0.1:1",)
 
 
-def test_names_with_dots_are_quoted():
-    assert with_sets('task."a.b".rate_hz=2').tasks["a.b"].rate_hz == 2
+def test_keys_with_dots_are_quoted():
+    assert with_sets('task.Other.settings."a.b"=2').tasks["Other"].settings == {"a.b": 2}
 
 
 def test_the_last_one_counts():

@@ -11,7 +11,7 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.listening import listen
 from pancakes.cli.names import ChannelName, a_channel, an_agent
 from pancakes.cli.options import Duration, asks_agents
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import say
 from pancakes.cli.verbs.echo import echo
 from pancakes.cli.verbs.publish import pub
@@ -106,19 +106,19 @@ def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: floa
 
 def _show(row: dict[str, Any]) -> None:
     kind = "a core channel" if row["core"] else "a channel"
-    click.echo(f"{row['agent']}/{row['channel']} is {kind}")
+    show_text(f"{row['agent']}/{row['channel']} is {kind}")
     subscribers = [
         {**it, "subscriber": it["address"], "types": _types(it["types"], it["open_types"])} for it in row["subscribers"]
     ]
     if subscribers:
         show(subscribers, SUBSCRIBERS, "table")
     else:
-        click.echo("\nNobody on this agent subscribes to it.")
-    click.echo("Followed from elsewhere by " + (", ".join(row["followers"]) or "nobody") + ".")
+        show_text("\nNobody on this agent subscribes to it.")
+    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "nobody") + ".")
     if row["publishers"]:
         show([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS, "table")
     else:
-        click.echo(f"Nobody published on it within {row['heard_s']:g} s.")
+        show_text(f"Nobody published on it within {row['heard_s']:g} s.")
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:

@@ -12,6 +12,7 @@ from click.shell_completion import BashComplete, add_completion_class, get_compl
 
 from pancakes.cli.errors import REFUSED, TRACEBACK
 from pancakes.cli.main import PROGRAM, VARIABLE, pancakes
+from pancakes.cli.output import show_text
 
 
 @click.command()
@@ -40,7 +41,7 @@ def completion(shell: str) -> None:
     """
     script = get_completion_class(shell)
     assert script is not None
-    click.echo(script(pancakes, {}, PROGRAM, VARIABLE).source().rstrip())
+    show_text(script(pancakes, {}, PROGRAM, VARIABLE).source().rstrip())
 
 
 class WordsOfBash(BashComplete):

@@ -11,8 +11,9 @@ import click
 
 from pancakes.cli.errors import BAD_CONFIGURATION, OK, sentences
 from pancakes.cli.options import format_option
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 from pancakes.errors import ConfigError
+from pancakes.printable import printable_data
 
 SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
 
@@ -54,17 +55,17 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
             ]
             rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
             if format_ == "table":
-                click.echo(str(error), err=True)
+                show_text(str(error), err=True)
     told = {fault["problem"] for row in rows for fault in row["faults"]}
     for problem in plugins.problems():
         if str(problem) not in told:
-            click.echo(f"warning: {problem}", err=True)
+            show_text(f"warning: {problem}", err=True)
     if format_ == "json":
         show_json(rows)
     else:
         for row in rows:
             if not row["faults"]:
-                click.echo(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
+                show_text(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
     sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
 
 
@@ -91,10 +92,10 @@ def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     plugins = Plugins()
     found = load(file, sets, plugins)
     for problem in plugins.problems():
-        click.echo(f"warning: {problem}", err=True)
+        show_text(f"warning: {problem}", err=True)
     tables = {table: value for table, value in effective(found, plugins).items() if value != {}}
     if format_ == "table":
-        click.echo(document_text(tables, lambda keys: origin(found, keys)), nl=False)
+        show_text(printable_data(document_text(tables, lambda keys: origin(found, keys))), nl=False)
         return
     show_json(
         [

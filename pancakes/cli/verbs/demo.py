@@ -17,6 +17,7 @@ from pancakes.cli import interpreter
 from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import end_by_signals, event_at
 from pancakes.cli.options import FiniteRange
+from pancakes.cli.output import show_text
 from pancakes.cli.verbs.demo_page import DemoPage
 from pancakes.cli.verbs.view import port_option
 from pancakes.errors import PancakesError
@@ -146,7 +147,7 @@ def demo(
 
 def _list(plugins: Plugins) -> None:
     for name in plugins.names("pancakes.demos"):
-        click.echo(f"{name:16} {plugins.get('pancakes.demos', name).title}")
+        show_text(f"{name:16} {plugins.get('pancakes.demos', name).title}")
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ def _run(
 
 
 def _interrupted_late(out: Path) -> int:
-    click.echo(f"interrupted after the mission: no verdict; what is written so far is in {_nice(out)}", err=True)
+    show_text(f"interrupted after the mission: no verdict; what is written so far is in {_nice(out)}", err=True)
     return INTERRUPTED
 
 
@@ -228,18 +229,18 @@ def _fly(
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
-    click.echo(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
+    show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
     with PlainView(found, mission) if plain else LiveView(found, mission):
         if virtual:
             onlooker = page.beside_virtual(found.title) if page is not None else None
             faults = Faults(seed) if options.faults else None
-            timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: click.echo(text, err=True))
+            timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: show_text(text, err=True))
         else:
             if page is not None:
                 page.beside_live(plan, mission)
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
-        click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
+        show_text(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
         return None
     run = run_of(plan, mission)
     summary = judge(plan, run, timing)
@@ -296,19 +297,19 @@ def _nice(path: Path) -> str:
 def _say_pace(timing: dict[str, Any]) -> None:
     """Says how fast a mission went."""
     if timing["mode"] == "virtual":
-        click.echo(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
+        show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
     elif timing["behind_max_s"] > 0.25:
-        click.echo(f"fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
+        show_text(f"fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
     else:
-        click.echo("did not fall behind the clock")
+        show_text("did not fall behind the clock")
 
 
 def _verdict(summary: dict[str, Any], results: str) -> int:
     """Says how it went, in the manner of Robotarium, and where the results are; returns the exit code."""
     for line in summary.get("said", ()):
-        click.echo(line)
-    click.echo(f"verdict: {summary['verdict']}")
+        show_text(line)
+    show_text(f"verdict: {summary['verdict']}")
     for reason in summary["reasons"]:
-        click.echo(f"  - {reason}")
-    click.echo(results)
+        show_text(f"  - {reason}")
+    show_text(results)
     return PASSED if summary["verdict"] == "PASS" else FAILED

@@ -6,7 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
-import click
+from pancakes.cli.output import show_text
 
 if TYPE_CHECKING:
     from pancakes.demo.conductor import Mission
@@ -71,7 +71,7 @@ class DemoPage:
     def stay(self) -> None:
         """Lets people look at the timeline until they have had enough."""
         if self._server is not None:
-            click.echo(f"the page stays at {self._server.address} until Ctrl-C")
+            show_text(f"the page stays at {self._server.address} until Ctrl-C")
             self._interrupted.wait()
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ import click
 
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.options import asks_agents
-from pancakes.cli.output import show_json
+from pancakes.cli.output import show_json, show_text
 from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
@@ -47,15 +47,15 @@ def doctor(no_machine: bool, format_: str, at: Where, timeout: float) -> None:
         show_json([{column: getattr(finding, column) for column in columns} for finding in found])
     else:
         count = Counter(finding.level for finding in found)
-        click.echo(f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}")
+        show_text(f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}")
     sys.exit(REFUSED if any(finding.level == "error" for finding in found) else OK)
 
 
 def _print(finding: Finding) -> None:
     word, colour = MARKS[finding.level]
-    click.echo(f"{click.style(f'{word:8}', fg=colour)} {finding.about}: {finding.text}")
+    show_text(f"{finding.about}: {finding.text}", head=click.style(f"{word:8}", fg=colour) + " ")
     if finding.advice:
-        click.echo(f"{'':8} → {finding.advice}")
+        show_text(f"{'':8} → {finding.advice}")
 
 
 def _look(machine: bool, at: Where, timeout_s: float) -> Iterator[Finding]:

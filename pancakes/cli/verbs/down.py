@@ -12,7 +12,7 @@ import click
 from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show
+from pancakes.cli.output import DRY_RUN, show, show_text
 from pancakes.client import Client, Where
 from pancakes.control import Shutdown
 from pancakes.errors import NoAnswer, Unreachable
@@ -75,7 +75,7 @@ def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: W
     else:
         if not here:
             of = f" of the fleet {at.fleet}" if at.fleet else ""
-            click.echo(f"no agent{of} runs on this machine", err=True)
+            show_text(f"no agent{of} runs on this machine", err=True)
         ending.end_all(here, at.fleet)
     if ending.rows or format_ == "json":
         show(ending.rows, COLUMNS, format_)
@@ -123,7 +123,7 @@ class _Ending:
             # Whoever is named with an address may be on another machine, and its namesake here another agent.
             mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
             for sentence in silent:
-                click.echo(sentence, err=True)
+                show_text(sentence, err=True)
             if len(silent) > len(mute):
                 self.code = UNREACHABLE
             self._end_processes(client, mute)
@@ -150,7 +150,7 @@ class _Ending:
             except psutil.AccessDenied:
                 self._fail(f"{entry.name} (process {entry.pid}) belongs to somebody else", REFUSED)
                 continue
-            click.echo(f"{entry.name} is told to end by a signal to its process {entry.pid}", err=True)
+            show_text(f"{entry.name} is told to end by a signal to its process {entry.pid}", err=True)
             targets.append(target)
         self._await(client, targets)
 
@@ -187,7 +187,7 @@ class _Ending:
         self.rows.append({"agent": target.name, "fleet": target.fleet, "role": target.role, "done": done})
 
     def _fail(self, sentence: str, code: int) -> None:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
         self.code = max(self.code, code)
 
 

@@ -14,7 +14,8 @@ import click
 from pancakes.cli.agent_options import SHOW_TRACEBACKS
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
-from pancakes.cli.output import show
+from pancakes.cli.output import show, show_text
+from pancakes.printable import printable_data
 
 if TYPE_CHECKING:
     from pancakes.launch.member import Member, Policy
@@ -190,11 +191,11 @@ class _Prefixed:
 
     def line(self, agent: str, text: str) -> None:
         """See `Voice`."""
-        click.echo(self._heads[agent] + text)
+        show_text(text, head=self._heads[agent])
 
     def told(self, agent: str, event: str, text: str) -> None:
         """See `Voice`."""
-        click.echo(f"{agent} {text}" if agent else text, err=True)
+        show_text(f"{agent} {text}" if agent else text, err=True)
 
 
 class _Objects:
@@ -211,4 +212,4 @@ class _Objects:
     def _print(self, value: dict[str, Any]) -> None:
         import json
 
-        click.echo(json.dumps(value, ensure_ascii=False))
+        show_text(printable_data(json.dumps(value, ensure_ascii=False)))

@@ -22,6 +22,7 @@ from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.events import LEVELS, SAID_IN_A_LINE
 from pancakes.packet import LOG
+from pancakes.printable import printable, printable_line
 from pancakes.services.log import REMEMBERED
 from pancakes.services.log_record import line_of, record_of
 
@@ -85,7 +86,7 @@ def log(
     """
     asks = Asks(level, sources, grep)
     show = with_traceback if traceback else text_of
-    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, show) as printer:
+    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, show, colour_of) as printer:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
             if asks.wants(record):
@@ -132,17 +133,19 @@ def words_of(record: Record) -> str:
 
 
 def text_of(record: Record) -> str:
-    """Returns a record as a line for people; its colours stay only where they can be seen."""
-    level = level_of(record)
-    colour = COLOURS.get(level, "") if "NO_COLOR" not in os.environ else ""
-    line = f"{record['t_s']:9.3f} {level:<7} {record['source']}: {words_of(record)}"
-    return click.style(line, fg=colour) if colour else line
+    """Returns a record as a line for people."""
+    return printable_line(f"{record['t_s']:9.3f} {level_of(record):<7} {record['source']}: {words_of(record)}")
+
+
+def colour_of(record: Record) -> str | None:
+    """Returns the colour of its line; it stays only where it can be seen."""
+    return COLOURS.get(level_of(record)) if "NO_COLOR" not in os.environ else None
 
 
 def with_traceback(record: Record) -> str:
     """Returns a record as `text_of` does, and below it the traceback of the failure that it tells of."""
     rows = str(record.get("traceback", "")).splitlines() if record["kind"] == "line" else []
-    return "\n".join([text_of(record), *(f"          {row}" for row in rows)])
+    return "\n".join([text_of(record), *(printable(f"          {row}") for row in rows)])
 
 
 # Where it comes from ---------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pancakes.cli.completing import costs, tasks_beside
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
 from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_json
+from pancakes.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.client import Client, Where
 from pancakes.control import Adopt, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
@@ -211,7 +211,7 @@ def _show_ledger(ledger: Mapping[str, Any], format_: str) -> None:
         "stayed": f"{task_id} stays on {source}",
         "undecided": f"{task_id} was on its way from {source} to {winner} when this account was closed",
     }[ledger["outcome"]]
-    click.echo(f"{story} (cost {ledger['cost']}, {duration_s:.3f} s)")
+    show_text(f"{story} (cost {ledger['cost']}, {duration_s:.3f} s)")
     if ledger["lines"]:
         rows = [{**line, "neighbour": line["peer"], "terms": _terms(line["terms"])} for line in ledger["lines"]]
         show(rows, LINES, format_)

@@ -11,7 +11,7 @@ import click
 
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 
 if TYPE_CHECKING:
     from pancakes.cli.verbs.distribution import Names
@@ -120,11 +120,11 @@ def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> N
         return
     show(rows, COLUMNS, format_)
     if dry_run:
-        click.echo("Nothing was written.")
+        show_text("Nothing was written.")
         return
-    click.echo("Next:\n")
+    show_text("Next:\n")
     for line in _next(kind, names, folder):
-        click.echo(f"    {line}")
+        show_text(f"    {line}")
 
 
 def _next(kind: str, names: Names, folder: Path) -> list[str]:

@@ -12,12 +12,13 @@ from pancakes.cli.asking import accepted, meant, order, placed
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.names import TaskName, a_task
 from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_json
+from pancakes.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.cli.verbs import param_file
 from pancakes.cli.verbs.param_names import AgentOrTask, ParamName, a_task_or_agent
 from pancakes.client import Client, Where
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
+from pancakes.printable import printable_data
 from pancakes.suggestion import suggestion
 
 COLUMNS = ("agent", "service", "task", "param", "value")
@@ -66,7 +67,7 @@ def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -
     known = _known(described, setting)
     rows = [row for row in _rows(described) if not known or row["param"] == known]
     if known and format_ == "table":
-        click.echo(_text(rows[0]["value"]))
+        show_text(printable_data(_text(rows[0]["value"])))
     else:
         _show(rows, COLUMNS, ("value",), format_)
 
@@ -155,7 +156,7 @@ def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
     if format_ == "json":
         show_json([{**_place(row), "settings": row["settings"]} for row in rows])
     else:
-        click.echo(param_file.dumped(rows), nl=False)
+        show_text(printable_data(param_file.dumped(rows)), nl=False)
 
 
 @param.command()
@@ -194,7 +195,7 @@ def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, tim
                 rows.append({**row, "done": "refused", "reason": str(error)})
     for row in rows:
         if row["reason"]:
-            click.echo(f"{name.agent}/{row['task']}: {row['reason']}", err=True)
+            show_text(f"{name.agent}/{row['task']}: {row['reason']}", err=True)
     show(rows, LOADED, format_)
     sys.exit(REFUSED if any(row["reason"] for row in rows) else OK)
 
@@ -206,14 +207,14 @@ def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
         return [order(client, name.agent, Describe(name.target))]
     found = client.survey(*([name.agent] if name is not None else []))
     for sentence in found.silent:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     described = []
     for agent in found.agents:
         for task in agent["tasks"]:
             try:
                 described.append(order(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
             except ControlRefused as error:  # it may have moved on in the meantime
-                click.echo(str(error), err=True)
+                show_text(str(error), err=True)
     return described
 
 

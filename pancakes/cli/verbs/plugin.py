@@ -9,7 +9,7 @@ import click
 
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.options import format_option
-from pancakes.cli.output import show
+from pancakes.cli.output import show, show_text
 from pancakes.errors import PluginError
 from pancakes.plugins import GROUPS, Plugins
 
@@ -40,7 +40,7 @@ def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
     plugins = Plugins()
     rows = [row for name in group or NAMES for row in rows_of(plugins, f"pancakes.{name}")]
     for problem in plugins.unreadable():
-        click.echo(str(problem), err=True)
+        show_text(str(problem), err=True)
     failed = bool(plugins.unreadable()) or any(row["state"] == "broken" for row in rows)
     show([row for row in rows if row["state"] == "broken" or not broken], COLUMNS, format_)
     sys.exit(REFUSED if failed else OK)

@@ -11,7 +11,7 @@ from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import count_option, for_option, one_line, say
 from pancakes.cli.verbs.throughput import WINDOW, Throughput, size_of
 from pancakes.client import Where
@@ -155,4 +155,4 @@ def _show(rows: Sequence[dict[str, Any]], columns: Sequence[str], format_: str, 
         show_json(picked)
     else:
         for row in picked:
-            click.echo(one_line(row))
+            show_text(one_line(row))

@@ -13,7 +13,7 @@ from pancakes.cli.asking import accepted
 from pancakes.cli.errors import REFUSED, sentences
 from pancakes.cli.names import agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.cli.output import DRY_RUN, show, show_json, show_sections, show_text
 from pancakes.client import Client, Where
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
@@ -82,7 +82,7 @@ def start(
         there = _survey(client, agents)
         _check_channels(channels, there)
         if task and not _runs(client, task, there):
-            click.echo(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
+            show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
         for agent in [described["agent"] for described in there]:
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
@@ -161,7 +161,7 @@ def info(path: Path, format_: str) -> None:
     time = reader.mission_time()
     summary = Summary.of(reader.entries())
     for note in reader.notes():
-        click.echo(note, err=True)
+        show_text(note, err=True)
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
     stays = [
         {
@@ -229,7 +229,7 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
         except RecordingError as error:
             if len(files) == 1:
                 raise
-            click.echo(str(error), err=True)  # the others can be mended all the same
+            show_text(str(error), err=True)  # the others can be mended all the same
             failed = True
             continue
         done = "whole already" if made.whole else "repaired"
@@ -242,7 +242,7 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
 def _survey(client: Client, agents: tuple[str, ...]) -> list[dict[str, Any]]:
     found = client.survey(*agents)
     for sentence in found.silent:
-        click.echo(sentence, err=True)
+        show_text(sentence, err=True)
     return list(found.agents)
 
 
@@ -261,7 +261,7 @@ def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> 
             continue
         if len(lacking) == len(agents):
             raise ControlRefused(f"no agent has a channel {channel!r}, only {', '.join(known)}")
-        click.echo(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
+        show_text(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
 
 
 def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
@@ -293,7 +293,7 @@ def _know_packets() -> None:
     from pancakes.plugins import Plugins
 
     for fault in Plugins().load_packets():
-        click.echo(str(fault), err=True)
+        show_text(str(fault), err=True)
 
 
 def _moment(time_ns: int) -> str:

@@ -8,7 +8,7 @@ import click
 
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
-from pancakes.cli.output import show
+from pancakes.cli.output import show, show_text
 
 
 @click.command()
@@ -37,9 +37,9 @@ def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     from pancakes.report.making import make_report
 
     for fault in Plugins().load_packets():
-        click.echo(str(fault), err=True)
+        show_text(str(fault), err=True)
     given = path.resolve()
     made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
     for note in made.notes:
-        click.echo(note, err=True)
+        show_text(note, err=True)
     show([{"file": str(file), "shows": shows} for file, shows in made.files], ("file", "shows"), format_)

@@ -11,7 +11,7 @@ import click
 
 from pancakes.cli.errors import OK, REFUSED, sentences
 from pancakes.cli.options import Duration, FiniteRange, format_option
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import one_line, say
 from pancakes.cli.verbs import param_file
 
@@ -181,24 +181,24 @@ def _plain(difference: Difference) -> dict[str, Any]:
 
 
 def _print(stay: Stay, row: dict[str, Any], comparison: Comparison, most: int) -> None:
-    click.echo(
+    show_text(
         f"{stay.task_id} ({stay.task.type}) on {stay.agent}, {row['from_s']:.3f} to {row['to_s']:.3f} s:"
         f" {row['inputs']} packets in, {sum(it['recorded'] for it in row['streams'])} out"
     )
     for note in row["notes"]:
-        click.echo(f"note: {note}")
+        show_text(f"note: {note}")
     if row["streams"]:
         show(row["streams"], list(row["streams"][0]), "table")
     for difference in comparison.differences[:most]:
         for line in _lines(difference):
-            click.echo(line)
+            show_text(line)
     if row["differences_left_out"]:
-        click.echo(f"... and {row['differences_left_out']} more (--show)")
+        show_text(f"... and {row['differences_left_out']} more (--show)")
     if row["failed_now"]:
-        click.echo(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
+        show_text(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
     if row["failed_then"]:
-        click.echo(f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}")
-    click.echo("it agrees with the recording" if row["agrees"] else "it differs from the recording")
+        show_text(f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}")
+    show_text("it agrees with the recording" if row["agrees"] else "it differs from the recording")
 
 
 def _lines(difference: Difference) -> list[str]:

@@ -11,11 +11,12 @@ import click
 from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
-from pancakes.cli.output import show_json
+from pancakes.cli.output import show_json, show_text
 from pancakes.cli.streaming import one_line, say, until_ended
 from pancakes.client import Client, Where
 from pancakes.client.looks import Looks
 from pancakes.errors import Unreachable
+from pancakes.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console, Group
@@ -107,7 +108,7 @@ def top(
                     show_json([_sorted_in(row, sort) for row in rows])
                 else:
                     for row in rows:
-                        click.echo(one_line(_sorted_in(row, sort)))
+                        show_text(one_line(_sorted_in(row, sort)))
         elif once or not sys.stdout.isatty():
             _print(looks, sort)
         else:
@@ -185,10 +186,10 @@ def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Grou
         shown_tasks = tasks[: max(1, room - len(shown_agents))]
     table = _table(AGENTS)
     for row in shown_agents:
-        table.add_row(*(Text(cell, _agent_style(row, column)) for column, cell in _agent_cells(row)))
+        table.add_row(*(Text(printable(cell), _agent_style(row, column)) for column, cell in _agent_cells(row)))
     lower = _table(TASKS)
     for row in shown_tasks:
-        lower.add_row(*(Text(cell, _task_style(row, column)) for column, cell in _task_cells(row)))
+        lower.add_row(*(Text(printable(cell), _task_style(row, column)) for column, cell in _task_cells(row)))
     hidden = (len(agents) - len(shown_agents), len(tasks) - len(shown_tasks))
     foot = ", ".join(f"{count} more {what}" for count, what in zip(hidden, ("agents", "tasks"), strict=True) if count)
     return Group(table, Text(), lower, *([Text(f"and {foot}", "dim")] if foot else []))

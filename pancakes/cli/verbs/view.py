@@ -11,7 +11,7 @@ import click
 from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import asks_agents
-from pancakes.cli.output import show_json
+from pancakes.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
     from pancakes.client import Where
@@ -80,4 +80,4 @@ def tell_address(address: str, control: bool, format_: str = "table") -> None:
     if format_ == "json":
         show_json([{"address": address, "control": control}])
     else:
-        click.echo(f"the page is at {address}")
+        show_text(f"the page is at {address}")

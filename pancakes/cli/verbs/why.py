@@ -12,7 +12,7 @@ import click
 
 from pancakes.cli.errors import sentences
 from pancakes.cli.options import Duration, format_option
-from pancakes.cli.output import show, show_json
+from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import Printer, say
 from pancakes.errors import PancakesError
 
@@ -144,12 +144,12 @@ def _show_kinds(question: _Question, format_: str) -> None:
         show_json({**counts, "kinds": kinds})
         return
     alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
-    click.echo(f"{found.commands:,} commands; {alone} that was recorded")
+    show_text(f"{found.commands:,} commands; {alone} that was recorded")
     if kinds:
         rows = [{**it, "chain": " → ".join(it["steps"])} for it in kinds]
         show(rows, ("count", "p50_ms", "p90_ms", "p99_ms", "max_ms", "chain"), "table")
     if found.left_out:
-        click.echo(f"{found.left_out:,} more have chains of rarer kinds")
+        show_text(f"{found.left_out:,} more have chains of rarer kinds")
 
 
 def _show_chains(question: _Question, at_s: float | None, seq: int | None, slowest: int | None, format_: str) -> None:
@@ -257,9 +257,9 @@ def _print(row: dict[str, Any]) -> None:
     from pancakes.recording.commands import body_text
 
     of = f" for {row['task_id']}" if row["task_id"] else ""
-    click.echo(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['seq']})")
+    show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['seq']})")
     if row["cause"] is None:
-        click.echo("it answers no packet that was recorded: a timer led to it, or its cause is not in the recording")
+        show_text("it answers no packet that was recorded: a timer led to it, or its cause is not in the recording")
     last = len(row["chain"]) - 1
     steps = [
         {
@@ -273,15 +273,15 @@ def _print(row: dict[str, Any]) -> None:
     ]
     show(steps, list(steps[0]), "table")
     if any(step["travel_ms"] is None for step in row["chain"]):
-        click.echo("where nothing stands under `on its way`, it was not recorded when the packet left: it took longer")
+        show_text("where nothing stands under `on its way`, it was not recorded when the packet left: it took longer")
     alike = row["alike"]
     if alike is not None:
-        click.echo(
+        show_text(
             f"{row['latency_ms']:g} ms from the first cause to the command. Of {alike['count']:,} that came about like"
             f" this: p50 {alike['p50_ms']:g}, p90 {alike['p90_ms']:g}, p99 {alike['p99_ms']:g}, longest"
             f" {alike['max_ms']:g} ms"
         )
-    click.echo()
+    show_text()
 
 
 def _ms(seconds: float) -> float:
