@@ -16,6 +16,7 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.malformed import MALFORMED
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
 """The environment variable that names another directory."""
@@ -167,7 +168,7 @@ def _read(path: Path, cleared: list[str]) -> Entry | None:
         cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
     except FileNotFoundError:
         return None  # it has gone in the meantime, in order
-    except msgspec.DecodeError:
+    except MALFORMED:
         return None  # not ours
     finally:
         os.close(handle)

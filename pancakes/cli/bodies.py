@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from pancakes.errors import PancakesError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.suggestion import suggestion
 
@@ -32,8 +33,10 @@ def body_of(kind: str, text: str) -> Any:
         )
     try:
         given = msgspec.json.decode(text)
-    except msgspec.DecodeError as error:
-        raise BadBody(f"the body is no JSON: {_lower(str(error).removeprefix('JSON is malformed: '))}") from None
+    except MALFORMED as error:
+        raise BadBody(
+            f"the body is no JSON: {_lower(why_malformed(error).removeprefix('JSON is malformed: '))}"
+        ) from None
     if not isinstance(given, Mapping):
         raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:

@@ -11,6 +11,7 @@ from urllib.parse import quote, unquote
 import msgspec
 
 from pancakes.journal.entry import Entry, JournalError, SetAside, Unbelievable, seal, unseal
+from pancakes.malformed import MALFORMED, why_malformed
 
 SUFFIX: Final = ".rec"
 """What names of stored entries end with."""
@@ -129,8 +130,8 @@ def _read_identity(sealed: bytes) -> _Identity:
     entry = unseal("", sealed)
     try:
         return msgspec.msgpack.decode(entry.data, type=_Identity)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise Unbelievable(f"cannot be understood ({error})") from None
+    except MALFORMED as error:
+        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
 
 
 def _name_of(kind: str, key: str) -> str:

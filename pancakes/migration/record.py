@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import msgspec
 
 from pancakes.errors import MigrationError
+from pancakes.malformed import MALFORMED, why_malformed
 
 
 class Epoch(NamedTuple):
@@ -128,8 +129,8 @@ class Record(msgspec.Struct, frozen=True):
         """
         try:
             return _DECODER.decode(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise MigrationError(f"these {len(data)} bytes are no record of a task: {error}") from None
+        except MALFORMED as error:
+            raise MigrationError(f"these {len(data)} bytes are no record of a task: {why_malformed(error)}") from None
 
 
 _ENCODER = msgspec.msgpack.Encoder()

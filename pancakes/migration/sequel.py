@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from pancakes.errors import MigrationError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.ledger import Ledger
 
 
@@ -34,8 +35,10 @@ class Sequel(msgspec.Struct, frozen=True):
             return cls()
         try:
             return _DECODER.decode(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise MigrationError(f"these {len(data)} bytes do not say what follows a hand-over: {error}") from None
+        except MALFORMED as error:
+            raise MigrationError(
+                f"these {len(data)} bytes do not say what follows a hand-over: {why_malformed(error)}"
+            ) from None
 
 
 _ENCODER = msgspec.msgpack.Encoder()

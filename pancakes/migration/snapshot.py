@@ -13,6 +13,7 @@ import msgspec
 
 from pancakes.digest import sha256
 from pancakes.errors import MigrationError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.record import TaskId
 
 LIMIT_BYTES: Final = 16 * 1024 * 1024
@@ -139,8 +140,8 @@ class Snapshot(msgspec.Struct, frozen=True):
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
             return _DECODER.decode(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
+        except MALFORMED as error:
+            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {why_malformed(error)}") from None
 
 
 _ENCODER = msgspec.msgpack.Encoder()

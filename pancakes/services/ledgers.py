@@ -10,6 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.ledger import Ledger
 
 KIND: Final = "ledger"
@@ -59,8 +60,8 @@ class Ledgers:
         for entry in journal.entries(KIND):
             try:
                 found.append(msgspec.msgpack.decode(entry.data, type=Kept))
-            except (msgspec.DecodeError, msgspec.ValidationError) as error:
-                self.unread.append(f"the journal's account {entry.key} of a move is not used: {error}")
+            except MALFORMED as error:
+                self.unread.append(f"the journal's account {entry.key} of a move is not used: {why_malformed(error)}")
         found.sort(key=lambda kept: kept.number)
         self._kept = deque(found, maxlen=KEPT)
 

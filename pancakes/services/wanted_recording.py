@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.malformed import MALFORMED, why_malformed
 
 KIND = "recording"
 KEY = "Recorder"
@@ -47,8 +48,10 @@ class WantedRecording:
             try:
                 found = msgspec.msgpack.decode(entry.data, type=Wanted)
                 self.now = found if found.first else None
-            except (msgspec.DecodeError, msgspec.ValidationError) as error:
-                self.unread.append(f"the journal does not say any more which recording is to go on: {error}")
+            except MALFORMED as error:
+                self.unread.append(
+                    f"the journal does not say any more which recording is to go on: {why_malformed(error)}"
+                )
         self.on_disk = self.now
 
     def want(self, wanted: Wanted | None, then: Callable[[], None], failed: Callable[[str], None]) -> None:

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final
 import msgspec
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Fence, Packet, body_class
 from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.closed import is_closed
@@ -180,8 +181,8 @@ def messages_from_payload(payload: bytes | memoryview) -> list[Run | LinkMessage
     """
     try:
         return _FRAME.decode(payload)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-        raise RemoteProtocolError(f"a frame is malformed: {error}") from None
+    except MALFORMED as error:
+        raise RemoteProtocolError(f"a frame is malformed: {why_malformed(error)}") from None
 
 
 def foreign_version(payload: bytes | memoryview, own: int) -> object:
@@ -265,8 +266,9 @@ def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[l
     kind, source = head.kind, head.source
     try:
         rows = _RAW_ROWS.decode(encoded)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-        raise RemoteProtocolError(f"a packet of the type {kind!r} from {source} is malformed: {error}") from None
+    except MALFORMED as error:
+        reason = f"a packet of the type {kind!r} from {source} is malformed: {why_malformed(error)}"
+        raise RemoteProtocolError(reason) from None
     packets, unfit = [], []
     for stamp, seq, cause, raw in rows:
         packet = Packet(head.channel, kind, source, head.destination, stamp, seq, None, cause, head.fence)
