@@ -212,14 +212,17 @@ def _fly(
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
     click.echo(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
-    with PlainView(found, mission) if plain else LiveView(found, mission):
+    # The page first: what is printed while the live view draws would stand in its way, and be erased.
+    onlooker = None
+    if page is not None and virtual:
+        onlooker = page.beside_virtual(found.title)
+    elif page is not None:
+        page.beside_live(plan, mission)
+    with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
         if virtual:
-            onlooker = page.beside_virtual(found.title) if page is not None else None
             faults = Faults(seed) if options.faults else None
             timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: click.echo(text, err=True))
         else:
-            if page is not None:
-                page.beside_live(plan, mission)
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
         click.echo(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
