@@ -12,13 +12,12 @@ from typing import Any, TextIO
 from pancakes.client.sentences import is_quiet, sentence_of
 from pancakes.demo.conductor import Mission
 from pancakes.demo.demo import Demo
+from pancakes.demo.pace import BEHIND_S
 
 REFRESH_HZ = 8
 SHOWN_EVENTS = 14
 FRAME_LINES = 3
 """Of the terminal's height, for the frame around the events and the line below it."""
-BEHIND_S = 0.25
-"""A world that lies further behind the clock than this, in mission seconds, is said to."""
 
 
 class PlainView:

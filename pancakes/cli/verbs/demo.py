@@ -172,6 +172,7 @@ def _run(
     page: DemoPage | None,
 ) -> int:
     from pancakes.demo import Comparison
+    from pancakes.demo.pace import how_slow
 
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
@@ -183,7 +184,11 @@ def _run(
     if found.draw is not None:
         found.draw(run, summary)
     _say_pace(timing)
-    return _verdict(summary, f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}")
+    return _verdict(
+        summary,
+        how_slow(timing),
+        f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}",
+    )
 
 
 def _fly(
@@ -198,6 +203,7 @@ def _fly(
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
     from pancakes.demo.launcher import RECORDING, Faults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.demo.pace import how_slow, verdict_line
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
@@ -230,7 +236,7 @@ def _fly(
     run = run_of(plan, mission)
     summary = judge(plan, run, timing)
     if page is not None:
-        page.end(f"the mission is over: {summary['verdict']}")
+        page.end(f"the mission is over: {verdict_line(summary['verdict'], how_slow(timing))}")
     return run, summary, timing
 
 
@@ -244,6 +250,7 @@ def _compare(
 ) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
     from pancakes.demo.launcher import fresh, write_results
+    from pancakes.demo.pace import how_slow
 
     fresh(out, (found.picture,))
     runs: dict[str, Run] = {}
@@ -261,8 +268,10 @@ def _compare(
     summary = found.judge(out, runs, summaries)
     write_results(out, summary, timings)
     found.draw(out, runs, summary)
+    slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)
-    return _verdict(summary, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
+    where = "; ".join(f"{title}: {text}" for title, text in slow if text)
+    return _verdict(summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -276,20 +285,18 @@ def _nice(path: Path) -> str:
 
 
 def _say_pace(timing: dict[str, Any]) -> None:
-    """Says how fast a mission went."""
+    """Says how fast a mission in virtual time went."""
     if timing["mode"] == "virtual":
         click.echo(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
-    elif timing["behind_max_s"] > 0.25:
-        click.echo(f"fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
-    else:
-        click.echo("did not fall behind the clock")
 
 
-def _verdict(summary: dict[str, Any], results: str) -> int:
-    """Says how it went, in the manner of Robotarium, and where the results are."""
+def _verdict(summary: dict[str, Any], slow: str, results: str) -> int:
+    """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
+    from pancakes.demo.pace import verdict_line
+
     for line in summary.get("said", ()):
         click.echo(line)
-    click.echo(f"verdict: {summary['verdict']}")
+    click.echo(f"verdict: {verdict_line(summary['verdict'], slow)}")
     for reason in summary["reasons"]:
         click.echo(f"  - {reason}")
     click.echo(results)

@@ -129,7 +129,8 @@ function happen(event) {
   const tint = (name) => style.getPropertyValue(`--${name}`);
   if (event.kind === "migration_asked") {
     for (const name of shown.agents()) {
-      if (name !== event.agent && shown.get("agent", name).role === "agent") effect(event.agent, name, tint("move"), "");
+      const asked = event.to ? name === event.to : name !== event.agent && shown.get("agent", name).role === "agent";
+      if (asked) effect(event.agent, name, tint("move"), event.to ? `asks only ${name}` : "");
     }
     say(find("announcer"), event.text);
   } else if (event.kind === "migration_bid" && event.source_agent) {
