@@ -20,6 +20,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import PancakesError
+from pancakes.malformed import MALFORMED
 from pancakes.printable import printable
 
 VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
@@ -210,7 +211,7 @@ def _read(path: Path, found: Found) -> None:
             try:
                 found.entries.append(_DECODE(os.read(handle, _LIMIT_BYTES)))
                 return
-            except (msgspec.MsgspecError, ValueError, RecursionError):
+            except MALFORMED:
                 oddity = "in use, but what it says is"
         elif not oddity and _NAME.fullmatch(path.name):
             path.unlink()

@@ -10,6 +10,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import PancakesError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import body_class, field_names, known_types
 from pancakes.suggestion import suggestion
 
@@ -33,8 +34,9 @@ def body_of(kind: str, text: str) -> Any:
         )
     try:
         given: Any = codecs.json_decoder()(text)
-    except msgspec.DecodeError as error:
-        raise BadBody(f"the body is no JSON: {_lower(str(error).removeprefix('JSON is malformed: '))}") from None
+    except MALFORMED as error:
+        why = why_malformed(error).removeprefix("JSON is malformed: ")
+        raise BadBody(f"the body is no JSON: {_lower(why)}") from None
     if not isinstance(given, Mapping):
         raise BadBody(f"the body must be a JSON object with the fields of {kind}: {_fields(cls)}")
     try:

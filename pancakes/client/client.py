@@ -401,6 +401,10 @@ class Client:
                         asked[key] = door, door.request(hello.name, Describe())
                 for name, for_s in door.asleep().items():
                     failed[door.fleet, name] = "its network sleeps" + ("" if for_s is None else f" for {for_s:.1f} s")
+                for address, why in door.refused().items():
+                    for lead in self._leads:
+                        if (lead.fleet, lead.address) == (door.fleet, address) and not door.connected(lead.name):
+                            failed[door.fleet, lead.name] = why
             for key, (door, number) in list(asked.items()):
                 answer = door.answer(number)
                 if isinstance(answer, str):

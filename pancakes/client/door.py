@@ -92,6 +92,10 @@ class Door:
         """Returns the agents that said they sleep, and for how many more seconds (None: they did not say)."""
         return {peer["name"]: peer["for_s"] for peer in self._mesh.describe()["asleep"]}
 
+    def refused(self) -> dict[str, str]:
+        """Returns the addresses whose agents will not have us, such as one that is full, each with its reason."""
+        return {it["address"]: it["refused"] for it in self._mesh.describe()["addresses"] if it["refused"]}
+
     def request(self, agent: str, body: Any) -> int:
         """Sends a control packet to a connected agent, and waits for nothing.
 

@@ -44,14 +44,19 @@ def sentence_of(record: Mapping[str, Any]) -> str:
 
 
 def _migration(who: str, record: Mapping[str, Any]) -> str:
-    return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "")
+    only = f" (only {record['to']} was asked)" if record.get("to") else ""
+    return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "") + only
+
+
+def _asked(who: str, record: Mapping[str, Any]) -> str:
+    return f"{who} asks {'only ' + record['to'] if record.get('to') else 'all neighbours'} to take {record['task']}"
 
 
 _SENTENCES: Final = {
     "line": lambda who, it: f"{who}: {it['text']}",
     "task_started": lambda who, it: f"{who} runs {it['task']}",
     "task_stopped": lambda who, it: f"{who} stopped {it['task']}: {it['reason']}",
-    "migration_asked": lambda who, it: f"{who} asks all neighbours to take {it['task']}",
+    "migration_asked": _asked,
     "migration_bid": lambda who, it: f"{who} bids {it['cost']:g} for {it['task']}",
     "migration_refused": lambda who, it: f"{who} refuses {it['task']}: {it['reason']}",
     "migration": _migration,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
+from pancakes.demo.pace import Ticks, ticks_of
 from pancakes.events import Event
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
@@ -23,6 +24,8 @@ OVERLAP_S = 1.0
 """So much more is asked of what an agent said while it could not be heard: its clock may be a little off."""
 RECENT = 500
 """Among so many of the newest events it is looked whether one has been heard already."""
+LOOK_S = 1.0
+"""How often, in host time, it looks how the ticks of a live mission come."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
 
 
@@ -44,6 +47,7 @@ class Mission:
         phase: `connecting`, `running`, `over` or `interrupted`.
         waiting_for: who is not ready yet, and why.
         ended_because: why it ended early; empty where it did not.
+        ticks: how the ticks of each task came as far as that is known, by agent (live only).
     """
 
     agents: tuple[str, ...]
@@ -60,6 +64,7 @@ class Mission:
     phase: str = "connecting"
     waiting_for: dict[str, str] = field(default_factory=dict)
     ended_because: str = ""
+    ticks: dict[str, list[Ticks]] = field(default_factory=dict)
     changed: Callable[[], None] = lambda: None
     told: Callable[[Mapping[str, Any]], None] = lambda record: None
 
@@ -118,6 +123,8 @@ class Conductor(Task):
             return
         if self._mission.phase == "running" and isinstance(reply.result, (list, tuple)):
             self._catch_up(agent, reply.result)
+        if self._mission.phase == "running" and isinstance(reply.result, Mapping) and "tasks" in reply.result:
+            self._mission.ticks[agent] = ticks_of(agent, reply.result)
         if self._mission.phase != "connecting":
             return
         if not reply.ok:
@@ -159,6 +166,8 @@ class Conductor(Task):
         for agent in (*self._mission.agents, self.agent):
             self.publish(SYSCTRL, Begin(begin_s - self.kernel.host.now()), to=agent)
         self.after(self._mission.duration_s, lambda: self.end(""))
+        if self.kernel.virtual is None:  # in virtual time no tick is late
+            self.after_host(LOOK_S, self._look_at_ticks)
 
     # While it runs ---------------------------------------------------------------------------------------------
 
@@ -179,6 +188,14 @@ class Conductor(Task):
         mission.changed()
         if self._file is not None:
             self._file.flush()
+
+    def _look_at_ticks(self) -> None:
+        if self._mission.phase != "running":
+            return
+        for agent in self._mission.agents:
+            if agent not in self._lost_s:
+                self.publish(SYSCTRL, Describe(), to=agent)
+        self.after_host(LOOK_S, self._look_at_ticks)
 
     @on(SYSTEM, "battery", keep=queue(64))
     def on_battery(self, packet: Packet) -> None:

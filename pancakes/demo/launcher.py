@@ -19,6 +19,7 @@ from pancakes.clock import MonotonicClock
 from pancakes.config import Config, parse
 from pancakes.demo.conductor import Conductor, Mission
 from pancakes.demo.demo import Run
+from pancakes.demo.pace import late_ones
 from pancakes.demo.plan import LAUNCHER, Plan
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
@@ -164,6 +165,7 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         "wall_s": ended_s - (running_s or ended_s),
         "behind_max_s": mission.behind_max_s,
         "behind_end_s": mission.behind_s,
+        "late_tasks": late_ones(it for agent in mission.agents for it in mission.ticks.get(agent, ())),
     }
 
 

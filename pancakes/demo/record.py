@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from pancakes.errors import PancakesError
+from pancakes.malformed import why_malformed
 
 _T = TypeVar("_T")
 _ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
@@ -80,8 +81,8 @@ def read_events(out_dir: Path) -> list[Occurrence]:
             fields = json.loads(text)
             event = Occurrence(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
             events.append(event)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise PancakesError(f"{path}: line {number} is no event: {error}") from None
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise PancakesError(f"{path}: line {number} is no event: {why_malformed(error)}") from None
     return sorted(events, key=lambda event: event.t_s)
 
 

@@ -12,12 +12,13 @@ from typing import Any, TextIO
 from pancakes.client.sentences import is_quiet, sentence_of
 from pancakes.demo.conductor import Mission
 from pancakes.demo.demo import Demo
+from pancakes.demo.pace import BEHIND_S
 from pancakes.printable import printable
 
 REFRESH_HZ = 8
 SHOWN_EVENTS = 14
-BEHIND_S = 0.25
-"""A world that lies further behind the clock than this, in mission seconds, is said to."""
+FRAME_LINES = 3
+"""Of the terminal's height, for the frame around the events and the line below it."""
 
 
 class PlainView:
@@ -55,18 +56,26 @@ class PlainView:
 
 
 class LiveView:
-    """A table that is drawn anew several times a second."""
+    """A table that is drawn anew several times a second. Meanwhile nothing else may write to the terminal.
 
-    def __init__(self, demo: Demo, mission: Mission) -> None:
+    Args:
+        demo: what is shown.
+        mission: how it goes.
+        page: the address of the page beside it, which is to stay in sight; empty: there is none.
+    """
+
+    def __init__(self, demo: Demo, mission: Mission, page: str = "") -> None:
         from rich.console import Console
         from rich.live import Live
 
         self._demo = demo
         self._mission = mission
+        self._page = page
         self._lines: deque[str] = deque(maxlen=SHOWN_EVENTS)
         mission.told = self._tell
+        self._console = Console()
         self._live = Live(
-            get_renderable=self._render, console=Console(), refresh_per_second=REFRESH_HZ, transient=False
+            get_renderable=self._render, console=self._console, refresh_per_second=REFRESH_HZ, transient=False
         )
 
     def __enter__(self) -> LiveView:
@@ -102,12 +111,15 @@ class LiveView:
             head = f"waiting for the agents: {printable(waiting) or 'they send what happens'}"
         else:
             head = f"{mission.now_s:6.1f} of {mission.duration_s:.0f} s{behind}"
-        # The last lines only, as plain text: what plug-ins say is no markup.
-        events = Text("\n".join(self._lines) or "nothing has happened yet", no_wrap=True, overflow="ellipsis")
-        return Group(
-            Panel(Group(Text(head, style="bold"), table), title=self._demo.title),
-            Panel(events, title="events"),
-        )
+        above: list[Any] = [Text(head, style="bold", no_wrap=True, overflow="ellipsis")]
+        if self._page:
+            above.append(Text(f"the page is at {self._page}", overflow="fold"))
+        upper = Panel(Group(*above, table), title=self._demo.title)
+        # So many of the last lines as there is room for, as plain text: what plug-ins say is no markup.
+        used = len(self._console.render_lines(upper, pad=False)) + FRAME_LINES
+        lines = list(self._lines)[-max(1, min(SHOWN_EVENTS, self._console.height - used)) :]
+        events = Text("\n".join(lines) or "nothing has happened yet", no_wrap=True, overflow="ellipsis")
+        return Group(upper, Panel(events, title="events"))
 
     def _row(self, agent: str) -> tuple[str, ...]:
         mission = self._mission

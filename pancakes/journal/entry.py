@@ -9,6 +9,7 @@ import msgspec
 from pancakes import codecs
 from pancakes.digest import sha256
 from pancakes.errors import PancakesError
+from pancakes.malformed import MALFORMED, why_malformed
 
 _MAGIC: Final = b"PNCKJRN1"
 _DIGEST_BYTES: Final = 32
@@ -106,8 +107,8 @@ def unseal(journal: str, sealed: bytes) -> Entry:
         raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
     try:
         contents = _DECODE(body)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise Unbelievable(f"cannot be understood ({error})") from None
+    except MALFORMED as error:
+        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
     if journal and contents.journal != journal:
         raise Unbelievable(f"belongs to the journal {contents.journal}, this is {journal}")
     return contents.entry

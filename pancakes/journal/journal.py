@@ -8,10 +8,9 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 from urllib.parse import quote, unquote
 
-import msgspec
-
 from pancakes import codecs
 from pancakes.journal.entry import Entry, JournalError, SetAside, Unbelievable, seal, unseal
+from pancakes.malformed import MALFORMED, why_malformed
 
 SUFFIX: Final = ".rec"
 """What names of stored entries end with."""
@@ -175,8 +174,8 @@ def _read_identity(sealed: bytes) -> _Identity:
     entry = unseal("", sealed)
     try:
         return _DECODE_IDENTITY(entry.data)
-    except (msgspec.DecodeError, msgspec.ValidationError) as error:
-        raise Unbelievable(f"cannot be understood ({error})") from None
+    except MALFORMED as error:
+        raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
 
 
 def _readable(sealed: bytes, name: str) -> Entry | None:

@@ -21,9 +21,6 @@ from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.service import Service
 
-HOST = "127.0.0.1"
-"""Metrics tell much about an agent and ask nobody who he is: they are served to this machine only."""
-
 
 class MetricsService(Service):
     """Serves metrics over HTTP, in a thread of its own; what an agent does is counted where it happens.
@@ -53,27 +50,20 @@ class MetricsService(Service):
         if self.kernel.virtual is not None:
             raise PancakesError(f"{self.address} serves nobody in virtual time, where no second is a second")
         try:
-            from prometheus_client import start_http_server
-
             from pancakes.metrics.collector import AgentMetrics
+            from pancakes.metrics.server import HOST, MetricsServer
         except ModuleNotFoundError as error:
             raise PancakesError(
                 f"there are no metrics without {error.name}: pip install 'pancakes-agents[metrics]'"
             ) from None
         self._metrics = AgentMetrics(self.kernel)
         try:
-            server, thread = start_http_server(self.settings.port, HOST, self._metrics.registry)
+            server = MetricsServer(self.settings.port, self._metrics.registry)
         except OSError as error:
             where = f"{HOST}:{self.settings.port}"
             raise PancakesError(f"{self.address} cannot serve at {where}: {error.strerror or error}") from None
-        self.port = server.server_port
-
-        def close() -> None:
-            server.shutdown()
-            server.server_close()
-            thread.join()
-
-        self._close = close
+        self.port = server.port
+        self._close = server.close
         self.kernel.hear_lateness(self._late)
         self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics")
 

@@ -51,6 +51,7 @@ class Ledger(msgspec.Struct, frozen=True):
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
         offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
+        to: the only neighbour that was to be asked; empty: all.
     """
 
     task_id: str
@@ -62,6 +63,7 @@ class Ledger(msgspec.Struct, frozen=True):
     lines: tuple[Line, ...]
     duration_s: float
     offer: str = ""
+    to: str = ""
 
     def moved(self, offer: str) -> Ledger:
         """Returns the account of a move that was undecided: the hand-over has happened."""

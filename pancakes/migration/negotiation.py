@@ -139,6 +139,7 @@ class Negotiation:
             winner=self._chosen,
             lines=tuple(self._explained(self._lines[peer]) for peer in self.asked if peer in self._lines),
             duration_s=ended_s - self._began_s,
+            to=self._to,
         )
 
     def _answer(self, line: Line, now_s: float) -> Outcome | None:

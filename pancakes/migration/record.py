@@ -14,6 +14,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import MigrationError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.names import NAME
 
 
@@ -134,8 +135,8 @@ class Record(msgspec.Struct, frozen=True):
         """
         try:
             return _DECODE(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise MigrationError(f"these {len(data)} bytes are no record of a task: {error}") from None
+        except MALFORMED as error:
+            raise MigrationError(f"these {len(data)} bytes are no record of a task: {why_malformed(error)}") from None
 
 
 _DECODE: Callable[[bytes], Record] = codecs.decoder(Record)

@@ -8,6 +8,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import MigrationError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.ledger import Ledger
 
 
@@ -37,8 +38,10 @@ class Sequel(msgspec.Struct, frozen=True):
             return cls()
         try:
             return _DECODE(data)
-        except (msgspec.DecodeError, msgspec.ValidationError) as error:
-            raise MigrationError(f"these {len(data)} bytes do not say what follows a hand-over: {error}") from None
+        except MALFORMED as error:
+            raise MigrationError(
+                f"these {len(data)} bytes do not say what follows a hand-over: {why_malformed(error)}"
+            ) from None
 
 
 _DECODE: Callable[[bytes], Sequel] = codecs.decoder(Sequel)

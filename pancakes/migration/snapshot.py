@@ -16,6 +16,7 @@ from pancakes import codecs
 from pancakes.arrays import array_from_extension, saved_array
 from pancakes.digest import sha256
 from pancakes.errors import MigrationError, RemoteProtocolError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.record import TaskId
 
 LIMIT_BYTES: Final = 16 * 1024 * 1024
@@ -142,8 +143,8 @@ class Snapshot(msgspec.Struct, frozen=True):
             raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
         try:
             return _DECODE(data)
-        except (msgspec.DecodeError, msgspec.ValidationError, RemoteProtocolError) as error:
-            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {error}") from None
+        except (*MALFORMED, RemoteProtocolError) as error:
+            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {why_malformed(error)}") from None
 
 
 _ENCODE: Callable[[Any], bytes] = codecs.encoder(saved_array)

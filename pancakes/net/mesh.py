@@ -37,7 +37,9 @@ from pancakes.wire.messages import Goodbye, Hello, Identity
 from pancakes.wire.runs import Unfit
 
 MAX_HANDSHAKES: Final = 256
-"""Most connections from others that have not yet come to be links; a whole fleet may come at once."""
+"""Most connections from others that have not yet come to be links; a whole fleet may come at once. One more takes the
+place of the oldest that has not said hello.
+"""
 BEACON_ADDRESSES: Final = 8
 """So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what everybody knows: a new link gets them all.
@@ -300,7 +302,7 @@ class Mesh:
         if self._state != "new":
             return
         self._state = "running"
-        self._peers = Peers(self._own, self._static, self._random, self._times, self._now())
+        self._peers = Peers(self._own, self._static, self._random, self._times, self._now(), self._quiet_s)
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -357,12 +359,29 @@ class Mesh:
             self._mission_packets += told
 
     def _accept(self) -> Handler:
-        waiting = sum(not session.is_up and not session.address for session in self._sessions.values())
-        if self._peers is None or self._state == "stopped" or waiting >= MAX_HANDSHAKES:
+        if self._peers is None or self._state == "stopped":
             return Unwanted()
+        waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
+        if len(waiting) >= MAX_HANDSHAKES:
+            self._end_handshake(waiting)
         session = Session(self, self._peers.new_link(), "", self._now)
         self._sessions[session.number] = session
         return session
+
+    def _end_handshake(self, waiting: Sequence[Session]) -> None:
+        """Refuses the connection that is the least likely to become a link: the oldest that has not said hello."""
+        mute = [session for session in waiting if session.link is None or session.link.peer is None]
+        oldest = (mute or waiting)[0]
+        reason = (
+            f"{self.identity.name} is full: {len(waiting)} connections have not become links, and this is the oldest"
+        )
+        if oldest.link is None:
+            self._over(oldest, Over(reason))
+        else:
+            self._act(oldest, oldest.link.refuse("full", reason, self._now()))
+
+    def _quiet_s(self, link: int, now_s: float) -> float:
+        return self._sessions[link].quiet_s(now_s)
 
     def session_opened(self, session: Session) -> None:
         """See `Owner`."""
@@ -431,6 +450,7 @@ class Mesh:
                 reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
                 self._over(session, Over(reason))
                 return
+            session.quiet_s(now_s)
             if session.counters.dropped:
                 self._report_drops(session, now_s)
         due_s = link.due_s()
@@ -500,7 +520,8 @@ class Mesh:
         del self._sessions[session.number]
         session.end(over.reason)
         why = over.refused or over.refusing
-        decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken)
+        refusal = over.reason if over.refused is not None else ""
+        decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
             session.is_up = False
             with self._tally_lock:
@@ -512,7 +533,9 @@ class Mesh:
             client = session.hello is not None and session.hello.role == "client"
             if client:
                 self._counters.forget(session.peer)  # clients come under ever new names
-            level = "warning" if over.broken or why is not None else "debug" if client else "info"
+            # A client gives its place up to another as often as one comes: nothing to warn of each time.
+            is_usual = why is None or (client and over.refusing == "full")
+            level = "warning" if over.broken or not is_usual else "debug" if client else "info"
             self._on_log(level, f"the link to {session.peer} has ended: {over.reason}")
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
         else:

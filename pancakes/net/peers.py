@@ -12,18 +12,19 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import msgspec
 
+from pancakes.net.places import Place, machine_of, who_makes_room
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Goodbye, Hello, Refusal, fault_of_address
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
-"""Most clients connected to one agent."""
+"""Most clients connected to one agent; see `pancakes.net.places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
 FORGET_AFTER: Final = 20
@@ -63,6 +64,7 @@ class _Address(msgspec.Struct):
     link: int | None = None  # of the dial under way, until it has met somebody or failed
     failures: int = 0
     ours: bool = False  # it is this agent's own
+    refused: str = ""  # why the agent there will not have us, in its words
 
 
 class _Candidate(msgspec.Struct):
@@ -71,6 +73,7 @@ class _Candidate(msgspec.Struct):
     link: int
     hello: Hello
     address: str  # that we dialled, or empty
+    machine: str  # where it is
     is_news: bool  # nobody had named the address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
@@ -85,14 +88,23 @@ class Peers:
         source: random numbers for the spread of retries.
         times: the times of membership.
         now_s: host time.
+        quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
+            infinite where none ever came in.
     """
 
     def __init__(
-        self, own: Hello, static: Sequence[str], source: random.Random, times: LinkTimes, now_s: float
+        self,
+        own: Hello,
+        static: Sequence[str],
+        source: random.Random,
+        times: LinkTimes,
+        now_s: float,
+        quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
     ) -> None:
         self._own = own
         self._random = source
         self._times = times
+        self._quiet_s = quiet_s
         self._book = {address: _Address(True, now_s) for address in static if address != own.listen}
         self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
@@ -129,7 +141,13 @@ class Peers:
     def describe(self) -> list[dict[str, Any]]:
         """Returns each known address with what is known of it."""
         return [
-            {"address": address, "static": it.static, "name": it.name, "failures": it.failures}
+            {
+                "address": address,
+                "static": it.static,
+                "name": it.name,
+                "failures": it.failures,
+                "refused": it.refused,
+            }
             for address, it in list(self._book.items())
             if not it.ours
         ]
@@ -176,18 +194,20 @@ class Peers:
         hello = _with_listen(hello, reachable(hello.listen, remote))
         is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
         self._asleep.pop(name, None)
-        candidate = self._candidates[link] = _Candidate(link, hello, address, is_news)
+        candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
         if address:
             self._met_at[address] = link
         decisions: list[Decision] = []
         known = self._up.get(name)
+        room: list[Decision] = []
         if known is not None and known.hello.journal != hello.journal:
             decisions.append(Turn(link, "name", _taken(name, own.name)))
         elif known is not None and known.hello.boot > hello.boot:
             decisions.append(Turn(link, "old", f"a later boot of {name} is connected to {own.name}"))
-        elif known is None and (full := self._full(hello)):
+        elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
             decisions.append(Turn(link, "full", full))
         else:
+            decisions.extend(room)
             if known is not None and known.hello.boot < hello.boot:
                 decisions.append(Turn(known.link, "old", f"{name} was started again"))
             if own.name < name:
@@ -219,6 +239,8 @@ class Peers:
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
+        if candidate.address:
+            self._book[candidate.address].refused = ""
         decisions: list[Decision] = []
         if known is not None:
             decisions.append(Turn(known.link, "duplicate", f"{name} chose another link"))
@@ -233,6 +255,7 @@ class Peers:
         refused: Refusal | None = None,
         goodbye: Goodbye | None = None,
         broken: bool = False,
+        refusal: str = "",
     ) -> list[Decision]:
         """A connection has ended, or never came to stand.
 
@@ -242,6 +265,7 @@ class Peers:
             refused: why it was refused, by either side.
             goodbye: what the peer said, if it left on purpose.
             broken: whether it broke the protocol.
+            refusal: the peer's sentence, where it was the peer who refused.
         """
         hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
@@ -250,6 +274,7 @@ class Peers:
             if not address:
                 return []
             self._book[address].link = None
+            self._book[address].refused = refusal if hopeless else ""
             self._failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
@@ -266,6 +291,7 @@ class Peers:
         for address, it in list(self._book.items()):
             if it.name != name or it.link is not None or (candidate.address != address and not was_up):
                 continue
+            it.refused = refusal if hopeless else ""
             if goodbye is not None and goodbye.why == "sleep" and goodbye.for_s is not None:
                 it.failures = 0
                 it.due_s = self._asleep[name]
@@ -325,9 +351,25 @@ class Peers:
         """Returns why there is no room for one more peer, or an empty string."""
         clients = sum(candidate.hello.role == "client" for candidate in self._up.values())
         if hello.role == "client":
-            return f"{self._own.name} has {clients} clients already" if clients >= MAX_CLIENTS else ""
+            reason = f"{self._own.name} is full: it has {clients} clients, and all of them are in use"
+            return reason if clients >= MAX_CLIENTS else ""
         agents = len(self._up) - clients + 1
-        return f"{self._own.name} is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
+        return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
+
+    def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
+        """Ends the link of a client whose place a new client gets; none where there is no such client."""
+        if newcomer.hello.role != "client":
+            return []
+        places = [
+            Place(it.link, it.machine, self._quiet_s(it.link, now_s))
+            for it in self._up.values()
+            if it.hello.role == "client"
+        ]
+        link = who_makes_room(newcomer.machine, places)
+        if link is None:
+            return []
+        reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"
+        return [Turn(link, "full", reason)]
 
     def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
         """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""

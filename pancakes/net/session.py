@@ -6,6 +6,7 @@ all else happens in the transport's thread.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
@@ -57,11 +58,11 @@ class Train(msgspec.Struct, gc=False):
 
 
 class Unwanted:
-    """The handler of a connection for which there is no room."""
+    """The handler of a connection to an agent that takes none: it only begins, or ends."""
 
     def opened(self, connection: Connection) -> None:
         """See `Handler`."""
-        connection.close("there is no room for another connection")
+        connection.close("this agent takes no connections")
 
     def received(self, data: bytes) -> None:
         """See `Handler`."""
@@ -119,6 +120,7 @@ class Session:
         self._blobs = 0
         self._written = 0
         self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
+        self._used = (0, 0, 0.0)  # how many packets had come in and gone out when that was last more, and when that was
         self._blob_encoder = Encoder()
 
     @property
@@ -248,6 +250,13 @@ class Session:
         if unsent == 0 or taken != self._taken[0]:
             self._taken = (taken, now_s)
         return now_s - self._taken[1]
+
+    def quiet_s(self, now_s: float) -> float:
+        """Returns for how long no packet has gone either way, as far as that was looked at; infinite: none came in."""
+        packets = (self.counters.packets_in, self.counters.packets_out)
+        if packets != self._used[:2]:
+            self._used = (*packets, now_s)
+        return now_s - self._used[2] if self.counters.packets_in else math.inf
 
     def waiting(self) -> dict[str, int]:
         """Returns how many packets wait for this peer, on each channel where any do. From any thread."""

@@ -39,6 +39,7 @@ class Move:
         winner: who has it; empty where it stayed.
         duration_s: host time from the first asking to the outcome.
         answers: what the neighbours said.
+        to: the only neighbour that was asked; empty: all were.
         frozen_s: when the task stood still at its source; None where that was not recorded.
         started_s: when it ran again at the winner.
         silence_s: between its last packet there and its first here.
@@ -53,6 +54,7 @@ class Move:
     winner: str
     duration_s: float
     answers: list[Answer]
+    to: str = ""
     frozen_s: float | None = None
     started_s: float | None = None
     silence_s: float | None = None
@@ -134,6 +136,7 @@ class Moves:
             str(fields["winner"]),
             float(fields["duration_s"]),
             lines,
+            str(fields.get("to", "")),
         )
         self.moves.append(move)
         if move.outcome != "moved":

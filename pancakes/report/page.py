@@ -144,7 +144,8 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
 def _move(move: Move) -> str:
     to = f" to {move.winner}" if move.winner else ""
     who = "a rule of its own" if move.asked_by == "rule" else move.asked_by
-    parts = [f"Asked for by {who}; cost: {move.cost}. It took {_seconds(move.duration_s)} of host time."]
+    only = f"Only {move.to} was asked. " if move.to else ""
+    parts = [f"Asked for by {who}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
         parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
     if move.silence_s is not None:

@@ -447,7 +447,7 @@ class DurableService(RecordedService):
         )
         self._moves[task_id] = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
-        self.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost))
+        self.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
         migrator.call(lambda: migrator.negotiate(self, request, asked_by, body.to, body.dry_run))
 
     # What a person decides -------------------------------------------------------------------------------------

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import msgspec
-
 from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Fence
 
 KIND = "fence"
@@ -40,8 +39,10 @@ class Fences:
         for entry in journal.entries(KIND):
             try:
                 self._on_disk[entry.key] = _DECODE(entry.data)
-            except (msgspec.DecodeError, msgspec.ValidationError) as error:
-                self.unread.append(f"the journal's fence of the actuator {entry.key} is not used: {error}")
+            except MALFORMED as error:
+                self.unread.append(
+                    f"the journal's fence of the actuator {entry.key} is not used: {why_malformed(error)}"
+                )
         self._seen = {actuator: dict(marks) for actuator, marks in self._on_disk.items()}
 
     def highest(self, actuator: str, task_id: str) -> Epoch | None:

@@ -11,6 +11,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.ledger import Ledger
 
 KIND: Final = "ledger"
@@ -63,8 +64,8 @@ class Ledgers:
         for entry in journal.entries(KIND):
             try:
                 found.append(_DECODE(entry.data))
-            except (msgspec.DecodeError, msgspec.ValidationError) as error:
-                self.unread.append(f"the journal's account {entry.key} of a move is not used: {error}")
+            except MALFORMED as error:
+                self.unread.append(f"the journal's account {entry.key} of a move is not used: {why_malformed(error)}")
         found.sort(key=lambda kept: kept.number)
         self._kept = deque(found, maxlen=KEPT)
 

@@ -9,6 +9,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.malformed import MALFORMED, why_malformed
 
 KIND = "recording"
 
@@ -52,8 +53,10 @@ class WantedRecording:
             try:
                 found = _DECODE(entry.data)
                 self.now = found if found.first else None
-            except (msgspec.DecodeError, msgspec.ValidationError) as error:
-                self.unread.append(f"the journal does not say any more which recording is to go on: {error}")
+            except MALFORMED as error:
+                self.unread.append(
+                    f"the journal does not say any more which recording is to go on: {why_malformed(error)}"
+                )
         self.on_disk = self.now
 
     def want(self, wanted: Wanted | None, then: Callable[[], None], failed: Callable[[str], None]) -> None:

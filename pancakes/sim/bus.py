@@ -14,6 +14,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import RemoteProtocolError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import body_class
 from pancakes.wire.framing import FrameReader, frame_of
 
@@ -109,7 +110,7 @@ class Answer(msgspec.Struct, tag_field="is", tag="reading", array_like=True, fro
         """
         try:
             return _decoder(body_class(self.type) or Any)(self.value)
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise RemoteProtocolError(f"a packet of the type {self.type!r} has a bad body: {error}") from None
 
 
@@ -155,8 +156,8 @@ class RequestReader:
             if len(payloads) == 1:
                 return _REQUESTS(payloads[0])
             return [request for payload in payloads for request in _REQUESTS(payload)]
-        except msgspec.MsgspecError as error:
-            raise RemoteProtocolError(f"that is no request to a simulated world: {error}") from None
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"that is no request to a simulated world: {why_malformed(error)}") from None
 
 
 class ReplyReader:
@@ -176,5 +177,5 @@ class ReplyReader:
             if len(payloads) == 1:
                 return _REPLIES(payloads[0])
             return [reply for payload in payloads for reply in _REPLIES(payload)]
-        except msgspec.MsgspecError as error:
-            raise RemoteProtocolError(f"that is no reply of a simulated world: {error}") from None
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"that is no reply of a simulated world: {why_malformed(error)}") from None

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import re
+import logging
 import secrets
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import msgspec
 from websockets.asyncio.server import Server, ServerConnection, serve
-from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.control import Reply
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, describe
+from pancakes.loopback import names_loopback
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Cause
+from pancakes.web.connection import PageConnection
 from pancakes.web.feed import FRAMES_HZ, Cursor
 from pancakes.web.files import static_files
+from pancakes.web.http import refused, response
 from pancakes.web.orders import order_from
 from pancakes.web.page import Shown
 
@@ -32,21 +35,25 @@ PORT: Final = 7480
 """Where the page is where nothing else is said and nobody else is there."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
+"""So many pages may be open."""
+KEPT_PAGES: Final = 8
+"""So many more for those that show the token: whoever was given it gets in."""
+MOST_ASIDE: Final = 32
+"""So many may be about to show it; one more takes the place of the first."""
+TOKEN_S: Final = 2.0
+"""How long a page may take to show the token where it is let in for that alone."""
 MOST_ASKED: Final = 16
 """So much may one page ask for at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
 ORDER_S: Final = 30.0
 """How long an agent may take for what it is asked for: a task may be busy before it moves."""
 CLOSE_S: Final = 2.0
+FULL: Final = f"full: {MOST_PAGES} pages are open already, close one"
 
-_LOOPBACK: Final = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:\d{1,5})?", re.IGNORECASE)
-_HEADERS: Final = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; connect-src 'self' ws:;"
-    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-}
+_LOG: Final = logging.getLogger("pancakes.web.page")
+"""What the library says of requests that are none: nothing that a terminal should show."""
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
 
 
 class PageServer:
@@ -70,6 +77,7 @@ class PageServer:
         self._shown = shown
         self._files = static_files()
         self._pages: set[ServerConnection] = set()
+        self._aside: dict[ServerConnection, asyncio.Future[str | bytes]] = {}
         self._loop = asyncio.new_event_loop()
         self._stop: asyncio.Event | None = None
         self._begun = threading.Event()
@@ -149,6 +157,8 @@ class PageServer:
             max_queue=MOST_ASKED,
             close_timeout=CLOSE_S / 2,
             server_header=None,
+            create_connection=PageConnection,
+            logger=_LOG,
         )
 
     # HTTP ------------------------------------------------------------------------------------------------------
@@ -157,33 +167,55 @@ class PageServer:
         """Answers a request for a file, or lets a WebSocket be opened (None)."""
         # Under another name than one of the loopback interface it is a name server that led the browser here.
         host = request.headers.get_all("Host")
-        if len(host) != 1 or _LOOPBACK.fullmatch(host[0]) is None:
-            return _refused(HTTPStatus.MISDIRECTED_REQUEST, "this page is only there under http://127.0.0.1")
+        if not names_loopback(host):
+            return refused(HTTPStatus.MISDIRECTED_REQUEST, "this page is only there under http://127.0.0.1")
         path = request.path.partition("?")[0]
         if path == SOCKET:
             if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
-                return _refused(HTTPStatus.FORBIDDEN, "only this server's own page may open this")
+                return refused(HTTPStatus.FORBIDDEN, "only this server's own page may open this")
             return None
         file = self._files.get(path)
         if file is None:
-            return _refused(HTTPStatus.NOT_FOUND, "there is nothing here")
-        return _response(HTTPStatus.OK, file.type, file.data)
+            return refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+        return response(HTTPStatus.OK, file.type, file.data)
 
     # The WebSocket ---------------------------------------------------------------------------------------------
 
     async def _page(self, connection: ServerConnection) -> None:
-        if len(self._pages) >= MOST_PAGES:
-            await connection.close(1013, "too many pages are open")
+        page = _Page()
+        if len(self._pages) >= MOST_PAGES and not await self._let_in(connection, page):
+            await connection.close(1013, FULL)
             return
         self._pages.add(connection)
-        answering = asyncio.ensure_future(self._answer_all(connection))
+        answering = asyncio.ensure_future(self._answer_all(connection, page))
         try:
             await self._show(connection)
         except ConnectionClosed:
             pass
+        except Exception as error:  # else the library would print a traceback
+            await connection.close(1011, f"a defect in Pancakes: {type(error).__name__}")
         finally:
             self._pages.discard(connection)
             answering.cancel()
+
+    async def _let_in(self, connection: ServerConnection, page: _Page) -> bool:
+        """Returns whether a page gets one of the places that are kept: its first message must show the token."""
+        if not self.token:
+            return False
+        while len(self._aside) >= MOST_ASIDE:
+            self._aside.pop(next(iter(self._aside))).cancel()
+        self._aside[connection] = first = asyncio.ensure_future(connection.recv())
+        try:
+            await asyncio.wait({first}, timeout=TOKEN_S)
+            if not first.done() or first.cancelled():
+                return False
+            await connection.send(await self._answer(page, first.result()), text=True)
+        except ConnectionClosed:
+            return False
+        finally:
+            self._aside.pop(connection, None)
+            first.cancel()
+        return page.trusted and len(self._pages) < MOST_PAGES + KEPT_PAGES
 
     async def _show(self, connection: ServerConnection) -> None:
         """Sends news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
@@ -202,9 +234,8 @@ class PageServer:
             due_s += period_s * (late + 1)
             await asyncio.sleep(due_s - now_s)
 
-    async def _answer_all(self, connection: ServerConnection) -> None:
+    async def _answer_all(self, connection: ServerConnection, page: _Page) -> None:
         """Answers what a page asks for, several things at a time."""
-        page = _Page()
         room = asyncio.Semaphore(MOST_ASKED)
         asked: set[asyncio.Task[None]] = set()
 
@@ -231,14 +262,17 @@ class PageServer:
         number = None
         try:
             asked = _ASKED(message)
-            number = asked.pop("id", None)
+            number = codecs.convert(asked.pop("id", None), _Number)
             result = await self._do(page, asked.pop("ask", None), asked)
-        except (PancakesError, msgspec.MsgspecError) as error:
-            return _ENCODE({"answer": number, "ok": False, "reason": str(error), "result": None})
-        if isinstance(result, Reply):
-            plain = {"answer": number, "ok": result.ok, "reason": result.reason, "result": result.result}
-            return _ENCODE(plain)
-        return _ENCODE({"answer": number, "ok": True, "reason": "", "result": result})
+            reply = result if isinstance(result, Reply) else Reply(True, "", result)
+            return _ENCODE({"answer": number, "ok": reply.ok, "reason": reply.reason, "result": reply.result})
+        except PancakesError as error:
+            reason = str(error)
+        except MALFORMED as error:
+            reason = f"a message of the page is malformed: {why_malformed(error)}"
+        except Exception as error:  # else it would end as a traceback on the terminal
+            reason = f"a defect in Pancakes: {describe(error)}"
+        return _ENCODE({"answer": number, "ok": False, "reason": reason, "result": None})
 
     async def _do(self, page: _Page, what: Any, asked: dict[str, Any]) -> Any:
         shown = self._shown
@@ -262,6 +296,10 @@ class PageServer:
             except TimeoutError:
                 raise NoAnswer(f"{order.agent} did not answer in time") from None
         raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+
+
+_Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None
+"""The number under which a page asks."""
 
 
 def _moment_of(asked: dict[str, Any]) -> float:
@@ -304,12 +342,3 @@ class _Page:
     """
 
     trusted = False
-
-
-def _response(status: HTTPStatus, type_: str, data: bytes) -> Response:
-    headers = Headers({**_HEADERS, "Content-Type": type_, "Content-Length": str(len(data)), "Connection": "close"})
-    return Response(status.value, status.phrase, headers, data)
-
-
-def _refused(status: HTTPStatus, sentence: str) -> Response:
-    return _response(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())

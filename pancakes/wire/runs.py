@@ -21,6 +21,7 @@ import msgspec
 
 from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
+from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Cause, Fence, Packet, body_class
 from pancakes.weight import weigher
 from pancakes.wire.bodies import encodable, received_body, unpacked
@@ -198,8 +199,8 @@ def messages_from_payload(payload: bytes | memoryview) -> list[Run | LinkMessage
     """
     try:
         return _FRAME(payload)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-        raise RemoteProtocolError(f"a frame is malformed: {error}") from None
+    except MALFORMED as error:
+        raise RemoteProtocolError(f"a frame is malformed: {why_malformed(error)}") from None
 
 
 def foreign_version(payload: bytes | memoryview, own: int) -> object:
@@ -283,8 +284,9 @@ def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[l
     kind, source = head.kind, head.source
     try:
         rows = _RAW_ROWS(encoded)
-    except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
-        raise RemoteProtocolError(f"a packet of the type {kind!r} from {source} is malformed: {error}") from None
+    except MALFORMED as error:
+        reason = f"a packet of the type {kind!r} from {source} is malformed: {why_malformed(error)}"
+        raise RemoteProtocolError(reason) from None
     packets, unfit = [], []
     for stamp, seq, cause, raw in rows:
         packet = Packet(head.channel, kind, source, head.destination, stamp, seq, None, cause, head.fence)

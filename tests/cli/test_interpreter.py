@@ -20,6 +20,14 @@ def test_an_agents_process_gives_way_often_and_collects_rarely():
     assert int(prepared[1]) > int(usual[1])
 
 
+def test_an_agents_process_may_open_more_files_than_some_systems_begin_with():
+    begin = "import resource as r; r.setrlimit(r.RLIMIT_NOFILE, (256, r.getrlimit(r.RLIMIT_NOFILE)[1]))"
+    prepare = "from pancakes.cli import interpreter; interpreter.prepare()"
+    say = "print(r.getrlimit(r.RLIMIT_NOFILE)[0])"
+    assert int(said(f"{begin}; {say}")[0]) == 256
+    assert int(said(f"{begin}; {prepare}; {say}")[0]) >= 1024
+
+
 def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_again(rig: Rig):
     rig.install(
         "looking",

@@ -110,6 +110,8 @@ def test_a_table_is_for_people(rig: Rig, pair: tuple[Running, Running]):
     assert story.startswith("a/Count would move from a to b (cost tasks, 0.")
     assert head.split() == ["neighbour", "answer", "cost", "terms", "fate", "reason"]
     assert row.split() == ["b", "bid", "0", "active", "tasks", "0", "won"]
+    assert "only" not in story
+    assert "; only b was asked)" in rig.pancakes("task", "migrate", "a/Count", "--to", "b", "--dry-run").stdout
 
     assert rig.pancakes("task", "migrate", "a/Count").stdout.startswith("a/Count moved from a to b (")
     head, _, row = (line.split() for line in rig.pancakes("task", "migrations").stdout.splitlines() if line.strip())

@@ -56,6 +56,21 @@ def test_a_live_mission_hands_the_task_over_and_leaves_no_process(tmp_path: Path
     assert (out / "paths.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_verdict_says_in_its_own_line_where_the_machine_fell_behind(tmp_path: Path) -> None:
+    with LiveDemo(tmp_path / "out", "--duration", "30") as demo:
+        demo.wait_for("new centre")
+        demo.agents["world"].suspend()
+        demo.wait_for("pose: no reading has come for 2")
+        demo.agents["world"].resume()
+        demo.ends()
+        (verdict,) = [line for line in demo.lines if line.startswith("verdict: ")]
+    assert "this machine was too slow: the world fell behind the clock by up to" in verdict
+    assert "world/client/World" in verdict and "ticks" in verdict
+    timing = read_flight(tmp_path / "out").timing
+    assert timing["behind_max_s"] > 0.25
+    assert "world/client/World" in [it["task"] for it in timing["late_tasks"]]
+
+
 def test_two_demos_run_side_by_side(tmp_path: Path) -> None:
     """The ports of the files are one demo's; the other takes free ones, also where both are started at once."""
     with LiveDemo(tmp_path / "one", "--duration", "10") as one, LiveDemo(tmp_path / "two", "--duration", "10") as two:

@@ -1,6 +1,8 @@
 """The Metrics Service: what Prometheus would read of an agent that runs."""
 
+import http.client
 import re
+import socket
 import urllib.request
 
 import pytest
@@ -9,6 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from pancakes.control import Reschedule, Restart, Stop
 from pancakes.devices.types import Battery, Load, Pose
+from pancakes.metrics.server import MOST_REQUESTS
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
 
@@ -159,3 +162,44 @@ def test_links_are_told_by_peer_and_virtual_time_is_refused():
     with FleetInTest() as fleet:
         agent = fleet.start("a", services=SERVICES)
         assert any("serves nobody in virtual time" in line for line in agent.lines("error"))
+
+
+def asked(agent, method, host, body=None):
+    """The status, the header Allow and the text of an answer."""
+    connection = http.client.HTTPConnection("127.0.0.1", port(agent), timeout=20)
+    try:
+        connection.request(method, "/metrics", body=body, headers={"Host": host})
+        answer = connection.getresponse()
+        return answer.status, answer.getheader("Allow"), answer.read().decode()
+    finally:
+        connection.close()
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:9464", "0.0.0.0", "127.0.0.1@evil", ""])
+def test_a_browser_that_a_foreign_name_led_here_gets_no_metrics(agent, host):
+    status, _, text = asked(agent, "GET", host)
+    assert status == 421 and "127.0.0.1" in text and "pancakes_" not in text
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost:9464", "[::1]:1", "LOCALHOST"])
+def test_under_the_names_of_this_machine_they_are_there(agent, host):
+    status, _, text = asked(agent, "GET", host)
+    assert status == 200 and "pancakes_" in text
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PATCH"])
+def test_metrics_can_only_be_got(agent, method):
+    status, allowed, text = asked(agent, method, "127.0.0.1", None if method == "TRACE" else b"x" * 1000)
+    assert (status, allowed) == (405, "GET")
+    assert text == f"{method} changes nothing here: there is only GET\n"
+
+
+def test_connections_that_ask_for_nothing_are_told_that_it_is_full_and_end(agent, capfd):
+    strangers = [socket.create_connection(("127.0.0.1", port(agent)), 20) for _ in range(MOST_REQUESTS)]
+    with socket.create_connection(("127.0.0.1", port(agent)), 20) as late:
+        assert b"503" in (said := late.recv(1000)) and b"full" in said
+    for stranger in strangers:
+        with stranger:
+            assert stranger.recv(1000) == b"", "a request that does not come is not waited for"
+    assert asked(agent, "GET", "localhost")[0] == 200
+    assert "Traceback" not in capfd.readouterr().err

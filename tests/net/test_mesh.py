@@ -326,17 +326,33 @@ def test_one_who_never_says_hello_is_closed(memory_rig):
     assert ear.closed_for == ["the other side closed the connection"]
 
 
-def test_no_more_handshakes_are_under_way_than_a_mesh_has_agents(memory_rig):
+def test_of_too_many_connections_the_oldest_that_said_no_hello_is_told_that_the_agent_is_full(memory_rig):
     a = memory_rig.agent("a")
     ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 6)]
     memory_rig.timeline.run_until(0.1)
     for ear in ears:
         memory_rig.transport("crowd").dial(a.mesh.listen, ear)
     memory_rig.timeline.run_until(1.0)
-    assert [bool(ear.closed_for) for ear in ears] == [False] * MAX_HANDSHAKES + [True] * 6
-    memory_rig.timeline.run_until(3.0)
+    assert [bool(ear.closed_for) for ear in ears] == [True] * 6 + [False] * MAX_HANDSHAKES
+    assert all(b"a is full: 256 connections" in ear.data for ear in ears[:6])
     late = memory_rig.agent("late", [a.mesh.listen])
-    memory_rig.until(lambda: late.knows("a"))
+    memory_rig.timeline.run_until(1.1)
+    assert late.knows("a"), "at once, and not when the others have waited in vain"
+
+
+def test_who_has_said_hello_goes_after_those_who_have_not(memory_rig):
+    a = memory_rig.agent("m")
+    memory_rig.timeline.run_until(0.1)
+    polite, *mute = ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 1)]
+    for ear in ears:
+        memory_rig.transport("crowd").dial(a.mesh.listen, ear)
+        if ear is polite:
+            memory_rig.until(lambda: polite.connection)
+            # Its name is the lower one, so the link waits for its welcome.
+            polite.connection.send(raw_hello("a"))
+            memory_rig.timeline.run_until(0.2)
+    memory_rig.timeline.run_until(0.5)
+    assert not polite.closed_for and mute[0].closed_for and not mute[1].closed_for
 
 
 def test_what_cannot_be_sent_is_an_error_at_the_publisher(rig, agent):

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from pancakes.net.peers import FORGET_AFTER, MAX_AGENTS, MAX_LEARNT, Admit, Dial, Peers, Turn, reachable
+from pancakes.net.peers import FORGET_AFTER, MAX_AGENTS, MAX_CLIENTS, MAX_LEARNT, Admit, Dial, Peers, Turn, reachable
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.messages import Goodbye, Hello
 
@@ -299,6 +299,47 @@ def test_a_mesh_has_its_bounds():
     (turned,) = it.met(it.new_link(), hello("c"), "", 0.0)
     assert turned.code == "full"
     assert it.met(it.new_link(), hello("d", role="client"), "", 0.0) == [Admit(MAX_AGENTS + 1)]
+
+
+def full_of_clients(quiet_s):
+    """An agent with all the clients that it takes, each on a machine of its own."""
+    quiet = {}
+    it = Peers(hello("a"), (), random.Random(1), LinkTimes(), 0.0, lambda link, now_s: quiet[link])
+    for number in range(MAX_CLIENTS):
+        link = it.new_link()
+        quiet[link] = quiet_s
+        it.met(link, hello(f"cli{number:02}", "", role="client"), f"tcp://10.0.0.{number}:9", 0.0)
+        it.up(link, 0.0)
+    return it
+
+
+def test_a_client_that_only_answers_pings_gives_its_place_to_the_next():
+    it = full_of_clients(math.inf)
+    link = it.new_link()
+    turned, admitted = it.met(link, hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
+    assert isinstance(turned, Turn) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
+    assert admitted == Admit(link)
+
+
+def test_where_all_clients_are_busy_the_next_is_told_so_unless_it_is_at_the_agents_own_machine():
+    it = full_of_clients(0.1)
+    (turned,) = it.met(it.new_link(), hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
+    assert (turned.link, turned.code) == (MAX_CLIENTS + 1, "full") and "64 clients" in turned.reason
+    link = it.new_link()
+    made_room, admitted = it.met(link, hello("e", "", role="client"), "tcp://127.0.0.1:9", 0.0)
+    assert (made_room.link, admitted) == (1, Admit(link))
+
+
+def test_the_sentence_with_which_an_agent_refuses_us_is_kept_until_it_takes_us():
+    it = peers("tcp://z:1")
+    (dial,) = it.tick(0.0)
+    it.met(dial.link, hello("z"), "", 0.0)
+    it.over(dial.link, 0.0, refused="full", refusal="z is full")
+    assert [(known["name"], known["refused"]) for known in it.describe()] == [("z", "z is full")]
+    (dial,) = it.tick(10.0)
+    it.met(dial.link, hello("z"), "", 10.0)
+    it.up(dial.link, 10.0)
+    assert [known["refused"] for known in it.describe()] == [""]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import Configure, Describe, Migrate, Migrations, Reschedule, Restart, Start, Stop
 from pancakes.devices.types import Battery, Load, Pose, Twist
 from pancakes.migration.record import Phase, TaskId
 from pancakes.net.memory import Quality
@@ -236,9 +236,21 @@ def test_only_the_one_that_is_named_is_asked():
     with fleet_of(robots=("a", "b", "c")) as fleet:
         a = fleet.agents["a"]
         assert "nobody is no neighbour that hosts tasks" in a.ask(Migrate("Circle", to="nobody")).reason
-        assert a.ask(Migrate("Circle", to="c")).ok
+        ledger = a.ask(Migrate("Circle", to="c")).result
         fleet.run_for(0.1)
         assert hosts(fleet) == ["c"]
+        assert ledger["to"] == "c" and [line["peer"] for line in ledger["lines"]] == ["c"]
+        assert [event["to"] for event in a.events("migration_asked")] == ["nobody", "c"]
+        assert [event["to"] for event in a.events("migration")] == ["nobody", "c"]
+        assert fleet.agents["b"].events("migration_bid") == fleet.agents["b"].events("migration_refused") == []
+        (kept,) = [row for row in a.ask(Migrations()).result if row["outcome"] == "moved"]
+        assert kept["to"] == "c"
+
+
+def test_where_none_is_named_all_are_asked_and_the_account_names_none(fleet):
+    a = fleet.agents["a"]
+    assert a.ask(Migrate("Circle")).result["to"] == ""
+    assert [event["to"] for event in a.events("migration_asked")] == [""]
 
 
 def test_the_cheapest_takes_it():

@@ -320,7 +320,7 @@ def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
 
     dialog = acting.get_by_role("dialog")
     expect(dialog).to_contain_text("Move Walk from a to b?")
-    expect(dialog).to_contain_text("Nothing has been moved yet")
+    expect(dialog).to_contain_text("no other agent was asked. Nothing has been moved yet")
     expect(dialog.locator("tbody tr")).to_have_text([re.compile(r"b\s*bids\s*0")])
     expect(chip(acting, "a", "Walk")).to_have_attribute("data-state", "running")
     expect(chip(acting, "b", "Walk")).to_have_count(0)
@@ -328,7 +328,8 @@ def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):
     dialog.get_by_role("button", name="Move it to b").click()
     expect(chip(acting, "b", "Walk")).to_have_attribute("data-state", "running")
     expect(dialog).to_have_count(0)
-    expect(acting.locator("#events").get_by_text("Walk moved to b")).to_be_visible()
+    expect(acting.locator("#events").get_by_text("Walk moved to b (only b was asked)")).to_be_visible()
+    expect(acting.locator("#events").get_by_text("a asks only b to take Walk").first).to_be_visible()
 
 
 @pytest.fixture

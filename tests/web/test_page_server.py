@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import http.client
 import json
 import socket
@@ -21,7 +22,7 @@ from pancakes.errors import NoAnswer, PancakesError
 from pancakes.packet import Cause
 from pancakes.web.feed import Feed
 from pancakes.web.page import Shown, open_page
-from pancakes.web.server import MOST_PAGES, PageServer
+from pancakes.web.server import MOST_ASIDE, MOST_PAGES, PageServer
 
 PATIENCE_S = 20.0
 
@@ -122,6 +123,29 @@ def test_under_a_foreign_name_nothing_is_there(server: PageServer, host: str):
     assert get(server, "/", host)[0] == 421
 
 
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "HEAD", "OPTIONS", "TRACE", "PATCH", "get"])
+@pytest.mark.parametrize("path", ["/", "/news"])
+def test_there_is_no_other_method_than_get(server: PageServer, method: str, path: str):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+    try:
+        connection.request(method, path, body=None if method == "TRACE" else b"something")
+        answer = connection.getresponse()
+        assert (answer.status, answer.getheader("Allow")) == (405, "GET")
+        assert answer.read() == (
+            b"" if method == "HEAD" else f"{method} changes nothing here: there is only GET\n".encode()
+        )
+    finally:
+        connection.close()
+
+
+def test_a_request_that_comes_letter_by_letter_is_answered(server: PageServer):
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as slow:
+        slow.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for letter in f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n":
+            slow.sendall(letter.encode())
+        assert slow.recv(12) == b"HTTP/1.1 200"
+
+
 def test_it_listens_on_loopback_only(server: PageServer):
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S):
         pass
@@ -189,11 +213,33 @@ def test_a_page_that_goes_is_forgotten_and_there_may_be_so_many(server: PageServ
     with ExitStack() as stack:
         for _ in range(MOST_PAGES):
             stack.enter_context(page(server)).recv(PATIENCE_S)
-        with pytest.raises(ConnectionClosed, match="too many pages"), page(server) as one_more:
-            one_more.recv(PATIENCE_S)
+        with pytest.raises(ConnectionClosed, match="full: 32 pages are open already"), page(server) as one_more:
+            one_more.send(json.dumps({"id": 7, "ask": "hello", "token": "a wrong one"}))
+            while True:
+                assert "set" not in json.loads(one_more.recv(PATIENCE_S)), "it gets no news"
     until_s = time.monotonic() + PATIENCE_S
     while not is_let_in(server):
         assert time.monotonic() < until_s
+
+
+def test_who_has_the_token_gets_in_where_all_places_are_taken(server: PageServer):
+    with ExitStack() as stack:
+        for _ in range(MOST_PAGES):
+            stack.enter_context(page(server)).recv(PATIENCE_S)
+        for _ in range(MOST_ASIDE + 5):  # they say nothing, and the first of them give their places to the next
+            stack.enter_context(page(server))
+        with page(server) as operator:
+            assert ask(operator, "hello", token=server.token)["result"]["control"] is True
+            assert json.loads(operator.recv(PATIENCE_S))["all"]
+            assert ask(operator, "order", **ORDER)["ok"]
+
+
+def test_where_pages_may_only_look_one_too_many_is_told_at_once(onlooker: PageServer):
+    with ExitStack() as stack:
+        for _ in range(MOST_PAGES):
+            stack.enter_context(page(onlooker)).recv(PATIENCE_S)
+        with pytest.raises(ConnectionClosed, match="full"), page(onlooker) as one_more:
+            one_more.recv(PATIENCE_S)
 
 
 def is_let_in(server: PageServer) -> bool:
@@ -258,6 +304,35 @@ def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer, message: s
             answer = json.loads(connection.recv(PATIENCE_S))
         assert answer["ok"] is False and answer["reason"]
         assert ask(connection, "explain", agent="a")["result"] == {"agent": "a", "asked": ["", None, None, 0]}
+
+
+DEEP = "[" * 7000 + "]" * 7000
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        DEEP,
+        f'{{"id": 7, "ask": {DEEP}}}',
+        f'{{"id": {DEEP}, "ask": "hello"}}',
+        f'{{"id": 7, "ask": "chunk", "t": {DEEP}}}',
+    ],
+)
+def test_json_nested_thousands_deep_gets_an_error_and_leaves_no_traceback(
+    server: PageServer, message: str, capfd: Any, caplog: Any
+):
+    with page(server) as connection:
+        connection.send(message)
+        connection.send(json.dumps({"id": 8, "ask": "hello"}))
+        answers: list[dict[str, Any]] = []
+        while not answers or answers[-1]["answer"] != 8:
+            heard = json.loads(connection.recv(PATIENCE_S))
+            if "answer" in heard:
+                answers.append(heard)
+    gc.collect()
+    assert [answer["ok"] for answer in answers] == [False, True]
+    assert "malformed" in answers[0]["reason"]
+    assert capfd.readouterr().err == "" and caplog.text == ""
 
 
 def test_a_page_asks_why_of_any_command(server: PageServer):

@@ -183,6 +183,7 @@ def _run(
     page: DemoPage | None,
 ) -> int:
     from pancakes.demo import Comparison
+    from pancakes.demo.pace import how_slow
 
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
@@ -197,7 +198,7 @@ def _run(
         return _interrupted_late(out)
     _say_pace(timing)
     results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}"
-    return _verdict(summary, results)
+    return _verdict(summary, how_slow(timing), results)
 
 
 def _interrupted_late(out: Path) -> int:
@@ -216,6 +217,7 @@ def _fly(
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
     from pancakes.demo.launcher import RECORDING, Faults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.demo.pace import how_slow, verdict_line
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
@@ -230,14 +232,17 @@ def _fly(
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
     show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
-    with PlainView(found, mission) if plain else LiveView(found, mission):
+    # The page first: what is printed while the live view draws would stand in its way, and be erased.
+    onlooker = None
+    if page is not None and virtual:
+        onlooker = page.beside_virtual(found.title)
+    elif page is not None:
+        page.beside_live(plan, mission)
+    with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
         if virtual:
-            onlooker = page.beside_virtual(found.title) if page is not None else None
             faults = Faults(seed) if options.faults else None
             timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: show_text(text, err=True))
         else:
-            if page is not None:
-                page.beside_live(plan, mission)
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
         show_text(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
@@ -245,7 +250,7 @@ def _fly(
     run = run_of(plan, mission)
     summary = judge(plan, run, timing)
     if page is not None:
-        page.end(f"the mission is over: {summary['verdict']}")
+        page.end(f"the mission is over: {verdict_line(summary['verdict'], how_slow(timing))}")
     return run, summary, timing
 
 
@@ -259,6 +264,7 @@ def _compare(
 ) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
     from pancakes.demo.launcher import fresh, write_results
+    from pancakes.demo.pace import how_slow
 
     fresh(out, (found.picture,))
     runs: dict[str, Run] = {}
@@ -279,9 +285,10 @@ def _compare(
         found.draw(out, runs, summary)
     if interrupted.is_set():
         return _interrupted_late(out)
+    slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)
-    results = f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}"
-    return _verdict(summary, results)
+    where = "; ".join(f"{title}: {text}" for title, text in slow if text)
+    return _verdict(summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -295,20 +302,18 @@ def _nice(path: Path) -> str:
 
 
 def _say_pace(timing: dict[str, Any]) -> None:
-    """Says how fast a mission went."""
+    """Says how fast a mission in virtual time went."""
     if timing["mode"] == "virtual":
         show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
-    elif timing["behind_max_s"] > 0.25:
-        show_text(f"fell behind the clock by up to {timing['behind_max_s']:.2f} s of mission time")
-    else:
-        show_text("did not fall behind the clock")
 
 
-def _verdict(summary: dict[str, Any], results: str) -> int:
-    """Says how it went, in the manner of Robotarium, and where the results are; returns the exit code."""
+def _verdict(summary: dict[str, Any], slow: str, results: str) -> int:
+    """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
+    from pancakes.demo.pace import verdict_line
+
     for line in summary.get("said", ()):
         show_text(line)
-    show_text(f"verdict: {summary['verdict']}")
+    show_text(f"verdict: {verdict_line(summary['verdict'], slow)}")
     for reason in summary["reasons"]:
         show_text(f"  - {reason}")
     show_text(results)

@@ -37,6 +37,11 @@ class DemoPage:
         self._watch: Watch | None = None
         self._feed: Feed | None = None
 
+    @property
+    def address(self) -> str:
+        """Where it is; empty while it is nowhere."""
+        return self._server.address if self._server is not None else ""
+
     def beside_live(self, plan: Plan, mission: Mission) -> None:
         """Shows a mission of processes; to be called before they start."""
         from pancakes.web.feed import Feed

@@ -26,6 +26,7 @@ MOVES = (
     "task_id",
     "outcome",
     "winner",
+    "to",
     "cost",
     "duration_s",
     "asked_by",
@@ -211,7 +212,8 @@ def _show_ledger(ledger: Mapping[str, Any], format_: str) -> None:
         "stayed": f"{task_id} stays on {source}",
         "undecided": f"{task_id} was on its way from {source} to {winner} when this account was closed",
     }[ledger["outcome"]]
-    show_text(f"{story} (cost {ledger['cost']}, {duration_s:.3f} s)")
+    only = f"; only {ledger['to']} was asked" if ledger["to"] else ""
+    show_text(f"{story} (cost {ledger['cost']}, {duration_s:.3f} s{only})")
     if ledger["lines"]:
         rows = [{**line, "neighbour": line["peer"], "terms": _terms(line["terms"])} for line in ledger["lines"]]
         show(rows, LINES, format_)

@@ -6,7 +6,8 @@ const PATIENCE_MS = 35000;
 export class Link {
   /**
    * @param {string} token What the address of the page says about what it may do.
-   * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting) or "closed".
+   * @param {{frame: Function, state: Function}} listener Takes frames, and "open" (with the greeting) or "closed"
+   *   (with the server's reason, such as that it is full; else empty).
    */
   constructor(token, listener) {
     this.token = token;
@@ -37,9 +38,9 @@ export class Link {
       const greeting = await this.ask("hello", { token: this.token });
       this.listener.state("open", greeting.result || { control: false, title: "" });
     };
-    this.socket.onclose = () => {
+    this.socket.onclose = (event) => {
       for (const id of [...this.waiting.keys()]) this.#settle(id, "the page has lost its server");
-      this.listener.state("closed");
+      this.listener.state("closed", event.reason);
       setTimeout(() => this.#open(), AGAIN_MS);
     };
   }

@@ -30,6 +30,7 @@ let stage = "arena";
 let chosen = false;
 let selected = "";
 let control = false;
+let closedFor = "";
 let describedAt = 0;
 let described = 0;
 let jump = true;
@@ -86,6 +87,7 @@ function state(what, greeting) {
   document.body.dataset.link = what;
   if (what !== "open") {
     jump = true;
+    closedFor = greeting;
     return;
   }
   control = greeting.control;
@@ -127,7 +129,8 @@ function happen(event) {
   const tint = (name) => style.getPropertyValue(`--${name}`);
   if (event.kind === "migration_asked") {
     for (const name of shown.agents()) {
-      if (name !== event.agent && shown.get("agent", name).role === "agent") effect(event.agent, name, tint("move"), "");
+      const asked = event.to ? name === event.to : name !== event.agent && shown.get("agent", name).role === "agent";
+      if (asked) effect(event.agent, name, tint("move"), event.to ? `asks only ${name}` : "");
     }
     say(find("announcer"), event.text);
   } else if (event.kind === "migration_bid" && event.source_agent) {
@@ -209,7 +212,10 @@ function head() {
   const status = !open ? "no server" : !timeline.live ? "past" : lastFrame.over ? "ended" : lastFrame.waiting ? "waiting" : "live";
   say(find("status"), status);
   set(find("status"), "data-state", status);
-  const waiting = !open ? "The page has lost its server. It looks for it every second." : lastFrame.over || lastFrame.waiting || "";
+  const closed = closedFor
+    ? `The server closed this page: ${closedFor}. It is asked again every second.`
+    : "The page has lost its server. It looks for it every second.";
+  const waiting = !open ? closed : lastFrame.over || lastFrame.waiting || "";
   show(find("waiting"), Boolean(waiting));
   say(find("waiting"), waiting);
   if (open && !lastFrame.over && lastFrame.lost_events) say(find("announcer"), `${lastFrame.lost_events} events were too many`);

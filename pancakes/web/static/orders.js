@@ -161,14 +161,14 @@ export class Orders {
   /** Asks for bids, shows them, and moves the task where a person wants that. */
   async move(agent, key, to) {
     const task = key.split("/")[1];
-    const said = h("p.said", { role: "status" }, `asking ${to} for a bid …`);
+    const said = h("p.said", { role: "status" }, `asking only ${to} for a bid …`);
     const bids = h("div");
     const confirm = h("button.primary", { type: "button", disabled: true }, `Move it to ${to}`);
     const cancel = h("button", { type: "button", onclick: () => this.dialog.close() }, "Cancel");
     this.#show(`Move ${task} from ${agent} to ${to}?`, [said, bids, h("div.buttons", {}, cancel, confirm)], false);
     const dry = await this.#ask(agent, key, "migrate", { to, dry_run: true });
     if (dry.result && dry.result.lines) bids.append(ledger(dry.result.lines));
-    said.textContent = dry.ok ? `${to} would take it. Nothing has been moved yet.` : dry.reason;
+    said.textContent = dry.ok ? `${to} would take it; no other agent was asked. Nothing has been moved yet.` : dry.reason;
     said.classList.toggle("warn", !dry.ok);
     if (!dry.ok) {
       cancel.textContent = "Close";

@@ -1,0 +1,79 @@
+"""Programs that connect to an agent and ask it for nothing keep no operator out of it: real processes and sockets."""
+
+from __future__ import annotations
+
+import threading
+
+from processes import PATIENCE_S, Rig
+from strangers import Strangers
+
+from pancakes.client.door import Door
+from pancakes.clock import MonotonicClock
+from pancakes.control import Describe
+from pancakes.net.mesh import MAX_HANDSHAKES
+from pancakes.net.peers import MAX_AGENTS, MAX_CLIENTS
+from pancakes.net.tcp import TcpTransport
+
+
+def asked(rig: Rig, address: str) -> None:
+    """An operator gets an answer, by name and by address."""
+    for where in ((), ("--at", address)):
+        done = rig.pancakes("agent", "info", "a", *where)
+        assert done.returncode == 0, done.stderr
+        assert "role" in done.stdout
+
+
+def test_clients_that_only_answer_pings_give_their_places_to_the_operator(rig: Rig):
+    address = rig.address(rig.ready("a"))
+    with Strangers(address, MAX_CLIENTS, "client") as strangers:
+        strangers.wait_until_up(MAX_CLIENTS)
+        asked(rig, address)
+        (refusal, *_) = strangers.refusals()
+        assert "a is full: it has 64 clients, and this one gave its place to another" in refusal
+
+
+def test_of_strangers_who_say_nothing_the_oldest_are_told_that_the_agent_is_full(rig: Rig):
+    count = MAX_HANDSHAKES + 40
+    address = rig.address(rig.ready("a"))
+    with Strangers(address, count) as strangers:
+        asked(rig, address)
+        assert len(strangers.refusals()) >= count - MAX_HANDSHAKES
+        assert all("a is full: 256 connections" in refusal for refusal in strangers.refusals())
+
+
+def test_a_mesh_full_of_agents_says_so_at_once_and_still_answers_the_operator(rig: Rig):
+    address = rig.address(rig.ready("a"))
+    with Strangers(address, MAX_AGENTS + 20, "agent") as strangers:
+        strangers.wait_until_up(MAX_AGENTS - 1)
+        asked(rig, address)
+        assert set(strangers.refusals()) == {"a is full: it is in a mesh of 256 already"}
+
+
+def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
+    address = rig.address(rig.ready("a"))
+    changed = threading.Condition()
+
+    def news() -> None:
+        with changed:
+            changed.notify_all()
+
+    clock = MonotonicClock()
+    transport = TcpTransport(clock, "busy")
+    doors = [Door(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
+    try:
+        for door in doors:
+            door.learn(address)
+        with changed:
+            assert changed.wait_for(lambda: all(door.connected("a") for door in doors), PATIENCE_S)
+            numbers = [door.request("a", Describe()) for door in doors]
+            assert changed.wait_for(
+                lambda: all(door.answer(number) for door, number in zip(doors, numbers, strict=True)), PATIENCE_S
+            )
+        done = rig.pancakes("agent", "info", "a")
+        assert done.returncode == 3
+        assert "a is full: it has 64 clients, and all of them are in use" in done.stderr
+        assert "nothing came within" not in done.stderr
+    finally:
+        for door in doors:
+            door.close()
+        transport.close()

@@ -1,0 +1,37 @@
+"""The live view of a demo in a terminal: what a person sees from the first moment to the last."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from terminal import Terminal
+
+LENGTH = ("--duration", "10", "--speed", "5")
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(24, 80), (50, 120)])
+def test_the_address_of_the_page_stays_in_sight_and_is_shown_again_at_the_end(tmp_path: Path, rows: int, columns: int):
+    arguments = ("demo", "encirclement", "--view", "--control", "--out", str(tmp_path / "out"), *LENGTH)
+    with Terminal(rows, columns, *arguments) as terminal:
+        screens = terminal.screens_until("until Ctrl-C")
+        assert terminal.interrupt() == 1, "the mission was too short for its verdict"
+        everything = terminal.everything()
+    # A terminal hands long writes on in pieces: only whole boxes count.
+    running = [screen for screen in screens if " of 10 s" in screen and screen.count("╰") == 2]
+    (address,) = set(re.findall(r"http://127\.0\.0\.1:\d+/#token=\S+", everything))
+    assert running and all(f"the page is at {address}" in screen for screen in running)
+    assert f"the page stays at {address} until Ctrl-C" in everything.replace("\nuntil", " until")
+
+
+@pytest.mark.parametrize("view", [(), ("--view",)])
+def test_no_part_of_a_box_stays_behind(tmp_path: Path, view: tuple[str, ...]):
+    arguments = ("demo", "encirclement", "--out", str(tmp_path / "out"), *LENGTH, *view)
+    with Terminal(24, 80, *arguments) as terminal:
+        terminal.screens_until("are in ")
+        terminal.interrupt()
+        everything = terminal.everything()
+    assert "waiting for the agents" not in everything
+    assert (everything.count("╭"), everything.count("╰")) == (2, 2), everything
+    assert "10.0 of 10 s" in everything and "events ─" in everything

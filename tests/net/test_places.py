@@ -1,0 +1,55 @@
+"""Which client gives its place up where an agent has as many as it takes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pancakes.net.places import IDLE_S, KEPT_FOR_THIS_MACHINE, THIS_MACHINE, Place, machine_of, who_makes_room
+
+
+def places(*rows):
+    return [Place(number, machine, quiet_s) for number, (machine, quiet_s) in enumerate(rows)]
+
+
+def test_the_one_that_was_quiet_longest_makes_room():
+    assert who_makes_room("x", places(("x", 0.0), ("x", 20.0), ("x", 30.0), ("x", 25.0))) == 2
+
+
+def test_who_never_asked_for_anything_goes_first_and_of_those_the_oldest():
+    assert who_makes_room("x", places(("x", 1e6), ("x", math.inf), ("x", math.inf))) == 1
+
+
+def test_where_all_are_in_use_the_newcomer_is_refused():
+    assert who_makes_room("x", places(*[("x", IDLE_S / 2)] * 5)) is None
+    assert who_makes_room("x", places(("x", 0.0), ("y", 0.0), ("z", 0.0))) is None
+
+
+def test_a_machine_that_has_most_of_the_places_gives_one_to_another_machine():
+    assert who_makes_room("y", places(("x", 1.0), ("x", 2.0), ("x", 0.5), ("y", 3.0))) == 1
+    assert who_makes_room("y", places(("x", 1.0), ("x", 2.0), ("y", 3.0))) is None, "it would only change sides"
+
+
+def test_some_places_are_kept_for_the_agents_own_machine():
+    elsewhere = [(f"10.0.0.{number}", float(number % 5)) for number in range(20)]
+    there = [(THIS_MACHINE, 9.0)]
+    assert who_makes_room(THIS_MACHINE, places(*there, *elsewhere)) == 5
+    assert who_makes_room(THIS_MACHINE, places(*there * KEPT_FOR_THIS_MACHINE, *elsewhere)) is None
+
+
+@pytest.mark.parametrize(
+    ("remote", "machine"),
+    [
+        ("tcp://127.0.0.1:40000", THIS_MACHINE),
+        ("tcp://127.3.2.1:40000", THIS_MACHINE),
+        ("tcp://[::1]:40000", THIS_MACHINE),
+        ("tcp://[::ffff:127.0.0.1]:40000", THIS_MACHINE),
+        ("tcp://[::ffff:10.0.0.7]:40000", "10.0.0.7"),
+        ("tcp://10.0.0.7:1", "10.0.0.7"),
+        ("memory://agent2:1", "agent2"),
+        ("", ""),
+    ],
+)
+def test_the_machine_is_the_address_without_its_port(remote, machine):
+    assert machine_of(remote) == machine
