@@ -59,7 +59,7 @@ class Exits(Service):
         sys.exit(3)
 
     @on("sysctrl", Reply, addressed=True)
-    def reply(self, packet):
+    def on_answer(self, packet):
         self.event("answered", reason=packet.body.reason)
 
 
