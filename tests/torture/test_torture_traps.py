@@ -68,7 +68,7 @@ def test_an_agent_is_held_in_the_write_that_follows_a_word(tmp_path: Path) -> No
     assert not failures, "it stands in the write"
     rig.trap.clear()  # in a test it lives, and its write fails
     agent.join(10.0)
-    assert "cannot be written" in failures[0]
+    assert "cannot write" in failures[0]
     journal.close()
     (kept,) = FileJournal(tmp_path / "a").entries(KIND)
     assert Record.decode(kept.data).phase is Phase.OWNER
