@@ -190,7 +190,7 @@ def test_tasks_are_listed_as_asked_for(rig: Rig, agent: Running):
     assert names("--state", "failed") == ["a/Broken"]
     assert names("a", "b", "--service", "device") == ["a/pose", "b/pose"]
     (row,) = listed(rig, "task", "list", "--state", "failed", "--long")
-    assert row["reason"].startswith("RuntimeError: no wheels (plugin_steer.py:")
+    assert row["reason"].startswith("RuntimeError: no wheels at plugin_steer.py:")
     assert (row["incarnation"], row["rate_hz"]) == (1, None)
 
 
@@ -232,7 +232,7 @@ def test_the_table_of_a_task_has_its_sections(rig: Rig, agent: Running):
     assert any(line.startswith("look 2 ") for line in lines)
     assert any(line.startswith("system pose newest 8 ") for line in lines)
 
-    assert "reason RuntimeError: no wheels (plugin_steer.py:" in said(rig, "task", "info", "a/Broken")
+    assert "reason RuntimeError: no wheels at plugin_steer.py:" in said(rig, "task", "info", "a/Broken")
 
 
 def test_a_task_that_is_not_there(rig: Rig, agent: Running):

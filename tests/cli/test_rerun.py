@@ -74,7 +74,7 @@ def test_a_changed_line_of_code_is_found(recorded):
     source.write_text(source.read_text().replace("self.publish(", "1 / 0\n        self.publish("))
     failing = recorded.pancakes("rerun", "r", "Sum")
     assert failing.returncode == 1
-    assert "it fails now: ZeroDivisionError: division by zero (plugin_sums.py:" in failing.stdout
+    assert "it fails now: ZeroDivisionError: division by zero at plugin_sums.py:" in failing.stdout
 
 
 @pytest.mark.parametrize(
