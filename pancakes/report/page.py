@@ -16,9 +16,11 @@ from pancakes.report.style import Picture
 MOST_ROWS: Final = 200
 
 _CSS: Final = """
-:root { color-scheme: light dark; --ink: #222; --faint: #666; --line: #ddd; --paper: #fff; --note: #fff4d6; }
+:root { color-scheme: light dark; --ink: #222; --faint: #666; --line: #ddd; --paper: #fff; --note: #fff4d6;
+  --edge: rgb(0 0 0 / .28); }
 @media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e4e4; --faint: #a0a0a0; --line: #444; --paper: #16181a; --note: #40371d; }
+  :root { --ink: #e4e4e4; --faint: #a0a0a0; --line: #444; --paper: #16181a; --note: #40371d;
+    --edge: rgb(255 255 255 / .35); }
 }
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 62rem; padding: 1rem; color: var(--ink); background: var(--paper);
@@ -35,7 +37,12 @@ figure svg.broad { min-width: 40rem; }
 figcaption, .faint { color: var(--faint); font-size: .87rem; }
 figcaption { text-align: left; }
 .note { background: var(--note); padding: .5rem .8rem; border-radius: .3rem; overflow-wrap: anywhere; }
-.wide { overflow-x: auto; }
+/* What is wider than the screen scrolls; a shade at an edge tells that there is more, as phones show no scroll bar. */
+.wide { overflow-x: auto; overscroll-behavior-x: contain; background:
+  linear-gradient(to right, var(--paper) 1.5rem, transparent) left / 3rem 100% no-repeat local,
+  linear-gradient(to left, var(--paper) 1.5rem, transparent) right / 3rem 100% no-repeat local,
+  linear-gradient(to right, var(--edge), transparent) left / .9rem 100% no-repeat scroll,
+  linear-gradient(to left, var(--edge), transparent) right / .9rem 100% no-repeat scroll; }
 table { border-collapse: collapse; font-size: .87rem; margin: .5rem 0; }
 th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
 th { font-weight: 600; }
@@ -43,13 +50,17 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space:
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; margin: .5rem 0; font-size: .95rem; }
 dt { color: var(--faint); }
 dd { margin: 0; overflow-wrap: anywhere; }
+@media (max-width: 600px) {
+  table { font-size: .8rem; }
+  th, td { padding-right: .5rem; }
+}
 @media print {
   :root { --ink: #000; --faint: #444; --line: #bbb; --paper: #fff; --note: #fff; }
   body { max-width: none; font-size: 10pt; padding: 0; }
   nav { display: none; }
   figure, tr { break-inside: avoid; }
   h2, h3 { break-after: avoid; }
-  .wide { overflow: visible; }
+  .wide { overflow: visible; background: none; }
   figure svg.broad { min-width: 0; }
   .note { border: 1px solid var(--line); }
 }
@@ -99,7 +110,7 @@ def _shown(pictures: Mapping[str, Picture], name: str, otherwise: str) -> str:
         return _faint(otherwise)
     caption = escape(picture.caption)
     svg = picture.svg.replace("<svg", f'<svg role="img" aria-label="{caption}"', 1)
-    return f'<figure><div class="wide">{svg}</div><figcaption>{caption}</figcaption></figure>'
+    return f"<figure>{_wide(svg)}<figcaption>{caption}</figcaption></figure>"
 
 
 def _faint(text: str) -> str:
@@ -121,7 +132,12 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
         for row in kept[:MOST_ROWS]
     ]
     more = _faint(f"{len(kept) - MOST_ROWS} more are left out.") if len(kept) > MOST_ROWS else ""
-    return f'<div class="wide"><table><tr>{html}</tr>{"".join(lines)}</table></div>{more}'
+    return _wide(f"<table><tr>{html}</tr>{''.join(lines)}</table>") + more
+
+
+def _wide(html: str) -> str:
+    """Returns what may be wider than a screen; it scrolls by finger, by wheel and by the arrow keys."""
+    return f'<div class="wide" tabindex="0">{html}</div>'
 
 
 def _text(value: Any) -> str:

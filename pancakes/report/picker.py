@@ -62,8 +62,9 @@ def picker_html(found: Reactions) -> str:
         '<input id="picker-slider" type="range" min="0" step="1" aria-label="Command">'
         '<button id="picker-after" type="button" aria-label="Next command">&rsaquo;</button></div>'
         '<p id="picker-said" role="status"></p>'
-        '<div class="wide"><table><thead><tr><th class="n">after</th><th>packet</th><th class="n">on its way</th>'
-        '<th class="n">until the next</th><th></th></tr></thead><tbody id="picker-chain"></tbody></table></div>'
+        '<div class="wide" tabindex="0"><table><thead><tr><th class="n">after</th><th>packet</th>'
+        '<th class="n">on its way</th><th class="n">until the next</th><th></th></tr></thead>'
+        '<tbody id="picker-chain"></tbody></table></div>'
         '<p id="picker-alike" class="faint"></p>'
         f'<p class="faint"><span id="picker-left-out"></span>{left}</p></div>'
         + _slowest(picked)
@@ -85,7 +86,7 @@ def _slowest(picked: PickedCommands) -> str:
         if rows:
             html += (
                 f"<details><summary>{escape(actuator.agent)} {escape(actuator.type)}: the slowest of {actuator.count:,}"
-                ' commands</summary><div class="wide"><table><tr><th class="n">mission time [s]</th>'
+                ' commands</summary><div class="wide" tabindex="0"><table><tr><th class="n">mission time [s]</th>'
                 f'<th class="n">took</th><th>step by step</th></tr>{rows}</table></div></details>'
             )
     return html

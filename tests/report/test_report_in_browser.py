@@ -10,6 +10,7 @@ from commanded import command
 
 from pancakes.report.findings import Findings
 from pancakes.report.page import make_page
+from pancakes.report.style import Picture
 
 PHONE = {"width": 360, "height": 740}
 
@@ -82,6 +83,25 @@ def test_it_fits_a_phone_in_the_dark(browser: Any, report: str):
     page, faults = opened(browser, report, viewport=PHONE, color_scheme="dark")
     expect(page.locator("#picker")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    assert faults == []
+
+
+def test_on_a_phone_what_is_wider_than_the_screen_scrolls_and_shows_that_it_does(browser: Any, tmp_path: Path):
+    svg = '<svg viewBox="0 0 700 200" class="broad" style="max-width: 980px"><rect width="700" height="200"/></svg>'
+    findings = Findings()
+    findings.reactions.add_command(command(1, 2.0, "a"))
+    page_file = tmp_path / "report.html"
+    pictures = {"tasks": Picture("tasks", "Who ran what.", svg)}
+    page_file.write_text(make_page("Report", {}, [], findings, pictures), encoding="utf-8")
+    page, faults = opened(browser, page_file.as_uri(), viewport={"width": 390, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    figure = page.locator("#tasks .wide")
+    assert figure.evaluate("(box) => box.scrollWidth > box.clientWidth + 100")
+    # A phone shows no scroll bar: a shade at the edge tells of what is beyond.
+    assert figure.evaluate("(box) => getComputedStyle(box).backgroundImage").count("linear-gradient") == 4
+    figure.focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("document.querySelector('#tasks .wide').scrollLeft > 0")
     assert faults == []
 
 

@@ -192,6 +192,81 @@ def test_it_fits_a_phone_and_follows_the_colours_that_a_person_likes(browser: An
     assert faults == []
 
 
+WRITTEN = """
+const pen = CanvasRenderingContext2D.prototype;
+const [write, clear] = [pen.fillText, pen.clearRect];
+window.framesSeen = 0;
+window.overlaps = new Set();
+window.outside = new Set();
+let boxes = [];
+pen.clearRect = function (...box) {
+  for (const [index, one] of boxes.entries()) {
+    if (one.left < 0 || one.right > one.width) window.outside.add(one.text);
+    for (const other of boxes.slice(index + 1)) {
+      const beside = one.right <= other.left || other.right <= one.left;
+      if (beside || one.bottom <= other.top || other.bottom <= one.top) continue;
+      window.overlaps.add(`${one.text} / ${other.text}`);
+    }
+  }
+  window.framesSeen += boxes.length > 3;
+  boxes = [];
+  return clear.apply(this, box);
+};
+pen.fillText = function (text, x, y) {
+  if (this.canvas.id === "canvas") {
+    const { width, actualBoundingBoxAscent: up, actualBoundingBoxDescent: down } = this.measureText(text);
+    const left = this.textAlign === "left" ? x : x - width / 2;
+    boxes.push({ text, left, right: left + width, top: y - up, bottom: y + down, width: this.canvas.clientWidth });
+  }
+  return write.call(this, text, x, y);
+};
+"""
+"""Sees what is written on the canvas in each frame, and notes what lies over something else."""
+
+
+def test_on_a_phone_no_label_of_the_arena_lies_over_another(browser: Any, mission: str, faults: list[str]):
+    context = browser.new_context(viewport={"width": 390, "height": 844}, device_scale_factor=2)
+    context.add_init_script(WRITTEN)
+    page = context.new_page()
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(mission)
+    # From before the move, when robots come close to each other, to the end; there it is looked at once more.
+    page.locator("#waiting").get_by_text("the mission is over").wait_for(timeout=60_000)
+    frames = page.evaluate("window.framesSeen")
+    page.wait_for_function("(before) => window.framesSeen > before + 10", arg=frames)
+    assert page.evaluate("[...window.overlaps]") == []
+    assert page.evaluate("[...window.outside]") == []
+    for name in ("agent1", "agent2", "sensor"):
+        expect(page.locator("#canvas")).to_have_attribute("aria-label", re.compile(name))
+    title, clock = page.locator("#title").bounding_box(), page.locator(".clock").bounding_box()
+    assert title["x"] + title["width"] <= clock["x"], "the title makes room for the clock"
+    assert faults == []
+
+
+PLACED = """
+async ({ radius, count }) => {
+  const { Labels, around } = await import("/labels.js");
+  const labels = new Labels();
+  labels.begin(360, 300);
+  const boxes = [];
+  for (let number = 0; number < count; number += 1) {
+    const middle = labels.place(`${number}`, 60, 14, around(180, 150, radius, 60, 14));
+    if (middle) boxes.push([middle[0] - 30, middle[1] - 7, middle[0] + 30, middle[1] + 7]);
+  }
+  return boxes;
+}
+"""
+
+
+def test_labels_of_one_place_stand_around_it_and_what_has_no_room_is_left_out(looking: Any):
+    boxes = looking.evaluate(PLACED, {"radius": 7, "count": 40})
+    assert 12 <= len(boxes) < 40
+    for number, one in enumerate(boxes):
+        assert min(one) >= 0 and one[2] <= 360 and one[3] <= 300
+        for other in boxes[number + 1 :]:
+            assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1]
+
+
 # A fleet without a world
 
 

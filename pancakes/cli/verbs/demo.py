@@ -217,7 +217,7 @@ def _fly(
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
     from pancakes.demo.launcher import RECORDING, Faults, fresh, judge, run_live, run_of, run_virtual
-    from pancakes.demo.pace import how_slow, verdict_line
+    from pancakes.demo.pace import how_slow
     from pancakes.demo.plan import find_configs, make_plan
     from pancakes.demo.view import LiveView, PlainView
 
@@ -250,7 +250,8 @@ def _fly(
     run = run_of(plan, mission)
     summary = judge(plan, run, timing)
     if page is not None:
-        page.end(f"the mission is over: {verdict_line(summary['verdict'], how_slow(timing))}")
+        slow = ", and this machine was too slow for it" if how_slow(timing) else ""
+        page.end(f"the mission is over: {summary['verdict']}{slow}")
     return run, summary, timing
 
 

@@ -1,11 +1,13 @@
 // The arena: robots, headings, trails, sensor rays, circles, the sensor node; and who talks about a move.
 
+import { Labels, around } from "./labels.js";
 import { colour, dark, still } from "./words.js";
 
 const MARGIN = 14;
 const LEAST_RADIUS = 7;
 const GLIDE_MS = 130;
 const CROWD = 14;
+const LINE = 14;
 
 export class Arena {
   constructor(canvas) {
@@ -15,6 +17,7 @@ export class Arena {
     this.bounds = null;
     this.layers = { trails: true, rays: true, circles: true, names: true };
     this.selected = "";
+    this.labels = new Labels();
   }
 
   /** Remembers where bodies come from, so that they glide from one frame to the next. */
@@ -44,6 +47,7 @@ export class Arena {
     const ink = dark.matches ? "255 255 255" : "30 34 42";
     this.ink = (alpha) => `rgb(${ink} / ${alpha})`;
     pen.clearRect(0, 0, width, height);
+    this.labels.begin(width, height);
     this.#floor(picture);
     pen.save();
     this.#clip(picture);
@@ -52,7 +56,15 @@ export class Arena {
     if (this.layers.rays) this.#rays(picture, now);
     pen.restore();
     if (this.layers.circles) this.#circles(picture);
-    for (const [name] of picture.table("body")) this.#body(picture, name, now);
+    const names = [...picture.table("body").keys()].filter((name) => this.glides.has(name));
+    for (const name of names) this.#body(picture, name, now);
+    if (this.layers.names) {
+      // Who is picked comes first: its label is there, whatever the crowd.
+      names.sort((one, other) => (other === this.selected) - (one === this.selected));
+      for (const name of names) this.#name(picture, name, names.length > CROWD, now);
+      if (this.layers.circles) this.#circleNames(picture);
+    }
+    this.labels.keep(new Set([...names, ...picture.table("circle").keys(), ...effects.map(keyOf)]));
     this.#effects(picture, effects, now);
   }
 
@@ -143,6 +155,7 @@ export class Arena {
       pen.stroke();
     }
     this.#text(`${step} m`, left + 8, bottom - 8, this.ink(0.4), "11px system-ui", "left");
+    this.labels.take(left + 8, bottom - 20, left + 44, bottom - 4);
   }
 
   #trails(picture) {
@@ -180,8 +193,21 @@ export class Arena {
       pen.arc(px, py, radius * this.scale, 0, 2 * Math.PI);
       pen.stroke();
       pen.setLineDash([]);
-      const text = `${task} · ${radius} m`;
-      if (this.layers.names) this.#text(text, px, py - radius * this.scale - 7, colour(agent, 0.95), "11px system-ui");
+    }
+  }
+
+  #circleNames(picture) {
+    for (const [name, [x, y, radius]] of picture.table("circle")) {
+      const [agent, task] = name.split("/");
+      const [px, py] = this.#pixel([x, y]);
+      const rows = [{ text: `${task} · ${radius} m`, style: colour(agent, 0.95), font: "11px system-ui" }];
+      const width = this.#widthOf(rows);
+      const off = radius * this.scale;
+      const above = [0, LINE, 2 * LINE].map((more) => [px, py - off - LINE / 2 - more]);
+      const below = [0, LINE, 2 * LINE].map((more) => [px, py + off + LINE / 2 + more]);
+      const beside = [[px + off + width / 2 + 4, py], [px - off - width / 2 - 4, py]];
+      const inside = [[px, py - off + LINE / 2 + 2], [px, py + off - LINE / 2 - 2]];
+      this.#label(name, rows, width, [above[0], below[0], ...above, ...below, ...beside, ...inside]);
     }
   }
 
@@ -239,7 +265,6 @@ export class Arena {
   }
 
   #body(picture, name, now) {
-    if (!this.glides.has(name)) return;
     const { pen } = this;
     const body = this.#place(name, now);
     const shape = picture.get("shape", name) || { kind: "robot" };
@@ -279,11 +304,42 @@ export class Arena {
       pen.fill();
     }
     pen.restore();
-    if (!this.layers.names) return;
-    const tint = shape.kind === "mover" ? this.ink(0.55) : colour(name);
-    const crowd = picture.table("body").size > CROWD;
-    this.#text(name, x, y + radius + (crowd ? 12 : 15), tint, crowd ? "10px system-ui" : "600 12px system-ui");
-    if (body[3] && (!crowd || name === this.selected)) this.#text(body[3], x, y + radius + 29, this.ink(0.6), "11px system-ui");
+    this.labels.avoid(x - radius, y - radius, x + radius, y + radius);
+  }
+
+  /** Writes who a body is, and what drives it. */
+  #name(picture, name, crowd, now) {
+    const body = this.#place(name, now);
+    const shape = picture.get("shape", name) || { kind: "robot" };
+    const [x, y] = this.#pixel(body);
+    const radius = Math.max(LEAST_RADIUS, (shape.radius_m || 0.07) * this.scale);
+    const style = shape.kind === "mover" ? this.ink(0.55) : colour(name);
+    const rows = [{ text: name, style, font: crowd ? "10px system-ui" : "600 12px system-ui" }];
+    if (body[3] && (!crowd || name === this.selected)) rows.push({ text: body[3], style: this.ink(0.6), font: "11px system-ui" });
+    const width = this.#widthOf(rows);
+    const middles = around(x, y, radius + 3, width, rows.length * LINE);
+    const middle = this.#label(name, rows, width, middles);
+    // From further away a line leads to whom it names.
+    const nearest = Math.hypot(width / 2, (rows.length * LINE) / 2) + radius + LINE;
+    if (middle && Math.hypot(middle[0] - x, middle[1] - y) > nearest) this.#line([x, y], middle, this.ink(0.12), 1);
+  }
+
+  #widthOf(rows) {
+    return Math.max(
+      ...rows.map(({ text, font }) => {
+        this.pen.font = font;
+        return this.pen.measureText(text).width;
+      }),
+    );
+  }
+
+  /** Writes rows where there is room for them; returns their middle, or null where there is none. */
+  #label(key, rows, width, middles) {
+    const middle = this.labels.place(key, width, rows.length * LINE, middles);
+    if (!middle) return null;
+    const top = middle[1] - (rows.length * LINE) / 2;
+    rows.forEach(({ text, style, font }, row) => this.#text(text, middle[0], top + row * LINE + 11, style, font));
+    return middle;
   }
 
   #effects(picture, effects, now) {
@@ -292,7 +348,7 @@ export class Arena {
       if (age >= 1 || !this.glides.has(effect.from) || !this.glides.has(effect.to)) continue;
       const from = this.#pixel(this.#place(effect.from, now));
       const to = this.#pixel(this.#place(effect.to, now));
-      drawMessage(this.pen, from, to, effect, age);
+      drawMessage(this.pen, from, to, effect, age, this.labels);
     }
   }
 
@@ -318,8 +374,8 @@ export class Arena {
   }
 }
 
-/** Draws what one agent says to another about a move: a line, a dot that travels, and the word. */
-export function drawMessage(pen, from, to, effect, age) {
+/** Draws what one agent says to another about a move: a line, a dot that travels, and the word where there is room. */
+export function drawMessage(pen, from, to, effect, age, labels) {
   const fade = age < 0.75 ? 1 : (1 - age) / 0.25;
   // What goes over keeps clear of what was said before.
   const middle = [(from[0] + to[0]) / 2, (from[1] + to[1]) / 2 + (effect.strong ? 56 : -32)];
@@ -341,15 +397,29 @@ export function drawMessage(pen, from, to, effect, age) {
     pen.textAlign = "center";
     const width = pen.measureText(effect.text).width + 14;
     // What is said stands near who says it.
-    const place = effect.strong ? 0.36 : 0.3;
-    const [x, y] = bow(from, middle, to, place);
-    pen.beginPath();
-    pen.roundRect(x - width / 2, y - 11, width, 20, 10);
-    pen.fill();
-    pen.fillStyle = dark.matches ? "#101216" : "#fff";
-    pen.fillText(effect.text, x, y + 3.5);
+    const first = effect.strong ? 0.36 : 0.3;
+    const shares = [first, 0.45, 0.15, 0.6, 0.75, 0];
+    const middles = shares.flatMap((share) => {
+      const [left, top] = bow(from, middle, to, share);
+      return [0, -24, 24, -48, 48].map((more) => [left, top + more]);
+    });
+    middles.push(...around(...bow(from, middle, to, first), 6, width, 20));
+    const place = labels ? labels.place(keyOf(effect), width, 22, middles) : middles[0];
+    if (place) bubble(pen, effect.text, place, width);
   }
   pen.globalAlpha = 1;
+}
+
+function bubble(pen, text, [x, y], width) {
+  pen.beginPath();
+  pen.roundRect(x - width / 2, y - 11, width, 20, 10);
+  pen.fill();
+  pen.fillStyle = dark.matches ? "#101216" : "#fff";
+  pen.fillText(text, x, y + 3.5);
+}
+
+function keyOf(effect) {
+  return `${effect.from}>${effect.to}>${effect.text}`;
 }
 
 /** Returns a point of a quadratic curve, from 0 at its beginning to 1 at its end. */
