@@ -62,7 +62,7 @@ def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]: ...
 
 
 def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
-    """Returns what makes an instance of a type of JSON; see `decoder`. It raises `msgspec.DecodeError`."""
+    """Returns what makes an instance of a type of JSON; see `decoder`. It raises what `pancakes.malformed` says."""
     with _LOCK:
         decode: Callable[[bytes | str], Any] = msgspec.json.Decoder(kind).decode
 
@@ -73,7 +73,7 @@ def json_decoder(kind: Any = Any) -> Callable[[bytes | str], Any]:
 
         try:
             plain = json.loads(data)
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise msgspec.DecodeError(f"JSON is malformed: {error}") from None
         return msgspec.convert(plain, kind, str_keys=True)
 

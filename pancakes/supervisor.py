@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import msgspec
 
 from pancakes.control import Hold
-from pancakes.errors import ControlRefused, describe, traceback_of
+from pancakes.errors import ClassError, ControlRefused, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import CTRL, join
@@ -480,6 +480,7 @@ class Supervisor(Component):
             self._decide(slot, failed=False, text="it stopped itself")
 
     def _task_failed(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
+        hopeless = hopeless or isinstance(error, ClassError)
         self._decide(slot, failed=True, text=self._note_failure(slot, error).text, hopeless=hopeless)
 
     def _note_failure(self, slot: Slot, error: BaseException) -> Failure:

@@ -62,7 +62,7 @@ def test_what_is_no_address_is_not_taken_from_a_peer(address: str):
 
 
 def test_a_task_that_is_offered_under_no_name_is_not_taken():
-    body = Solicit(TaskId("r2", "\x1b]0;owned\x07"), 1, "x.Task", "1")
+    body = Solicit(TaskId("r2", "\x1b]0;owned\x07"), 1, "x.Task", "1", "client")
     packet = Packet("network", "migration.solicit", "r2/network/TaskMigrator", "r1", 0.0, 1, body)
     head = head_of(packet)
     (run,) = messages_from_payload(b"\x91" + run_of(head, [RowEncoder(head).encode(packet)]))

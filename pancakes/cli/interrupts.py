@@ -45,11 +45,13 @@ def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
     os.set_blocking(writer, False)
 
     def pass_on() -> None:
-        heard = False
-        while not heard:
-            if any(number in signals for number in os.read(reader, 64)):
-                heard = True
+        heard = 0
+        while not heard or again is not None:
+            heard += sum(number in signals for number in os.read(reader, 64))
+            if heard:
                 event.set()
+            if heard > 1 and again is not None:  # the main thread may sleep, and know of neither
+                os._exit(again)
 
     def hear(number: int, frame: FrameType | None) -> None:
         if seen and again is not None:

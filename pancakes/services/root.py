@@ -39,7 +39,7 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
-from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
@@ -269,7 +269,7 @@ class Root(Component):
         text, traceback = describe(error, place.spec.cls), traceback_of(error)
         place.reason = text
         supervision, now_s = place.supervision, self.kernel.host.now()
-        following = supervision.ended(True, now_s, self.random, hopeless)
+        following = supervision.ended(True, now_s, self.random, hopeless or isinstance(error, ClassError))
         self.event("service_failed", service=place.spec.name, error=text, then=following.value)
         if self._closing:
             supervision.cancel()

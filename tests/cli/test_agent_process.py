@@ -142,7 +142,7 @@ def test_an_agent_whose_root_fails_ends_with_a_sentence_and_the_asker_gets_an_an
 
     asked = rig.pancakes("service", "stop", "a/own")
 
-    why = "a/kernel, which starts and watches the services, has failed: SystemExit: 3 (plugin_exits.py:"
+    why = "a/kernel, which starts and watches the services, has failed: SystemExit: 3 at plugin_exits.py:"
     assert asked.returncode == 1
     assert asked.stderr.startswith(f"a ends: {why}")
     assert agent.ended() == 1

@@ -418,7 +418,7 @@ def test_each_verb_has_help_with_an_example(rig: Rig, verb: str):
     "arguments",
     [
         ("echo", "pond"),
-        ("echo", "a/client/pond"),
+        ("echo", "test/a/client/pond"),
         ("echo", "a/pond", "--count", "0"),
         ("hz", "a/pond", "--for", "soon"),
         ("hz", "a/pond", "--window", "1"),

@@ -3,8 +3,11 @@
 import json
 import tomllib
 
+import msgspec
 import pytest
 from processes import Rig
+
+from pancakes.supervision import RestartSpec
 
 BAD = "[clock]\nsped = 1\n[device.x]\ndriver = 'host.lod'\n"
 
@@ -117,7 +120,7 @@ def test_the_effective_configuration_can_be_run(rig: Rig):
 
     shown = tomllib.loads(result.stdout)
     assert shown["clock"] == {"speed": 5.0, "hold": False}
-    assert shown["device"]["load"]["restart"] == {"policy": "permanent", "at_most": 3, "within_s": 5.0}
+    assert shown["device"]["load"]["restart"] == msgspec.structs.asdict(RestartSpec(again_s=60.0))
     assert "speed = 5.0 # --set clock.speed=5" in result.stdout.splitlines()
     assert f"rate_hz = 2.0 # {path}:10" in result.stdout.splitlines()
     (rig.directory / "shown.toml").write_text(result.stdout)

@@ -102,7 +102,7 @@ def test_a_task_that_was_given_up_is_found(rig: Rig):
     code, found = diagnosis(rig, "--no-machine")
 
     assert code == 1
-    assert ("error", "a/Boom", "was given up: ValueError: the wheel came off") in [
+    assert ("error", "a/Boom", "was given up: ValueError: the wheel came off at plugin_boom.py:7 in tick") in [
         (level, about, text.partition(" (")[0]) for level, about, text in found
     ]
 

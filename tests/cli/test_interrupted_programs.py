@@ -118,6 +118,7 @@ def test_the_console_scripts_begin_there(program: str):
 SLOW = """
 import atexit
 import sys
+from pathlib import Path
 from pancakes.demo.demo import Comparison, Demo, Variant
 
 def wait(what):
@@ -132,7 +133,7 @@ def judge(*run):
 def draw(*run):
     wait("drawing")
 
-ONE = Demo("one", "A slow one", ("a",), 2.0, judge, draw, records={}, virtual=True)
+ONE = Demo("one", "A slow one", ("a",), Path("configs"), 2.0, judge, draw, records={}, virtual=True)
 ALL = Comparison("all", "Two of them", ONE, (Variant("x", "x"), Variant("y", "y")), judge, draw, "all.png")
 """
 

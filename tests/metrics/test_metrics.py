@@ -152,7 +152,7 @@ def test_a_restart_of_the_service_serves_anew_and_its_port_is_free_again(agent):
 
 
 def test_a_port_in_use_is_told_and_the_agent_runs(agent):
-    taken = {"metrics": {"type": "metrics", "settings": {"port": port(agent)}}}
+    taken = {"metrics": {"type": "metrics", "settings": {"port": port(agent)}, "restart": {"at_most": 1}}}
     with threaded_agent("b", services=taken) as other:
         other.wait_until(lambda: any("cannot serve at 127.0.0.1" in line for line in other.lines("error")))
         assert other.component("client") is not None
@@ -161,7 +161,9 @@ def test_a_port_in_use_is_told_and_the_agent_runs(agent):
 def test_links_are_told_by_peer_and_virtual_time_is_refused():
     with FleetInTest() as fleet:
         agent = fleet.start("a", services=SERVICES)
-        assert any("serves nobody in virtual time" in line for line in agent.lines("error"))
+        fleet.run_for(30.0)
+        (line,) = agent.lines("error")
+        assert "serves nobody in virtual time" in line and "given up" in line
 
 
 def asked(agent, method, host, body=None):

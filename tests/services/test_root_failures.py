@@ -98,7 +98,7 @@ def test_a_refuse_stop_that_fails_is_the_answer_also_to_a_command_that_has_waite
         reasons = replies(agent, Stop("own"), Restart("own"), Stop("own"), Stop("own"))
         assert reasons[1] == ""
         for reason in (reasons[0], *reasons[2:]):
-            assert "asked for failed: KeyError: 'battery' (test_root_failures.py:" in reason
+            assert "asked for failed: KeyError: 'battery' at test_root_failures.py:" in reason
         assert agent.ask(Describe()).ok
 
 
@@ -150,7 +150,7 @@ def test_a_root_that_fails_ends_the_agent_and_answers_all_who_asked(from_elsewhe
         answers = [asker.reply_to(packet).reason for packet in asked]
         answers.append(agent.wait_for_event("answered")["reason"])
 
-        why = "a/kernel, which starts and watches the services, has failed: SystemExit: 3 (test_root_failures.py:"
+        why = "a/kernel, which starts and watches the services, has failed: SystemExit: 3 at test_root_failures.py:"
         assert "" in answers
         assert all(answer.startswith(f"a ends: {why}") for answer in answers if answer), answers
         assert len(reasons) == 1 and reasons[0].startswith(why)

@@ -71,8 +71,8 @@ def test_a_task_that_was_stopped_says_so_until_it_is_started(fleet):
 
 
 def test_a_task_that_was_given_up_says_so(fleet):
-    fleet.start("a", tasks={"Break": Break})
-    fleet.run_for(10.0)
+    fleet.start("a", tasks={"Break": {"type": Break, "restart": {"policy": "temporary"}}})
+    fleet.run_for(1.0)
     fleet.stop("a")
     agent = fleet.restart("a")
     fleet.run_for(1.0)
