@@ -37,7 +37,7 @@ def agents(rig: Rig) -> dict[str, Running]:
     rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
 
     def log(name: str) -> str:
-        return f'[service.log]\nsettings = {{ file = "{rig.directory / name}.jsonl" }}\n'
+        return f'[service.log]\nsettings = {{ file = "{rig.directory / name}.jsonl", share_kib_s = 0 }}\n'
 
     first = rig.ready("a", CONFIG + log("a"))
     second = rig.ready("b", log("b"), agent=f'peers = ["{rig.address(first)}"]')
