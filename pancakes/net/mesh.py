@@ -29,7 +29,6 @@ from pancakes.wire.link import (
     Met,
     Over,
     Received,
-    ReceivedBlob,
     Send,
     Up,
 )
@@ -55,7 +54,7 @@ DROPS_REPORTED_EVERY_S: Final = 5.0
 class Mesh:
     """The links of one agent.
 
-    All callbacks run in the transport's thread and must not block. `send`, `send_blob`, `announce`, `learn`,
+    All callbacks run in the transport's thread and must not block. `send`, `announce`, `learn`,
     `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
 
     Args:
@@ -71,7 +70,6 @@ class Mesh:
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
-        on_blob: takes (peer's name, kind, bytes) of a snapshot.
         on_refused: takes the reason when another agent of our name is in the mesh and we are the newcomer.
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
@@ -91,7 +89,6 @@ class Mesh:
         on_unfit: Callable[[str, Packet, str], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
-        on_blob: Callable[[str, str, bytes], None] = lambda peer, kind, data: None,
         on_refused: Callable[[str], None] = lambda reason: None,
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
@@ -108,7 +105,6 @@ class Mesh:
         self._on_unfit = on_unfit
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
-        self._on_blob = on_blob
         self._on_refused = on_refused
         self._on_log = on_log
         self._times = times or LinkTimes()
@@ -172,18 +168,6 @@ class Mesh:
         more. Any thread.
         """
         return self._sending.way_of(packet)
-
-    def send_blob(self, peer: str, kind: str, data: bytes, retry: bool = False) -> None:
-        """Sends a snapshot of a task: up to 16 MiB, in pieces that let other packets pass.
-
-        Each piece counts as a mission packet, unless it is a `retry`.
-
-        Raises:
-            LocalProtocolError: it is too long.
-            PeerLost: the peer is not connected.
-            PeerBusy: four snapshots wait for the peer already.
-        """
-        self._session(peer, f"{kind} of {len(data)} bytes").offer_blob(kind, data, not retry)
 
     def announce(self) -> None:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
@@ -273,12 +257,6 @@ class Mesh:
             "dropped": dict(sorted(counters.dropped.items())),
             "waiting": session.waiting(),
         }
-
-    def _session(self, name: str, what: str) -> Session:
-        session = self._up.get(name)
-        if session is None:
-            raise self._lost(name, what)
-        return session
 
     def _lost(self, name: str, what: str) -> PancakesError:
         """Returns why nothing goes to an agent."""
@@ -472,8 +450,6 @@ class Mesh:
                 case Unfit(packet, reason):
                     session.counters.packets_in += 1
                     self._call(self._on_unfit, session.peer, packet, reason)
-                case ReceivedBlob(kind, data):
-                    self._call(self._on_blob, session.peer, kind, data)
                 case Met(hello):
                     self._met(session, hello)
                 case Up():

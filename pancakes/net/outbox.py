@@ -8,21 +8,20 @@ were sent. When the peer, or the network, does not keep up:
   goes together, in the order in which it was published;
 * of `log` the oldest fall out;
 * every other channel has a window; where it is full the publisher is told so, and nothing is lost in silence;
-* the channels take turns, and blobs (the snapshots of tasks) with them, piece by piece.
+* the channels take turns.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Final
 
 import msgspec
 
 from pancakes.errors import MailboxFull
 from pancakes.packet import LOG, NETWORK, SYSCTRL, SYSTEM
-from pancakes.wire.framing import MAX_OPEN_BLOBS
 
 MAX_PACKETS: Final = 1024
 """Most packets of a channel that wait for a peer."""
@@ -88,17 +87,17 @@ class CountersOfAll:
 
 
 class Message(msgspec.Struct):
-    """An encoded packet that waits, or a whole message of the link.
+    """An encoded packet that waits.
 
     Attributes:
-        data: the packet as a row of a run; the message.
+        data: the packet as a row of a run.
         counts: whether it is a mission packet (a retry is not).
-        head: what a run of such packets begins with; empty for a message.
+        head: what a run of such packets begins with.
     """
 
     data: bytes
     counts: bool
-    head: bytes = b""
+    head: bytes
 
 
 class _Lane:
@@ -197,8 +196,6 @@ class Outbox:
         self.counters = counters
         self._lanes: dict[str, _Lane] = {channel: _Lane(channel) for channel in FIRST}
         self._turns: deque[_Lane] = deque()  # the lanes that have something, except the first ones
-        self._blobs: deque[Iterator[Message]] = deque()
-        self._blob_is_next = False
 
     def put(self, channel: str, key: Key, message: Message) -> None:
         """Adds a packet.
@@ -219,16 +216,6 @@ class Outbox:
         if was_empty and channel not in FIRST:
             self._turns.append(lane)
 
-    def put_blob(self, pieces: Iterator[Message]) -> None:
-        """Adds a blob, whose pieces are made when they are sent.
-
-        Raises:
-            PeerBusy: as many blobs as may be unfinished wait already.
-        """
-        if len(self._blobs) >= MAX_OPEN_BLOBS:
-            raise PeerBusy(f"{self.peer} is slow: {len(self._blobs)} snapshots wait for it")
-        self._blobs.append(pieces)
-
     def take(self, limit_bytes: int) -> list[Message]:
         """Takes what is to be sent next, at least one message if any waits."""
         messages: list[Message] = []
@@ -245,16 +232,8 @@ class Outbox:
         for channel in FIRST:
             if self._lanes[channel]:
                 return self._lanes[channel].pop()
-        if self._blobs and (self._blob_is_next or not self._turns):
-            self._blob_is_next = False
-            piece = next(self._blobs[0], None)
-            if piece is not None:
-                return piece
-            self._blobs.popleft()
-            return self._next()
         if not self._turns:
             return None
-        self._blob_is_next = True
         lane = self._turns.popleft()
         message = lane.pop()
         if lane:

@@ -15,8 +15,7 @@ import msgspec
 
 from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox, PeerBusy
 from pancakes.net.transport import Connection
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import frame, split
+from pancakes.wire.framing import frame
 from pancakes.wire.link import Link
 from pancakes.wire.messages import Hello
 from pancakes.wire.runs import framed_run, run_of
@@ -117,11 +116,9 @@ class Session:
         self._lock = threading.Lock()
         self._outbox = Outbox("", self.counters)
         self._closed = False
-        self._blobs = 0
         self._written = 0
         self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
         self._used = (0, 0, 0.0)  # how many packets had come in and gone out when that was last more, and when that was
-        self._blob_encoder = Encoder()
 
     @property
     def remote(self) -> str:
@@ -213,21 +210,6 @@ class Session:
             else:
                 self._write(framed_run(message.head, [message.data], len(message.data)), 1, message.counts)
 
-    def offer_blob(self, kind: str, data: bytes, counts: bool) -> None:
-        """Takes a blob and begins to send it. From any thread.
-
-        Raises:
-            LocalProtocolError: it is too long.
-            PeerBusy: the peer is slow, and too many wait already.
-        """
-        with self._lock:
-            self._blobs += 1
-            pieces = split(self._blobs, kind, data)
-            encode = self._blob_encoder.link_message
-            self._outbox.put_blob(Message(encode(piece), counts) for piece in pieces)
-            if not self.congested:
-                self._pump()
-
     def end(self, reason: str) -> None:
         """Closes the connection once what it was given is sent."""
         with self._lock:
@@ -305,9 +287,6 @@ def _in_runs(messages: Sequence[Message]) -> list[bytes]:
     rows: list[bytes] = []
     size = 0
     for message, following in zip(messages, (*messages[1:], None), strict=True):
-        if not message.head:
-            joined.append(message.data)
-            continue
         rows.append(message.data)
         size += len(message.data)
         if following is None or following.head != message.head or size + len(following.data) > BATCH_BYTES:

@@ -1,4 +1,4 @@
-"""How messages are cut out of a stream of bytes, and how what is too large for a frame is cut into pieces.
+"""How messages are cut out of a stream of bytes.
 
 A frame is a 4-byte big-endian length and that many bytes of msgpack: an array of one or more messages.
 """
@@ -6,24 +6,17 @@ A frame is a 4-byte big-endian length and that many bytes of msgpack: an array o
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.wire.messages import Piece
 
 MAX_PAYLOAD_BYTES: Final = 256 * 1024
 """Longest payload of a frame."""
 MAX_MESSAGE_BYTES: Final = MAX_PAYLOAD_BYTES - 5
 """Longest message that still fits a frame, behind the header of the frame's array."""
-PIECE_BYTES: Final = 64 * 1024
-"""Length of the pieces of a blob, all but the last."""
-MAX_BLOB_BYTES: Final = 16 * 1024 * 1024
-"""Longest blob."""
 FEW_BYTES: Final = 2048
 """What comes in at a time is copied, where it is no more than that, instead of looked at through a view."""
-MAX_OPEN_BLOBS: Final = 4
-"""How many unfinished blobs one side of a link may have at a time."""
 
 _LENGTH = struct.Struct(">I")
 
@@ -114,58 +107,3 @@ class FrameReader:
             position += 4 + length
         self._rest = data[position:]
         return payloads
-
-
-def split(blob: int, kind: str, data: bytes) -> Iterator[Piece]:
-    """Cuts a blob into pieces, each of which fits a frame.
-
-    Args:
-        blob: a number that no other blob has that this side sends over this link.
-        kind: what it is; up to 64 characters.
-        data: its bytes; may be empty.
-
-    Raises:
-        LocalProtocolError: it is too long.
-    """
-    if len(data) > MAX_BLOB_BYTES:
-        raise LocalProtocolError(f"{kind} of {len(data)} bytes cannot be sent: {MAX_BLOB_BYTES} bytes is the most")
-    if len(kind) > 64:
-        raise LocalProtocolError(f"the kind of a blob has 64 characters at most, {kind[:80]!r} has {len(kind)}")
-    starts = range(0, len(data), PIECE_BYTES) if data else range(1)
-    return (Piece(blob, kind, len(data), start, data[start : start + PIECE_BYTES]) for start in starts)
-
-
-class Assembler:
-    """Puts together the blobs that come over one link."""
-
-    def __init__(self) -> None:
-        self._open: dict[int, tuple[Piece, list[bytes], int]] = {}
-
-    def feed(self, piece: Piece) -> tuple[str, bytes] | None:
-        """Takes a piece.
-
-        Returns:
-            (kind, bytes) of the blob if this was its last piece.
-
-        Raises:
-            RemoteProtocolError: the piece breaks a limit or does not continue its blob.
-        """
-        if piece.total > MAX_BLOB_BYTES or len(piece.data) > PIECE_BYTES:
-            raise RemoteProtocolError(
-                f"a piece of {len(piece.data)} bytes of a blob of {piece.total} bytes is over the limit"
-                f" ({PIECE_BYTES} of {MAX_BLOB_BYTES})"
-            )
-        first, parts, have = self._open.get(piece.blob, (piece, [], 0))
-        if (piece.offset, piece.total, piece.kind) != (have, first.total, first.kind):
-            raise RemoteProtocolError(f"a piece at {piece.offset} of blob {piece.blob} does not continue it at {have}")
-        if piece.blob not in self._open and len(self._open) >= MAX_OPEN_BLOBS:
-            raise RemoteProtocolError(f"more than {MAX_OPEN_BLOBS} unfinished blobs are on the link")
-        have += len(piece.data)
-        if have > piece.total or (not piece.data and piece.total):
-            raise RemoteProtocolError(f"blob {piece.blob} has a piece that is empty or goes beyond its end")
-        parts.append(piece.data)
-        if have < piece.total:
-            self._open[piece.blob] = (first, parts, have)
-            return None
-        self._open.pop(piece.blob, None)
-        return piece.kind, b"".join(parts)

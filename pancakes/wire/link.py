@@ -20,13 +20,12 @@ import msgspec
 from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import Assembler, FrameReader
+from pancakes.wire.framing import FrameReader
 from pancakes.wire.messages import (
     Goodbye,
     Hello,
     LinkMessage,
     Peers,
-    Piece,
     Ping,
     Pong,
     Refusal,
@@ -112,13 +111,6 @@ class Received(msgspec.Struct, frozen=True):
     size: int
 
 
-class ReceivedBlob(msgspec.Struct, frozen=True):
-    """A blob is complete."""
-
-    kind: str
-    data: bytes
-
-
 class Learnt(msgspec.Struct, frozen=True):
     """The peer named addresses of agents that it is connected to."""
 
@@ -143,7 +135,7 @@ class Over(msgspec.Struct, frozen=True):
     broken: bool = False
 
 
-Action = Send | Met | Up | Received | Unfit | ReceivedBlob | Learnt | Over
+Action = Send | Met | Up | Received | Unfit | Learnt | Over
 
 
 class Link:
@@ -180,7 +172,6 @@ class Link:
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
         self._runs = RunReader()
-        self._assembler = Assembler()
         self._encoder = Encoder()
 
     def open(self, now_s: float) -> list[Action]:
@@ -387,14 +378,11 @@ class Link:
             return [Up()]
         if self.state is not State.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
-        if isinstance(message, Peers):
-            for address in message.addresses:
-                if fault := fault_of_address(address):
-                    raise RemoteProtocolError(fault)
-            return [Learnt(message.addresses)]
-        assert isinstance(message, Piece)
-        whole = self._assembler.feed(message)
-        return [ReceivedBlob(*whole)] if whole is not None else []
+        assert isinstance(message, Peers)
+        for address in message.addresses:
+            if fault := fault_of_address(address):
+                raise RemoteProtocolError(fault)
+        return [Learnt(message.addresses)]
 
     def _pong(self, token: int, now_s: float) -> None:
         pinged_s = self._unanswered.pop(token, None)

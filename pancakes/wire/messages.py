@@ -115,25 +115,7 @@ class Peers(msgspec.Struct, frozen=True, array_like=True, tag=7):
     addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
 
 
-class Piece(msgspec.Struct, frozen=True, array_like=True, tag=8):
-    """A piece of a blob (a task's snapshot), which is too large for one frame.
-
-    Attributes:
-        blob: number that the sender gave to this blob on this link.
-        kind: what it is, in the sender's words.
-        total: length of the whole blob in bytes.
-        offset: where this piece belongs; the pieces of a blob come in order.
-        data: its bytes.
-    """
-
-    blob: Count
-    kind: Annotated[str, msgspec.Meta(max_length=64)]
-    total: Count
-    offset: Count
-    data: bytes
-
-
-LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers | Piece
+LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers
 
 
 class Identity(msgspec.Struct, frozen=True):

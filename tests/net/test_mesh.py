@@ -371,20 +371,6 @@ def test_what_cannot_be_sent_is_an_error_at_the_publisher(rig, agent):
     assert bodies(b) == [largest]
 
 
-def test_blobs_travel_in_pieces_and_let_packets_pass(rig, agent):
-    a, b = pair(rig, agent)
-    snapshot = bytes(range(256)) * 40_000
-    a.mesh.send_blob("b", "snapshot of a/GoHome", snapshot)
-    a.mesh.send_blob("b", "empty", b"")
-    a.say("b", "by the way", channel="sysctrl")
-    rig.until(lambda: len(b.blobs) == 2 and b.packets)
-    assert b.blobs == [("a", "snapshot of a/GoHome", snapshot), ("a", "empty", b"")]
-    with pytest.raises(LocalProtocolError, match="16777216"):
-        a.mesh.send_blob("b", "snapshot", bytes(16 * 1024 * 1024 + 1))
-    with pytest.raises(PeerLost):
-        a.mesh.send_blob("nobody", "snapshot", b"")
-
-
 def test_a_sleeper_is_not_counted_as_dead(memory_rig):
     a = memory_rig.agent("a")
     b = memory_rig.agent("b", [a.mesh.listen])
@@ -455,11 +441,9 @@ def test_only_mission_packets_are_counted(memory_rig):
     a.mesh.announce()
     memory_rig.timeline.run_until(31.0)
     assert a.mesh.mission_packets_sent() == 5, "a beacon to each"
-    a.mesh.send_blob("b", "snapshot", bytes(140_000))
-    assert a.mesh.mission_packets_sent() == 8, "three pieces"
     c.mesh.stop()
     memory_rig.until(lambda: a.knows("b"))
-    assert a.mesh.mission_packets_sent() == 8, "also over links that have ended"
+    assert a.mesh.mission_packets_sent() == 5, "also over links that have ended"
 
 
 def test_a_beacon_brings_back_what_was_forgotten(memory_rig):

@@ -28,8 +28,11 @@ def make():
     return Outbox("b", counters), counters
 
 
+HEAD = b"head"
+
+
 def put(outbox, channel, data, source="a", counts=True):
-    outbox.put(channel, (source, "type", "b"), Message(data, counts))
+    outbox.put(channel, (source, "type", "b"), Message(data, counts, HEAD))
 
 
 def take(outbox, limit_bytes):
@@ -111,42 +114,29 @@ def test_control_and_migration_go_first():
     assert take_all(outbox) == [b"sysctrl", b"network", b"log", b"chat"]
 
 
-def test_the_other_channels_and_blobs_take_turns():
+def test_the_other_channels_take_turns():
     outbox, _ = make()
     for index in range(3):
         put(outbox, "chat", b"c%d" % index)
         put(outbox, "log", b"l%d" % index)
-    outbox.put_blob(Message(b"b%d" % index, True) for index in range(4))
-    outbox.put_blob(Message(b"B%d" % index, True) for index in range(2))
-    assert take_all(outbox) == [
-        *(b"c0", b"b0", b"l0", b"b1", b"c1", b"b2", b"l1", b"b3"),
-        *(b"c2", b"l2", b"B0", b"B1"),
-    ]
-
-
-def test_only_so_many_blobs_wait():
-    outbox, _ = make()
-    for _ in range(4):
-        outbox.put_blob(iter([Message(b"x", True)]))
-    with pytest.raises(PeerBusy, match="4 snapshots"):
-        outbox.put_blob(iter([]))
+    assert take_all(outbox) == [b"c0", b"l0", b"c1", b"l1", b"c2", b"l2"]
 
 
 def test_a_batch_ends_where_the_limit_is_reached():
     outbox, _ = make()
     for counts in (True, False, True, True):
         put(outbox, "chat", b"12345", counts=counts)
-    assert outbox.take(10) == [Message(b"12345", True), Message(b"12345", False)]
+    assert outbox.take(10) == [Message(b"12345", True, HEAD), Message(b"12345", False, HEAD)]
     assert outbox.waiting() == {"chat": 2}
-    assert outbox.take(1) == [Message(b"12345", True)]
-    assert outbox.take(100) == [Message(b"12345", True)]
+    assert outbox.take(1) == [Message(b"12345", True, HEAD)]
+    assert outbox.take(100) == [Message(b"12345", True, HEAD)]
     assert outbox.take(100) == []
 
 
 def test_two_types_of_one_source_never_overtake_each_other():
     outbox, counters = make()
     for data, kind in [(b"1", "pose"), (b"2", "battery"), (b"3", "pose")]:
-        outbox.put("system", ("a", kind, "b"), Message(data, True))
+        outbox.put("system", ("a", kind, "b"), Message(data, True, HEAD))
     assert take_all(outbox) == [b"2", b"3"]
     assert counters.dropped == {"system": 1}
 
@@ -158,7 +148,7 @@ def test_a_source_that_publishes_all_the_time_does_not_starve():
     for round_ in range(20):
         for source in ("x", "y"):
             for kind in (b"a", b"b"):
-                outbox.put("system", (source, kind.decode(), "b"), Message(source.encode() + kind, True))
+                outbox.put("system", (source, kind.decode(), "b"), Message(source.encode() + kind, True, HEAD))
                 sent += take(outbox, 1) if round_ else []
     counts = {data: sent.count(data) for data in (b"xa", b"xb", b"ya", b"yb")}
     assert min(counts.values()) >= 10, counts
@@ -178,7 +168,7 @@ def test_whatever_waits_leaves_in_the_order_of_its_source(data):
 
     puts = data.draw(st.lists(st.tuples(st.sampled_from("xy"), st.sampled_from("abc"), st.booleans()), max_size=40))
     for seq, (source, kind, takes) in enumerate(puts):
-        outbox.put("system", (source, kind, "b"), Message(f"{source} {kind} {seq}".encode(), True))
+        outbox.put("system", (source, kind, "b"), Message(f"{source} {kind} {seq}".encode(), True, HEAD))
         newest[source, kind] = seq
         if takes:
             take_some()

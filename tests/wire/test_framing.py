@@ -1,4 +1,4 @@
-"""Frames are found however the network cuts the stream, and blobs put together again."""
+"""Frames are found however the network cuts the stream."""
 
 from __future__ import annotations
 
@@ -9,17 +9,11 @@ from hypothesis import strategies as st
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.wire.framing import (
-    MAX_BLOB_BYTES,
     MAX_MESSAGE_BYTES,
-    MAX_OPEN_BLOBS,
     MAX_PAYLOAD_BYTES,
-    PIECE_BYTES,
-    Assembler,
     FrameReader,
     frame,
-    split,
 )
-from pancakes.wire.messages import Piece
 
 
 def messages_in(payloads):
@@ -73,47 +67,3 @@ def test_a_forbidden_length_is_refused_at_its_fourth_byte(length):
 def test_the_longest_frame_is_taken():
     payload = bytes(MAX_PAYLOAD_BYTES)
     assert FrameReader().feed(len(payload).to_bytes(4, "big") + payload) == [payload]
-
-
-@pytest.mark.parametrize("length", [0, 1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES, MAX_BLOB_BYTES])
-def test_a_blob_comes_out_as_it_went_in(length):
-    blob = (bytes(range(251)) * (length // 251 + 1))[:length]
-    assembler = Assembler()
-    *before, last = [assembler.feed(piece) for piece in split(1, "snapshot", blob)]
-    assert set(before) <= {None}
-    assert last == ("snapshot", blob)
-
-
-def test_blobs_may_be_interleaved():
-    assembler, one, two = Assembler(), bytes(100_000), b"x" * 100_000
-    pieces = [piece for both in zip(split(1, "one", one), split(2, "two", two), strict=True) for piece in both]
-    assert [assembler.feed(piece) for piece in pieces] == [None, None, ("one", one), ("two", two)]
-
-
-def test_a_blob_that_is_too_long_is_refused_at_home():
-    with pytest.raises(LocalProtocolError, match="16777217"):
-        split(1, "snapshot", bytes(MAX_BLOB_BYTES + 1))
-    with pytest.raises(LocalProtocolError, match="64 characters"):
-        split(1, "x" * 65, b"")
-
-
-@pytest.mark.parametrize(
-    "pieces",
-    [
-        [Piece(1, "k", MAX_BLOB_BYTES + 1, 0, b"x")],
-        [Piece(1, "k", 10, 5, b"x")],
-        [Piece(1, "k", 10, 0, b"")],
-        [Piece(1, "k", 2, 0, b"xxx")],
-        [Piece(1, "k", PIECE_BYTES * 2, 0, bytes(PIECE_BYTES + 1))],
-        [Piece(1, "k", 10, 0, b"x"), Piece(1, "k", 10, 0, b"x")],
-        [Piece(1, "k", 10, 0, b"x"), Piece(1, "k", 11, 1, b"x")],
-        [Piece(1, "k", 10, 0, b"x"), Piece(1, "j", 10, 1, b"x")],
-        [Piece(number, "k", 10, 0, b"x") for number in range(MAX_OPEN_BLOBS + 1)],
-    ],
-)
-def test_pieces_that_break_a_limit_or_do_not_fit_are_the_peers_fault(pieces):
-    assembler = Assembler()
-    for piece in pieces[:-1]:
-        assert assembler.feed(piece) is None
-    with pytest.raises(RemoteProtocolError):
-        assembler.feed(pieces[-1])

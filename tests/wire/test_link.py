@@ -7,8 +7,8 @@ import pytest
 
 from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import frame, split
-from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, ReceivedBlob, Send, State, Up
+from pancakes.wire.framing import frame
+from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, Send, State, Up
 from pancakes.wire.messages import VERSION, Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
 from pancakes.wire.runs import RowEncoder, head_of, run_of
 
@@ -118,11 +118,7 @@ def test_the_packets_of_a_run_come_together():
     assert up().receive(frame([run(PACKET, *others)]), 1.0) == [received(PACKET, *others)]
 
 
-def test_blobs_come_whole():
-    assert up().receive(wire(*split(1, "snapshot", b"x" * 100_000)), 1.0) == [ReceivedBlob("snapshot", b"x" * 100_000)]
-
-
-@pytest.mark.parametrize("early", [PACKET, Welcome(), Peers(()), next(split(1, "k", b""))])
+@pytest.mark.parametrize("early", [PACKET, Welcome(), Peers(())])
 def test_nothing_may_come_before_the_hello(early):
     link = opened("b")
     over = link.receive(wire(early), 0.0)[-1]
@@ -130,7 +126,7 @@ def test_nothing_may_come_before_the_hello(early):
     assert link.state is State.OVER
 
 
-@pytest.mark.parametrize("early", [PACKET, Peers(()), next(split(1, "k", b"")), hello("a")])
+@pytest.mark.parametrize("early", [PACKET, Peers(()), hello("a")])
 def test_nothing_but_a_welcome_may_follow_the_hello(early):
     link = opened("b")
     over = link.receive(wire(hello("a"), early), 0.0)[-1]
