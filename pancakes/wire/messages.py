@@ -14,7 +14,7 @@ from pancakes import codecs
 from pancakes.errors import LocalProtocolError
 from pancakes.names import fault_of_name
 
-VERSION: Final = 3
+VERSION: Final = 4
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
