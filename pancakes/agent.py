@@ -316,7 +316,8 @@ class Agent:
         return ""
 
     def _stop_for(self, reason: str) -> None:
-        self.fatal = reason
+        self.kernel.stopping = True
+        self.fatal = self.fatal or reason
         self.kernel.log("error", reason)
         self._on_fatal(reason)
 
@@ -324,9 +325,10 @@ class Agent:
         """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
         root = self._root
         if root is not None and root.actor_ref.is_alive():
-            root.call(lambda: root.close(lambda: None))
+            closed = self._closed
+            root.call(lambda: root.close(closed.set))
         self._stop_for(
-            f"{reason}; its tasks were ended, because an agent that is started now knows nothing of them."
+            f"{reason}; its tasks are ended, because an agent that is started now knows nothing of them."
             f" See that no other agent runs them, put the directory back if you can, and start {self.name} again"
         )
 

@@ -102,7 +102,7 @@ def saved_array(value: Any) -> msgspec.msgpack.Ext:
         TypeError: it is no array, or one of anything but numbers and booleans.
     """
     if not is_array(value):
-        raise TypeError(f"it holds a {type(value).__name__}, which cannot be saved")
+        raise TypeError(f"it holds a value of the class {type(value).__name__}, which cannot be saved")
     check_items(value)
     return extension_from_array(value, "an array")
 
@@ -178,7 +178,9 @@ def array_of(kind: Any, value: Any) -> Any:
         given = numpy.array(value) if kinds else numpy.array(value, wanted)
         with numpy.errstate(all="ignore"):  # what does not fit is found below
             made = given.astype(wanted)
-    except (ValueError, OverflowError):
+    except OverflowError:
+        raise ValueError(f"has a number that {wanted} cannot hold") from None
+    except ValueError:
         raise ValueError("expected lists of the same length") from None
     fits = (made == given).all() if wanted.kind in "iu" else (numpy.isfinite(made) == numpy.isfinite(given)).all()
     if not fits:

@@ -206,6 +206,8 @@ class Service(Supervisor):
         if body.dry_run:
             self.reply(request, self.refuse_start(slot))
             return
+        if slot.supervision.due_s is not None and (reason := self.refuse_start(slot)):
+            raise ControlRefused(reason)  # its next try stays due
         answer = self._occupy(slot, request)
 
         def begin() -> None:
@@ -336,7 +338,7 @@ class Service(Supervisor):
         def make() -> None:
             try:
                 told = change(task)
-            except (PancakesError, ValueError) as error:
+            except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
                 reason = str(error)
                 self.call(lambda: told_off(reason))
                 return

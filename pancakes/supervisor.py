@@ -32,6 +32,8 @@ STUCK_AT_THE_END_S = 0.4
 """Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
 
 
+FOLLOW_S = 1.0
+"""How often, in host time, a task is tried again that was refused, for want of a device, say."""
 STARTED_AT_ONCE = 64
 
 
@@ -142,6 +144,7 @@ class Supervisor(Component):
         reason = "its service stops" if self.closing else self.admit(slot)
         reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
         if reason:
+            is_news = slot.reason != reason
             slot.state = TaskState.STOPPED
             slot.reason = reason
             # Its predecessor may have left subscriptions and actuators to it.
@@ -149,7 +152,9 @@ class Supervisor(Component):
             if then is not None:
                 then(reason)
             else:
-                self.log("error", f"{slot.address} was not started: {reason}")
+                if is_news:
+                    self.log("error", f"{slot.address} was not started: {reason}")
+                self.after_host(FOLLOW_S, lambda: self._retry_refused(slot, reason))
             self.settle(slot)
             return
         carried = slot.carried or Carried(slot.spec.settings, {})
@@ -175,6 +180,11 @@ class Supervisor(Component):
             return
         assert isinstance(component, Task)
         slot.task = component
+
+    def _retry_refused(self, slot: Slot, reason: str) -> None:
+        """Tries a task again that was refused: it follows once what it lacked is there."""
+        if slot.state is TaskState.STOPPED and slot.reason == reason and not slot.busy and not self.closing:
+            self.launch(slot)
 
     def halt(
         self,
@@ -332,7 +342,10 @@ class Supervisor(Component):
             settings = settings or make_settings(self.settings_class(slot), carried.settings)
         except SettingsError:  # it cannot start with them, and whoever asks wants to see why
             return dict(carried.settings)
-        return plain_settings(settings)
+        try:
+            return plain_settings(settings)
+        except TypeError as error:  # what its author put there may be anything
+            return {"error": f"the settings of {slot.address} cannot be told: {error}"}
 
     def schema_of_settings(self, slot: Slot) -> dict[str, Any]:
         """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""

@@ -117,6 +117,7 @@ def _refuse(
 ) -> Iterable[bytes]:
     length = environ.get("CONTENT_LENGTH", "")
     if length.isascii() and length.isdigit():
-        environ["wsgi.input"].read(min(int(length), LONGEST_BODY))
+        with contextlib.suppress(OSError):  # its sender may have announced more than ever comes
+            environ["wsgi.input"].read(min(int(length[:9]), LONGEST_BODY))
     respond(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8"), *headers])
     return [f"{sentence}\n".encode()]

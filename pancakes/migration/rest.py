@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pancakes.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 
 
 def rest_of(record: Record) -> str:
     """Returns in a word why a task does not run here; empty where its record does not speak against it."""
     if record.phase in (Phase.COMMITTED, Phase.RELEASED):
         return f"moved → {record.peer}"
+    if record.phase is Phase.ABSENT and record.seen != NO_EPOCH:
+        return f"moved → {record.peer}" if record.peer else "forgotten"
     if record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING:
         return record.wanted.value
     return ""

@@ -239,8 +239,9 @@ class Peers:
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
-        if candidate.address:
-            self._book[candidate.address].refused = ""
+        known_address = self._book.get(candidate.address)
+        if known_address is not None:
+            known_address.refused = ""
         decisions: list[Decision] = []
         if known is not None:
             decisions.append(Turn(known.link, "duplicate", f"{name} chose another link"))

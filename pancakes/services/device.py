@@ -361,8 +361,8 @@ class DeviceService(Service):
         return device.cls.Settings if device is not None else super().settings_class(slot)
 
     def author_of(self, slot: Slot) -> type:
-        device: DeviceSpec = slot.spec.arguments["device"]
-        return device.cls
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls if device is not None else super().author_of(slot)
 
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         device: DeviceSpec | None = slot.spec.arguments.get("device")

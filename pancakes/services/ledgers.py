@@ -91,7 +91,7 @@ class Ledgers:
         def failed(why: str) -> None:
             self._log("warning", f"the account of the move of {ledger.task_id} is not in the journal: {why}")
 
-        self._store.persist(Entry(KIND, key, codecs.encode_small(kept)), lambda: None, failed)
+        self._store.persist(Entry(KIND, key, codecs.encode(kept)), lambda: None, failed)
 
     def plain(self) -> list[dict[str, Any]]:
         """Returns the accounts, oldest first, as plain values: the fields of `Ledger` besides those of `Kept`."""

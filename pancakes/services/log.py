@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from pancakes.services.traces import Tracing
 
 RECORDER = "Recorder"
+ANSWERED_S = 2.5
+"""An asker whose command for the recorder is not done after so long, in host time, is told what it waits for."""
 KEEP = queue(4096)
 """A file or terminal that is slow for a moment loses nothing; one that is stuck loses the oldest."""
 
@@ -172,6 +174,11 @@ class LogService(Service):
         most = self.settings.remembered
         while len(self._newest) > (most if self._newest_bytes <= REMEMBERED_BYTES else 1):
             self._newest_bytes -= self._newest.popleft()[1]
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        if slot.name == RECORDER:
+            why = f"{slot.address} waits for the disk; what was asked for is done as soon as that can write"
+            self.after_host(ANSWERED_S, lambda: self.put_off(request, why))
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, History):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
+import msgspec
 from msgspec.structs import replace
 
 from pancakes.arrays import alike
@@ -94,7 +95,7 @@ class RecordedService(Service):
             if name not in self._residents and hand_off.record.snapshot:
                 try:
                     specs = (*specs, spec_of(Snapshot.decode(hand_off.record.snapshot), self._catalogue))
-                except PancakesError as error:
+                except (PancakesError, msgspec.ValidationError) as error:
                     self.log("error", f"{hand_off.record.task_id} rests in the journal and cannot be started: {error}")
         return specs
 

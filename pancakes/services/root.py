@@ -59,6 +59,8 @@ if TYPE_CHECKING:
 
 WATCH_S = 0.02
 """How often, in host time, a service that failed is looked at until the last of its tasks has ended."""
+ANSWERED_S = 2.5
+"""An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
 NETWORK = "network"
 LOG_SERVICE = "log"
 
@@ -165,8 +167,7 @@ class Root(Component):
         if then is not None:
             place.on_running.append(then)
         spec = place.spec
-        kept, place.kept = place.kept if place.keep_state else None, {}
-        place.keep_state = True
+        kept = place.kept if place.keep_state else None
         try:
             service = self.kernel.spawn(
                 spec.cls,
@@ -181,6 +182,8 @@ class Root(Component):
         except Exception as error:  # what a service's author wrote in __init__ may raise anything
             self._service_failed(place, error, hopeless=isinstance(error, SettingsError))
             return
+        # Not before: the next try begins with the same where its constructor fails.
+        place.kept, place.keep_state = {}, True
         assert isinstance(service, Service)
         place.service = service
 
@@ -284,7 +287,7 @@ class Root(Component):
             then_again = "" if due_s is None else f", and tried again {supervision.when(now_s)}"
             self.log("error", f"{place.address} is given up{then_again}: {text}", traceback)
             if place.spec.name == LOG_SERVICE:
-                # Nobody is left who would show that to whoever sits at the terminal.
+                # The console is a task of this service, so it is said here.
                 line = f"{place.address} is given up, so nothing is shown of what is logged: {text}"
                 print(printable_line(line), file=sys.stderr)
         self._tell_running(place, f"{place.address} failed: {text}")
@@ -434,6 +437,7 @@ class Root(Component):
 
     def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
         if isinstance(body, (Start, Stop, Restart)):
+            self.after_host(ANSWERED_S, lambda: self._tell_what_waits(place, request))
             if place.busy or place.commands:
                 # One after the other, so that the last of several that contradict each other is the one that holds.
                 place.commands.append(
@@ -447,6 +451,11 @@ class Root(Component):
             self._hand(place.spec.name, "", body, request)
         else:
             self.reply(request, result=[])
+
+    def _tell_what_waits(self, place: ServicePlace, request: Request) -> None:
+        """Tells the asker of a command that takes long why it does, before the asker stops waiting."""
+        why = f"{place.address} is {place.state.value}: that waits for a task that is busy, or for the journal"
+        self._answers.put_off(request, f"{why}. What was asked for is done after that")
 
     def _change_service(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
         name = place.spec.name

@@ -110,4 +110,4 @@ def sentence_of(left_out: LeftOut) -> str:
     """Returns what stands in place of the lines that were left out."""
     lines = "1 more line" if left_out.lines == 1 else f"{left_out.lines:,} more lines"
     were = "was" if left_out.lines == 1 else "were"
-    return f"{lines} in the last {max(left_out.in_s, 0.1):.1g} s {were} left out"
+    return f"{lines} in the last {max(left_out.in_s, 0.1):.2g} s {were} left out"

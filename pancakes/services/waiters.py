@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 ANSWERED_S: Final = 1.5
 """Who asked for something that waits for the journal is told so after this time, in host time."""
+LOOK_AGAIN_S: Final = 0.25
+"""What the journal has begun to write meanwhile may fail a moment later."""
 
 
 class Waiters:
@@ -41,7 +43,7 @@ class Waiters:
         hand_off = service.hand_off(task_id)
         trouble = "" if hand_off.settled else hand_off.trouble or self._records.trouble(task_id)
         if not trouble:
-            self.look_after(task_id, request)
+            self._service.after_host(LOOK_AGAIN_S, lambda: self._look(task_id, request))
             return
         slot = service.slots.get(task_id.name)
         what = f"{slot.address} is {slot.state.value}" if slot is not None else str(task_id)

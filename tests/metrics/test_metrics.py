@@ -205,3 +205,14 @@ def test_connections_that_ask_for_nothing_are_told_that_it_is_full_and_end(agent
             assert stranger.recv(1000) == b"", "a request that does not come is not waited for"
     assert asked(agent, "GET", "localhost")[0] == 200
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_length_of_thousands_of_digits_is_a_refusal_and_no_traceback(agent, capfd):
+    connection = http.client.HTTPConnection("127.0.0.1", port(agent), timeout=20)
+    connection.putrequest("POST", "/metrics")
+    connection.putheader("Content-Length", "9" * 5000)
+    connection.endheaders()
+    connection.sock.shutdown(socket.SHUT_WR)
+    assert connection.getresponse().status == 405
+    connection.close()
+    assert "Traceback" not in capfd.readouterr().err

@@ -1,6 +1,6 @@
 """What failed is tried again after a growing pause: tasks, devices and services, and what a person asks meanwhile."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -9,7 +9,7 @@ from pancakes.control import Configure, Describe, Restart, Start, Stop
 from pancakes.devices.driver import Sensor
 from pancakes.devices.types import Load
 from pancakes.service import Service
-from pancakes.task import Task, TaskSpec
+from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest, threaded_agent
 
 
@@ -344,3 +344,127 @@ def test_the_same_on_threads(path):
         path.write_text("")
         agent.wait_for(Load)
         agent.wait_for_event("task_started", task="Reader")
+
+
+# What is asked meanwhile, and what waits for something else -----------------------------------------------------
+
+
+class Clumsy(Task):
+    """Needs the gauge, and fails in its first starts."""
+
+    requires = ("load",)
+    starts = 0
+
+    def on_start(self):
+        Clumsy.starts += 1
+        if Clumsy.starts < 5:
+            raise RuntimeError("not yet")
+
+
+def test_a_start_that_is_refused_leaves_the_next_try_as_it_is(fleet, tmp_path):
+    Clumsy.starts = 0
+    path = tmp_path / "gauge"
+    path.touch()
+    devices = {"gauge": {"type": Gauge, "settings": {"path": str(path)}}}
+    agent = fleet.start("a", tasks={"Clumsy": Clumsy}, devices=devices)
+    assert agent.ask(Stop("device")).ok
+
+    reply = agent.ask(Start("Clumsy"))
+
+    assert not reply.ok and "lacks the device types load" in reply.reason
+    assert agent.ask(Describe("Clumsy")).result["next_try_s"] is not None
+    assert agent.ask(Start("device")).ok
+    assert fleet.run_until(lambda: agent.ask(Describe("Clumsy")).result["state"] == "running")
+
+
+def test_a_task_of_any_service_follows_the_device_that_it_lacked(fleet, tmp_path):
+    path = tmp_path / "gauge"
+    agent = fleet.start(
+        "a",
+        services={"plain": Plain},
+        tasks={"Reader": {"type": Reader, "service": "plain"}},
+        devices={"gauge": {"type": Gauge, "settings": {"path": str(path)}}},
+    )
+    fleet.run_for(1.0)
+    assert agent.ask(Describe("Reader")).result["state"] == "stopped"
+    path.touch()
+    assert fleet.run_until(lambda: agent.ask(Describe("Reader")).result["state"] == "running")
+    assert len([line for line in agent.lines("error") if "Reader" in line]) == 1, "it is told once"
+
+
+class Tally(Task):
+    """Counts."""
+
+    @dataclass
+    class State:
+        count: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        """Counts one more."""
+        self.state.count += 1
+
+
+class Slippery(Service):
+    """Fails in its constructor as often as it is told."""
+
+    failures = 0
+
+    def __init__(self, *args, **others):
+        super().__init__(*args, **others)
+        if Slippery.failures:
+            Slippery.failures -= 1
+            raise RuntimeError("not yet")
+
+
+@pytest.mark.parametrize("keep_state", [True, False])
+def test_what_the_tasks_of_a_service_carried_outlives_a_constructor_that_fails(fleet, keep_state):
+    tasks = {"Tally": {"type": Tally, "service": "own"}}
+    agent = fleet.start("a", services={"own": Slippery}, tasks=tasks)
+    fleet.run_for(5.0)
+    Slippery.failures = 2
+    agent.ask(Restart("own", keep_state=keep_state))
+    fleet.run_for(2.0)
+    count = agent.ask(Describe("Tally", state=True)).result["state"]["count"]
+    assert (count > 50) is keep_state
+
+
+class Hoarder(Task):
+    """Puts into its settings what cannot be saved."""
+
+    @dataclass
+    class Settings:
+        things: list[int] = field(default_factory=list)
+
+    def on_start(self):
+        self.settings.things.append(object())
+
+
+def test_settings_that_cannot_be_told_end_neither_the_task_nor_its_service(fleet):
+    agent = fleet.start("a", tasks={"Hoarder": Hoarder})
+    described = agent.ask(Describe("Hoarder"))
+    assert described.ok and "cannot be told" in described.result["settings"]["error"]
+    assert "cannot be saved" in agent.ask(Configure("Hoarder", {"things": [1]})).reason
+    assert agent.ask(Describe("Hoarder")).result["incarnation"] == 1
+
+
+class Raises(Task):
+    """Fails in each tick."""
+
+    @every(hz=10)
+    def tick(self, tick):
+        """Fails."""
+        raise RuntimeError("boom")
+
+
+def test_a_task_of_the_device_service_that_fails_ends_no_device(fleet, tmp_path):
+    path = tmp_path / "gauge"
+    path.touch()
+    agent = fleet.start(
+        "a",
+        tasks={"Raises": {"type": Raises, "service": "device"}},
+        devices={"gauge": {"type": Gauge, "settings": {"path": str(path)}}},
+    )
+    fleet.run_for(2.0)
+    assert agent.ask(Describe("gauge")).result["incarnation"] == 1
+    assert agent.ask(Describe("Raises")).result["failures"] > 1
