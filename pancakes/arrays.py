@@ -33,22 +33,27 @@ class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=
     raw: bytes
 
 
+def _of_numpy(name: str) -> Any:
+    """Returns a class of numpy; an empty tuple where there can be no instance of it yet, as nothing has imported numpy.
+
+    While another thread imports numpy for the first time, the module is there and has no classes.
+    """
+    return getattr(sys.modules.get("numpy"), name, ())
+
+
 def is_array(value: Any) -> bool:
     """Returns whether a value is a numpy array."""
-    numpy = sys.modules.get("numpy")  # an array can only be there if numpy is
-    return numpy is not None and isinstance(value, numpy.ndarray)
+    return isinstance(value, _of_numpy("ndarray"))
 
 
 def is_number(value: Any) -> bool:
     """Returns whether a value is one of numpy's own numbers or booleans, such as what `array.sum()` returns."""
-    numpy = sys.modules.get("numpy")
-    return numpy is not None and isinstance(value, numpy.generic) and value.dtype.kind in "biuf"
+    return isinstance(value, _of_numpy("generic")) and value.dtype.kind in "biuf"
 
 
 def is_number_type(kind: type) -> bool:
     """Returns whether a type is that of one of numpy's own numbers, such as `numpy.float64`."""
-    numpy = sys.modules.get("numpy")
-    return numpy is not None and issubclass(kind, numpy.generic)
+    return issubclass(kind, _of_numpy("generic"))
 
 
 # As bytes ------------------------------------------------------------------------------------------------------
@@ -122,8 +127,8 @@ def check_items(array: Any) -> None:
 
 def is_array_type(kind: Any) -> bool:
     """Returns whether a field's type is `numpy.ndarray`, with or without the type of its items."""
-    numpy = sys.modules.get("numpy")
-    return numpy is not None and (kind is numpy.ndarray or get_origin(kind) is numpy.ndarray)
+    array = _of_numpy("ndarray")
+    return array != () and (kind is array or get_origin(kind) is array)
 
 
 def fault_of_array_type(kind: Any) -> str:

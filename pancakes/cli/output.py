@@ -69,7 +69,7 @@ def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[st
             continue
         table: Table | Text
         if isinstance(content, str):
-            table = Text("\n".join(f"  {line}" for line in content.splitlines()))
+            table = Text("\n".join(printable(f"  {line}") for line in content.splitlines()))
         elif isinstance(content, Mapping):
             table = Table.grid(padding=(0, 2), pad_edge=False)
             for name, value in content.items():

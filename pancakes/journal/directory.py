@@ -36,9 +36,10 @@ class StateDirectory:
         self._absolute = path.absolute()  # the working directory may be changed by what runs here
         self.remarks: tuple[str, ...] = ()
         if path.is_symlink():
-            self.remarks = (f"the state directory {path} is a symbolic link: what lies in {path.resolve()} is used",)
-            if not path.exists():
-                raise JournalError(f"the state directory {path} is a symbolic link to {path.resolve()}: make that")
+            real = os.path.realpath(path)
+            self.remarks = (f"the state directory {path} is a symbolic link: what lies in {real} is used",)
+            if not os.path.exists(path):
+                raise JournalError(f"the state directory {path} is a symbolic link to {real}: make that a directory")
         _make(path)
         self.handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         fault = fault_of(path, os.fstat(self.handle))

@@ -144,4 +144,4 @@ def _decline(record: Record) -> Decline:
         case _:
             if peer:
                 return Decline(f"{task_id} is not here, {peer} had it last", peer)
-            return Decline(f"{task_id} is not here")
+            return Decline(f"{task_id} is not here: it was forgotten; `pancakes task adopt` runs it here all the same")

@@ -79,7 +79,14 @@ class Decisions:
             )
         if not body.force:
             raise ControlRefused(lost.meaning(service.agent))
-        self._run_here(task_id, RunHere(snapshot, lost.seen.n, lost.jump), "", "it runs nowhere", body.dry_run, request)
+        self._run_here(
+            task_id,
+            RunHere(snapshot, lost.seen.n, lost.jump),
+            "",
+            f"{request.by} says that it runs nowhere else",
+            body.dry_run,
+            request,
+        )
 
     def _run_here(self, task_id: TaskId, event: RunHere, peer: str, why: str, dry_run: bool, request: Request) -> None:
         service = self._service

@@ -5,7 +5,7 @@ import json
 import pytest
 from rich.console import Console
 
-from pancakes.cli.output import _table, show, show_json
+from pancakes.cli.output import _table, show, show_json, show_sections
 
 
 def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
@@ -42,3 +42,10 @@ def test_nothing_is_cut_off_in_a_narrow_terminal():
 def test_what_is_in_a_list_keeps_its_brackets(capsys: pytest.CaptureFixture[str], value: object, text: str):
     show([{"value": value}], ["value"], "table")
     assert capsys.readouterr().out.splitlines()[-2].strip() == text
+
+
+def test_a_section_of_text_is_shown_with_its_control_characters_escaped(capsys):
+    show_sections({"last failure": "RuntimeError: bang \x1b]0;owned\x07\nand more"})
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown.replace("\x1b[1m", "").replace("\x1b[0m", "") and "\x07" not in shown
+    assert "bang \\x1b]0;owned\\x07" in shown

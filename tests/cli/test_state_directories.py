@@ -64,7 +64,7 @@ def test_an_agent_whose_state_directory_goes_away_ends_its_tasks_and_itself(rig:
     assert agent.ended() == 1
     last = agent.said[-1]
     assert last.startswith("a cannot run: the ") and f"the state directory {state} was re" in last
-    assert "while the agent ran; its tasks were ended" in last
+    assert "while the agent ran; its tasks are ended" in last
     assert "Traceback" not in agent.everything()
 
 

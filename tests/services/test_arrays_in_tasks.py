@@ -1,5 +1,7 @@
 """numpy arrays in the settings and state of tasks: they keep their dtype and shape wherever a task goes."""
 
+import sys
+import types
 from dataclasses import dataclass, field
 
 import msgspec
@@ -8,6 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
+from pancakes.arrays import is_array, is_array_type, is_number, is_number_type
 from pancakes.config import parse
 from pancakes.config.effective import effective
 from pancakes.control import Configure, Describe, Migrate, Restart, Start, Stop
@@ -211,3 +214,9 @@ def test_an_array_of_objects_in_a_state_is_named_and_the_task_ends_all_the_same(
     fleet.run_for(2.5)
     assert agent.ask(Stop("client/Map")).ok
     assert any("an array of object" in line for line in agent.lines("error"))
+
+
+def test_while_numpy_is_imported_for_the_first_time_no_value_is_an_array(monkeypatch):
+    """Another thread imports it; its module is there, and empty."""
+    monkeypatch.setitem(sys.modules, "numpy", types.ModuleType("numpy"))
+    assert not is_array(1.0) and not is_number(1.0) and not is_number_type(float) and not is_array_type(float)

@@ -87,7 +87,7 @@ def test_forgotten_it_stays_where_it_is_and_may_come_back(fleet, name):
         a = fleet.restart("a")
         fleet.run_for(1.0)
         assert copies(fleet) == ["b"] and a.lines("error") == []
-    assert a.ask(Start("Count")).reason == "a/Count is not here"
+    assert a.ask(Start("Count")).reason.startswith("a/Count is not here: it was forgotten")
     assert a.ask(Forget("Count")).reason.startswith("there is nothing to forget")
 
     assert fleet.agents["b"].ask(Migrate("Count")).ok
