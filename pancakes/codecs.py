@@ -4,7 +4,7 @@ Two faults of msgspec (0.22) end a process without a word, and this module is wh
 
 * msgspec stores what it knows of a class with that class, and does so before it is complete. A thread that decodes the
   class meanwhile follows pointers that are not set. So one thread at a time builds, and nothing is decoded before.
-  Part of it is msgspec's issue 744 (types are to be parsed safely in several threads); nobody has reported the crash.
+  Part of it is msgspec's issue 744 (types are to be parsed safely in several threads); the crash is not reported.
 * Where there is no memory for the growing output of `Encoder.encode`, msgspec frees it twice; `encode_into` raises
   MemoryError. And its JSON decoder does not look whether it got memory for a text. No issue of msgspec tells of these.
 

@@ -35,7 +35,7 @@ class LogLine(msgspec.Struct, frozen=True):
     Attributes:
         level: one of `LEVELS`.
         text: the line.
-        traceback: where it tells of a failure, the traceback of that, for whoever asks for it; else empty.
+        traceback: where it tells of a failure, the traceback of that; else empty.
     """
 
     level: str

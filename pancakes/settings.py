@@ -6,7 +6,7 @@ mistakes at once, each with its key.
 
 A `msgspec.Struct` does as well as a dataclass, and is made in a tenth of the time, when its module is imported.
 
-In plain values a numpy array is an array, a copy that nobody changes; a list does as well where it is read.
+In plain values a numpy array is an array, a read-only copy; a list does as well where it is read.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from pancakes.errors import describe
 from pancakes.loopback import names_loopback
 
 HOST: Final = "127.0.0.1"
-"""Metrics tell much about an agent and ask nobody who he is: they are served to this machine only."""
+"""Metrics tell much about an agent, and any program may ask for them: they are served to this machine only."""
 REQUEST_S: Final = 5.0
 """So long a request may take to come, in host time; then its connection is closed."""
 MOST_REQUESTS: Final = 16

@@ -103,7 +103,7 @@ class Decisions:
             record = service.hand_off(task_id).record
             owned = record.phase is Phase.OWNER
             if owned:
-                # Whoever asked for the move that was in doubt has waited for this.
+                # The asker of the move that was in doubt has waited for this.
                 service.tell_migrator(lambda migrator: migrator.abandon(service, task_id, reason, ledger))
                 service.event("task_adopted", task=task_id.name, peer=peer, epoch=record.epoch.n)
             if owned and why_not:

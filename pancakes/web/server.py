@@ -37,7 +37,7 @@ SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
 """So many pages may be open."""
 KEPT_PAGES: Final = 8
-"""So many more for those that show the token: whoever was given it gets in."""
+"""So many more for pages that show the token: a person who was given it gets in."""
 MOST_ASIDE: Final = 32
 """So many may be about to show it; one more takes the place of the first."""
 TOKEN_S: Final = 2.0

@@ -179,3 +179,10 @@ def test_a_lock_that_was_removed_is_noticed(tmp_path: Path) -> None:
     (tmp_path / "lock").unlink()
     with pytest.raises(JournalLost, match="was removed while the agent ran"):
         journal.check()
+
+
+def test_a_link_that_leads_to_itself_is_a_sentence(tmp_path):
+    link = tmp_path / "state"
+    link.symlink_to(link)
+    with pytest.raises(JournalError, match="is a symbolic link to"):
+        FileJournal(link)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pancakes.control import Describe, Migrate, Start, Stop
+from pancakes.migration.record import Epoch, Record, TaskId
+from pancakes.migration.rest import rest_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
@@ -93,3 +95,8 @@ def test_a_task_that_came_home_runs_and_says_nothing(fleet):
 
     assert said(a) == []
     assert rest(a, "Walk") == ("running", "")
+
+
+def test_a_task_that_was_forgotten_says_so():
+    assert rest_of(Record(TaskId("a", "Count"), seen=Epoch(3, "a"))) == "forgotten"
+    assert rest_of(Record(TaskId("a", "Count"))) == "", "one that was never here may be born"
