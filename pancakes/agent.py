@@ -23,6 +23,7 @@ from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, T
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.tell import tell
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
@@ -31,7 +32,7 @@ from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
-from pancakes.service import Service, ServiceSpec
+from pancakes.service import Close, Service, ServiceSpec
 from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.durable import DurableService
@@ -245,8 +246,7 @@ class Agent:
                 self._close_next(services)
 
         service.exited = lambda component, error: go_on()
-        service.call(lambda: service.close(lambda: None))
-        if service.actor_stopped.is_set():  # it ended before it could be told
+        if not tell(service, Close()):  # it ended before it could be told
             go_on()
 
     def _become_ready(self) -> None:

@@ -8,7 +8,7 @@ from pancakes.control import Reply
 from pancakes.errors import PancakesError
 from pancakes.kernel.component import Component
 from pancakes.packet import SYSCTRL, Cause
-from pancakes.slot import Request
+from pancakes.request import Request
 
 
 class Answers:

@@ -352,9 +352,11 @@ class Command(msgspec.Struct, frozen=True):
         request: source and number of the packet that asked.
         task: the name of the task that it is about; empty where it is about the service.
         body: the control packet's body; None: the service is to end, now that it has begun all it was asked before.
+        for_s: where it is to end: after how many seconds of mission time it starts again; None: it does not by itself.
     """
 
     number: int
     request: Cause
     task: str
     body: Any = msgspec.field(default=None)
+    for_s: float | None = None

@@ -1,35 +1,49 @@
-"""Services: they look after tasks, and do what control packets ask of them (paper §3.3, §3.4)."""
+"""Services: they start, watch and stop tasks, and do what control packets ask of them (paper §3.3, §3.4)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import islice
+from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes.answers import Answers
-from pancakes.control import (
-    Adopt,
-    Command,
-    Configure,
-    Describe,
-    Forget,
-    Migrate,
-    Reschedule,
-    Restart,
-    Start,
-    Stop,
-)
-from pancakes.errors import ControlRefused, PancakesError, describe
+from pancakes.changes import Changed
+from pancakes.commands import COMMANDS
+from pancakes.control import Command, Describe, Hold, Reschedule
+from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
+from pancakes.keeper import Keeper
+from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
-from pancakes.packet import SYSCTRL, Packet
-from pancakes.settings import change_plain, change_settings
-from pancakes.slot import Request, Slot, TaskState
-from pancakes.supervision import RestartSpec
-from pancakes.supervisor import Supervisor
-from pancakes.task import Task, TaskSpec
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.tell import tell
+from pancakes.life.effect import Answer, Tell
+from pancakes.life.event import Admitted, Began, Finished, Overdue, Refused, StartAsked, StopAsked, Written
+from pancakes.life.life import Life, State
+from pancakes.life.restart import Restarts, RestartSpec
+from pancakes.packet import CTRL, SYSCTRL, Packet, join
+from pancakes.request import Request
+from pancakes.saved_types import check_saved
+from pancakes.settings import SettingsError, make_settings
+from pancakes.slot import Failure, Slot
+from pancakes.task import Carried, Nothing, Task, TaskBegan, TaskEnded, TaskSpec
+from pancakes.task_description import describe_in_detail, describe_task
+from pancakes.task_news import tell_of_task
+
+STUCK_S: Final = 2.0
+"""A task that has not ended so long after it was asked to, in host time, is stuck."""
+STUCK_AT_THE_END_S: Final = 0.4
+"""Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
+STARTED_AT_ONCE: Final = 64
+WAITING: Final = reliable(1024)
+"""So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
+more is refused, and told so: none may be lost without a word."""
+CLOSES: Final = "its service stops"
 
 
 class ServiceSpec(msgspec.Struct, frozen=True):
@@ -52,46 +66,496 @@ class ServiceSpec(msgspec.Struct, frozen=True):
     arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
-WAITING: Final = reliable(1024)
-"""So many control packets of each type wait where they come in faster than they can be carried out. Whoever sends one
-more is refused, and told so: none may be lost without a word."""
+class Close(msgspec.Struct, frozen=True):
+    """The root tells a service to stop its tasks and to end.
+
+    Attributes:
+        for_s: after so many seconds of mission time the root starts it again; None: it does not by itself.
+    """
+
+    for_s: float | None = None
 
 
-class Service(Supervisor):
+class ServiceReady(msgspec.Struct, frozen=True):
+    """A service tells the root that all tasks that start with it run, or do not.
+
+    Attributes:
+        service: the service's actor.
+    """
+
+    service: Service
+
+
+class ServiceEnded(msgspec.Struct, frozen=True):
+    """A service tells the root that it has ended.
+
+    Attributes:
+        service: the service's actor.
+        error: why, where it failed; None: it was told to end.
+        kept: what its tasks carried last, by their names, for its next start.
+        unheard: the requests that it has not answered.
+    """
+
+    service: Service
+    error: BaseException | None
+    kept: Mapping[str, Carried]
+    unheard: tuple[Request, ...]
+
+
+def _stays(component: Component, error: BaseException | None) -> None:
+    """The subscriptions of a task stay where it ends: its service knows whether a successor reads what comes."""
+
+
+class Service(Component):
     """The base of all services.
 
     A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point
-    group `pancakes.services`. Control packets reach it as commands, one at a time and numbered.
+    group `pancakes.services`. Control packets reach it as commands, one at a time and numbered. Each of its tasks has
+    a life (`pancakes.life`), which this actor feeds with events and whose effects it carries out.
+
+    Args:
+        kernel: the kernel.
+        address: `agent/service`.
+        mailbox: its mailbox; None: one of its own.
+        settings: its settings, as plain values.
+        tasks: the tasks of the configuration.
+        owner: hears when it is ready, and when it has ended; None: nothing does.
+        kept: what its tasks carried when it was stopped, by their names; None: all begin as configured.
 
     Attributes:
+        settings: an instance of the class's `Settings`.
+        slots: its tasks, by name.
+        closing: whether it ends, and starts nothing any more.
         only_name: the one name that it can have in a configuration, for a service that an agent can have only once;
             empty: it may be there several times, under any names.
+        keeps_changes: whether `changed` wants to know what a task carries after a change.
+        started_at_once: so many of its tasks it starts in one turn.
     """
 
+    Settings: ClassVar[type] = Nothing
     only_name: ClassVar[str] = ""
+    keeps_changes: ClassVar[bool] = False
+    started_at_once: ClassVar[int] = STARTED_AT_ONCE
 
-    def __init__(self, *args: Any, **others: Any) -> None:
-        super().__init__(*args, **others)
+    settings: Any
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        super().__init_subclass__(**others)
+        check_saved(cls, "Settings")
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        settings: Mapping[str, Any] | None = None,
+        tasks: Sequence[TaskSpec] = (),
+        owner: Component | None = None,
+        kept: Mapping[str, Carried] | None = MappingProxyType({}),
+    ) -> None:
+        super().__init__(kernel, address, mailbox)
+        self.settings = make_settings(self.Settings, settings or {}, owner=self.name)
+        self.slots: dict[str, Slot] = {}
+        self.closing = False
+        self._configured = tuple(tasks)
+        self._owner = owner
+        self._kept = kept
+        self._keeper: Keeper[Slot] = Keeper(self, self)
         self._answers = Answers(self)
         self._newest_command = 0
+        self._unsettled: set[str] = set()  # tasks that start with it, until that is decided
+        self._unstarted: set[str] = set()  # those of them whose turn to start has not come
+        self._told_ready = False
+        self._to_close: list[Slot] = []
+        self._closes: Slot | None = None
+
+    # For subclasses --------------------------------------------------------------------------------------------
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        """Returns the tasks that the service brings itself; called once, before they start."""
+        return ()
+
+    def specs(self) -> Sequence[TaskSpec]:
+        """Returns all tasks that have a place from the start on; called once."""
+        return (*self.own_tasks(), *self._configured)
+
+    def admit(self, slot: Slot) -> str:
+        """Says why a task must not be started now; empty: it may."""
+        lacking = self.kernel.registry.lacking(slot.spec.cls.requires)
+        if lacking:
+            return f"{self.agent} lacks the device types {', '.join(lacking)}, which {slot.name} requires"
+        return ""
+
+    def refuse_start(self, slot: Slot) -> str:
+        """Says why a start of a task would fail now, as far as that is known beforehand; empty: for no reason."""
+        reason = self.admit(slot)
+        registry = self.kernel.registry
+        for device in registry.devices():
+            if not reason and device.actuator and device.type in slot.spec.cls.requires:
+                reason = registry.taken(device.name, slot.address)
+        return reason
+
+    def refuse_stop(self) -> str:
+        """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
+        return ""
+
+    def has(self, name: str) -> bool:
+        """Returns whether the service has a task of this name, at rest or not. Any thread."""
+        return name in self.slots
+
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        """Returns what a task's class wants besides what every task gets."""
+        return slot.spec.arguments
+
+    def author_of(self, slot: Slot) -> type:
+        """Returns the class of which a task's author would say that it is theirs; see `Component._author_class`."""
+        return slot.spec.cls
+
+    def settings_class(self, slot: Slot) -> type:
+        """Returns the dataclass of a task's settings."""
+        return slot.spec.cls.Settings
+
+    def carried_of(self, slot: Slot) -> Carried:
+        """Returns what a task that does not run would begin with."""
+        return slot.carried or Carried(slot.spec.settings, {})
+
+    def drop_state(self, slot: Slot) -> None:
+        """Forgets what a task carried: it begins as the configuration says."""
+        slot.carried = None
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        """Returns what is to be known about a task, as plain values."""
+        return describe_task(self.kernel, self.address, slot)
+
+    def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
+        """Returns all that is to be known about a task, its settings among it, as plain values."""
+        described = describe_in_detail(self.kernel, slot, self.settings_class(slot), self.carried_of(slot))
+        return {**self.describe_task(slot), **described}
+
+    def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
+        """Gives a task that has not started yet what it carried before the service was stopped.
+
+        Args:
+            slot: the task's place.
+            kept: what `keep` returned; None: all tasks are to begin as their configuration says.
+        """
+        if kept is not None:
+            slot.carried = kept.get(slot.name)
+
+    def keep(self) -> Mapping[str, Carried]:
+        """Returns what its tasks carried last, by their names, for the next start of the service. Once it has ended."""
+        return {name: slot.carried for name, slot in self.slots.items() if slot.carried is not None}
+
+    def wants(self, slot: Slot) -> bool:
+        """Returns whether a task is to be started with the service."""
+        return slot.spec.start
+
+    def start_configured(self, slot: Slot) -> None:
+        """Starts a task that is to be started with the service."""
+        self.feed(slot, StartAsked())
+
+    def task_running(self, slot: Slot) -> None:
+        """A task has come to run."""
+
+    def changed(self, slot: Slot, carried: Carried) -> None:
+        """A running task was changed; `carried` is what it carries now."""
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        """A command begins to start or stop a task, or waits behind one that does."""
+
+    def settle_all(self) -> None:
+        """All tasks have ended; calls `end_at_last`, once, when nothing is under way that must be finished."""
+        self.end_at_last()
+
+    # Its own life ----------------------------------------------------------------------------------------------
+
+    def after_start(self) -> None:
+        for spec in self.specs():
+            slot = self.open_slot(spec)
+            self.take_up(slot, self._kept)
+            if self.wants(slot):
+                self._unsettled.add(slot.name)
+        self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
+        self._unstarted |= self._unsettled
+        self._start_some(iter([slot for slot in self.slots.values() if slot.name in self._unsettled]))
+        if not self._unsettled and not self._told_ready:
+            self._tell_ready()
+
+    def open_slot(self, spec: TaskSpec) -> Slot:
+        """Makes the place for a task, without starting it.
+
+        Raises:
+            ControlRefused: the service has a task of this name.
+        """
+        if spec.name in self.slots:
+            raise ControlRefused(f"{self.address} already has a task {spec.name}")
+        address = join(self.agent, self.name, spec.name)
+        slot = self.slots[spec.name] = Slot(spec, address, Life(address, Restarts(spec.restart)))
+        return slot
+
+    def _start_some(self, wanted: Iterator[Slot]) -> None:
+        """Starts the next few of many tasks; the others follow in turns of their own.
+
+        In one turn ten thousand would hold a thread of the pool for half a second, and fight with those that run
+        already for the interpreter. What is asked of a task meanwhile waits.
+        """
+        some = list(islice(wanted, self.started_at_once))
+        for slot in some:
+            self._unstarted.discard(slot.name)
+            if self.closing:
+                continue
+            self.start_configured(slot)
+            if slot.commands:
+                self.call(partial(self._next_command, slot))
+        if len(some) == self.started_at_once:
+            self.call(lambda: self._start_some(wanted))
+
+    def _tell_ready(self) -> None:
+        self._told_ready = True
+        if self._owner is not None:
+            tell(self._owner, ServiceReady(self))
+
+    def close(self, for_s: float | None = None) -> None:
+        """Stops all tasks, last first, then the service itself.
+
+        Args:
+            for_s: after how many seconds of mission time it will be started again; None: it will not by itself.
+        """
+        self.closing = True
+        self._to_close = [slot for slot in self.slots.values() if slot.life.state not in (State.STOPPED, State.REFUSED)]
+        self._close_next()
+
+    def _close_next(self) -> None:
+        while self._to_close:
+            slot = self._to_close.pop()
+            if slot.life.at_rest:
+                self.let_go(slot)
+                continue
+            self._closes = slot
+            self.after_host(
+                STUCK_AT_THE_END_S if self.kernel.stopping else STUCK_S, partial(self._give_up_closing, slot)
+            )
+            self.feed(slot, StopAsked(reason=CLOSES))
+            return
+        self._closes = None
+        self.settle_all()
+
+    def _give_up_closing(self, slot: Slot) -> None:
+        """One task that does not end must not keep the others from ending."""
+        if self._closes is not slot:
+            return
+        if slot.task is not None:
+            self.feed(slot, Overdue(slot.life.incarnation))
+        self._close_next()
+
+    def end_at_last(self) -> None:
+        """Ends this actor, now that all of its tasks have ended."""
+        self._refuse_all(f"{self.address} was stopped before it came to that")
+        self.stop()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        # As OTP does: the tasks of a service that failed end with it, and begin anew with its successor.
+        for slot in self.slots.values():
+            if slot.task is not None:
+                slot.task.stop()
+        self._refuse_all(f"{self.address} failed before it had done that: {describe(exception_value, type(self))}")
+
+    def end_actor(self, error: BaseException | None) -> None:
+        super().end_actor(error)
+        if self._owner is None:
+            return
+        kept: Mapping[str, Carried] = {}
+        if error is None:
+            try:
+                kept = self.keep()
+            except Exception as failure:  # what a service's author wrote may raise anything
+                self.kernel.log("error", f"what the tasks of {self.address} carried is lost: {describe(failure)}")
+        tell(self._owner, ServiceEnded(self, error, kept, self._unheard()))
+
+    def _unheard(self) -> tuple[Request, ...]:
+        """Returns the commands that it has not answered, and forgets them."""
+        queue = self.actor_inbox.queues.get(SYSCTRL)
+        left = self._answers.forget_all()
+        while queue is not None and (packet := queue.pop()) is not None:
+            command = packet.body
+            # The one that it failed on lies here again.
+            if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:
+                left.append(_request(command))
+        return tuple(left)
+
+    def _refuse_all(self, reason: str) -> None:
+        """Tells the senders of all requests that wait that they are not done, as the service ends."""
+        for slot in self.slots.values():
+            slot.commands = ()
+        self._answers.refuse_all(reason)
+
+    # What its tasks' actors tell -------------------------------------------------------------------------------
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case TaskBegan():
+                slot = self.slots.get(message.task.name)
+                if slot is not None and slot.task is message.task:
+                    self.feed(slot, Began())
+            case TaskEnded():
+                self._task_ended(message)
+            case Changed():
+                self._task_changed(message)
+            case Close():
+                self.close(message.for_s)
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def _task_ended(self, ended: TaskEnded) -> None:
+        slot = self.slots.get(ended.task.name)
+        if slot is None or slot.task is not ended.task:
+            return
+        error = ended.error
+        slot.task = None
+        slot.carried = ended.last or slot.carried
+        lost, slot.changing = slot.changing, ()
+        why = f": {describe(error, self.author_of(slot))}" if error is not None else ""
+        for request in lost:
+            self.reply(request, f"{slot.address} ended before it had done so{why}")
+        if error is not None:
+            self._fail(slot, error)
+        else:
+            self.feed(slot, Finished("it stopped itself", closing=self.closing))
+
+    def _fail(self, slot: Slot, error: BaseException, hopeless: bool = False) -> None:
+        slot.failure = Failure(describe(error, self.author_of(slot)), traceback_of(error), self.now())
+        hopeless = hopeless or isinstance(error, ClassError)
+        self.feed(slot, Finished(slot.failure.text, True, hopeless, self.closing))
+
+    def _task_changed(self, changed: Changed) -> None:
+        slot = self.slots.get(changed.task.name)
+        if slot is None or slot.task is not changed.task:
+            return
+        request, body = changed.change.request, changed.change.body
+        slot.changing = tuple(other for other in slot.changing if other != request)
+        if changed.reason:
+            self.reply(request, changed.reason)
+            return
+        result = changed.result
+        if isinstance(body, Describe):
+            result = {**self.describe_in_detail(slot), **result}
+        elif not body.dry_run:
+            kind = "rate_changed" if isinstance(body, Reschedule) else "settings_changed"
+            self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **result)
+        if changed.carried is not None:
+            self.changed(slot, changed.carried)
+        self.reply(request, result=result)
+
+    # What the lives of its tasks ask for -----------------------------------------------------------------------
+
+    def feed(self, slot: Slot, event: Any) -> None:
+        """Feeds an event to the life of a task, and carries out what follows."""
+        self._keeper.feed(slot, event)
+
+    def ask_leave(self, slot: Slot, again: bool) -> None:
+        """Sees whether a task may start, and feeds `Admitted` or `Refused`."""
+        if slot.fresh:
+            slot.fresh = False
+            self.drop_state(slot)
+        reason = CLOSES if self.closing else self.admit(slot)
+        reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        self.feed(slot, Refused(reason) if reason else Admitted())
+
+    def spawn(self, slot: Slot) -> None:
+        carried = slot.carried or Carried(slot.spec.settings, {})
+        try:
+            task = self.kernel.spawn(
+                slot.spec.cls,
+                slot.address,
+                mailbox=slot.mailbox,
+                carried=carried,
+                rate_hz=slot.spec.rate_hz,
+                fence=slot.fence,
+                owner=self,
+                exited=_stays,
+                **self.arguments_of(slot),
+            )
+        except Exception as error:  # what a task's author wrote in __init__ may raise anything
+            self._fail(slot, error, hopeless=isinstance(error, SettingsError))
+            return
+        assert isinstance(task, Task)
+        slot.task = task
+
+    def halt(self, slot: Slot) -> None:
+        if slot.task is not None:
+            slot.task.stop()
+        overdue = Overdue(slot.life.incarnation)
+        self.after_host(STUCK_S, lambda: self.feed(slot, overdue))
+
+    def revoke_rights(self, slot: Slot) -> None:
+        if slot.task is not None:
+            slot.task.revoke()
+        self.hold_actuators(slot, f"{slot.name} is stuck")
+
+    def let_go(self, slot: Slot) -> None:
+        """Takes back what a task held, once it has ended."""
+        self.kernel.stream.unsubscribe(slot.address)
+        self.hold_actuators(slot, f"{slot.name} let go of it")
+        self.kernel.registry.release(slot.address)
+
+    def hold_actuators(self, slot: Slot, reason: str) -> None:
+        """Brings the actuators that a task holds to their safe hold."""
+        for device in self.kernel.registry.held_by(slot.address):
+            self.publish(CTRL, Hold(reason), to=self.kernel.registry.address_of(device))
+
+    def settle(self, slot: Slot, reason: str = "") -> None:
+        """The start of a task is decided: it runs, or `reason` says why not."""
+        if slot.name in self._unsettled:
+            self._unsettled.discard(slot.name)
+            if not self._unsettled:
+                self._tell_ready()
+        if slot.life.state is State.RUNNING:
+            self.task_running(slot)
+
+    def write_rest(self, slot: Slot) -> None:
+        """A task has come to rest: feeds `Written` once that will last."""
+        self.feed(slot, Written())
+        self.rested(slot)
+
+    def rested(self, slot: Slot) -> None:
+        """A task has come to rest: where the service ends, the next one's turn has come."""
+        if self._closes is slot:
+            self._close_next()
+
+    def answer(self, slot: Slot, effect: Answer) -> None:
+        """Answers a request to start or stop a task; the commands that wait behind it go on."""
+        self.reply(effect.asker, effect.reason)
+        self.call(lambda: self._next_command(slot))
+
+    def tell_news(self, slot: Slot, effect: Tell) -> None:
+        """Tells `log` what has happened to a task."""
+        tell_of_task(self, slot, effect)
+
+    # Commands --------------------------------------------------------------------------------------------------
 
     @on(SYSCTRL, Command, keep=WAITING, addressed=True)
     def on_command(self, packet: Packet) -> None:
         """Carries out one command and answers it."""
         command: Command = packet.body
         if command.body is None:
-            self.close(lambda: None)
+            self.close(command.for_s)
             return
         request = _request(command)
         self._newest_command = request.number
         self._answers.owe(request)
         slot = self.slots.get(command.task) if command.task else None
-        if slot is not None and (slot.busy or slot.commands) and not isinstance(command.body, Describe):
+        if slot is not None and (slot.commands or self._is_busy(slot)) and not isinstance(command.body, Describe):
             # One after the other, so that the last of several that contradict each other is the one that holds.
-            slot.commands = (*slot.commands, lambda: self._begin_command(command, request))
+            slot.commands = (*slot.commands, command)
             self.command_waits(slot, request)
             return
         self._begin_command(command, request)
+
+    def _is_busy(self, slot: Slot) -> bool:
+        return slot.life.asker is not None or slot.name in self._unstarted
 
     def _begin_command(self, command: Command, request: Request) -> None:
         try:
@@ -100,57 +564,11 @@ class Service(Supervisor):
         except (PancakesError, ValueError) as error:
             self.reply(request, str(error))
 
-    def go_on(self, slot: Slot) -> None:
-        self.call(lambda: self._next_command(slot))
-
     def _next_command(self, slot: Slot) -> None:
-        while slot.commands and not slot.busy:
-            following, *later = slot.commands
+        while slot.commands and not self._is_busy(slot):
+            command, *later = slot.commands
             slot.commands = tuple(later)
-            following()
-
-    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
-        """Answers whoever asked; an empty reason means that it has been done."""
-        self._answers.give(request, reason, result)
-
-    def put_off(self, request: Request, reason: str) -> None:
-        """Tells the asker what a command waits for; what becomes of it in the end is said on `log`."""
-        self._answers.put_off(request, reason)
-
-    def waits(self, request: Request) -> bool:
-        """Returns whether the asker has not been told yet what becomes of a command."""
-        return self._answers.waits(request)
-
-    def command_waits(self, slot: Slot, request: Request) -> None:
-        """For subclasses: a command begins to start or stop a task, or waits behind one that does."""
-
-    def close(self, then: Callable[[], None]) -> None:
-        def answered() -> None:
-            self._answer_all(f"{self.address} was stopped before it came to that")
-            then()
-
-        super().close(answered)
-
-    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
-        super().on_failure(exception_type, exception_value, traceback)
-        self._answer_all(f"{self.address} failed before it had done that: {describe(exception_value, type(self))}")
-
-    def unheard(self) -> list[Request]:
-        """Returns, once it has ended, the commands that it has not answered, and forgets them."""
-        queue = self.actor_inbox.queues.get(SYSCTRL)
-        left = self._answers.forget_all()
-        while queue is not None and (packet := queue.pop()) is not None:
-            command = packet.body
-            # The one that it failed on lies here again.
-            if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:
-                left.append(_request(command))
-        return left
-
-    def _answer_all(self, reason: str) -> None:
-        """Tells everybody who still waits for an answer that there will be none, as the service ends."""
-        for slot in self.slots.values():
-            slot.commands = ()
-        self._answers.refuse_all(reason)
+            self._begin_command(command, _request(command))
 
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)
@@ -165,220 +583,37 @@ class Service(Supervisor):
         Args:
             body: the control packet's body.
             slot: the task that it is about; None: the service itself.
-            request: whom to answer.
+            request: what to answer.
 
         Raises:
             ControlRefused: it cannot be done; becomes the answer.
         """
-        if slot is None:
-            if not isinstance(body, Describe):
-                raise ControlRefused(
-                    f"{self.address} is a service and cannot be asked for {type(body).__name__.lower()}"
-                )
-            self.reply(request, result=[self.describe_task(other) for other in self.slots.values()])
-        elif isinstance(body, Start):
-            self.start_asked(slot, body, request)
-        elif isinstance(body, Stop):
-            if body.for_s is not None:
-                raise ControlRefused(f"{slot.address} is a task: only a service can be stopped for a time")
-            self.stop_asked(slot, body, request)
-        elif isinstance(body, Restart):
-            self.restart_asked(slot, body, request)
-        elif isinstance(body, Reschedule):
-            self.reschedule_asked(slot, body, request)
-        elif isinstance(body, Configure):
-            self.configure_asked(slot, body, request)
+        asked_for = type(body).__name__.lower()
+        if slot is not None:
+            command = COMMANDS.get(type(body))
+            if command is None:
+                raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}")
+            command(self, slot, body, request)
         elif isinstance(body, Describe):
-            self._describe_asked(slot, body, request)
-        elif isinstance(body, (Migrate, Adopt, Forget)):
-            raise ControlRefused(f"{slot.address} cannot move: what {self.address} looks after stays with its agent")
+            self.reply(request, result=[self.describe_task(other) for other in self.slots.values()])
         else:
-            raise ControlRefused(f"{slot.address} cannot be asked for {type(body).__name__.lower()}")
+            raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}")
 
-    def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
-        """Starts a task; the answer comes once it runs."""
-        if slot.state not in (TaskState.STOPPED, TaskState.FAILED, TaskState.RESTARTING):
-            raise ControlRefused(f"{slot.address} is {slot.state.value} already")
-        carried = self.carried_of(slot)
-        if body.settings is not None:
-            change_plain(self.settings_class(slot), carried.settings, body.settings, slot.name)
-            carried = replace(carried, settings={**carried.settings, **body.settings})
-        if body.dry_run:
-            self.reply(request, self.refuse_start(slot))
-            return
-        if slot.supervision.due_s is not None and (reason := self.refuse_start(slot)):
-            raise ControlRefused(reason)  # its next try stays due
-        answer = self._occupy(slot, request)
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
+        """Answers the sender of a request; an empty reason means that it has been done."""
+        self._answers.give(request, reason, result)
 
-        def begin() -> None:
-            if body.settings is not None:
-                slot.carried = carried
-            slot.supervision.forget()
-            self.start_anew(slot, answer)
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
+        self._answers.put_off(request, reason)
 
-        self.tell_asked("start", slot, request)
-        if slot.supervision.due_s is None:
-            begin()
-        else:
-            self.halt(slot, begin, f"start asked for by {request.by}")
-
-    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
-        """Stops a task; the answer comes once it has ended."""
-        if slot.state is TaskState.STOPPED:
-            raise ControlRefused(f"{slot.address} is stopped already")
-        if body.dry_run:
-            self.reply(request)
-            return
-        self.tell_asked("stop", slot, request)
-        answer = self._occupy(slot, request)
-        self.halt(slot, lambda: self.when_stopped(slot, answer), f"asked for by {request.by}", answer)
-
-    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
-        """For subclasses: calls `then` once a stop that was asked for will last; with a reason where it may not."""
-        then("")
-
-    def _occupy(self, slot: Slot, request: Request) -> Callable[[str], None]:
-        """Lets all later commands for a task wait for this one.
-
-        Returns:
-            What answers it and lets the others go on; at its first call only, for a stuck task may end after all.
-        """
-        slot.busy = True
-        answered = False
-        self.command_waits(slot, request)
-
-        def answer(reason: str) -> None:
-            nonlocal answered
-            if answered:
-                return
-            answered = True
-            self.reply(request, reason)
-            slot.busy = False
-            self.go_on(slot)
-
-        return answer
-
-    def restart_asked(self, slot: Slot, body: Restart, request: Request) -> None:
-        """Stops a task, if it runs, and starts it; the answer comes once it runs."""
-        if body.dry_run:
-            self.reply(request, self.refuse_start(slot))
-            return
-        answer = self._occupy(slot, request)
-
-        def again() -> None:
-            if not body.keep_state:
-                self.drop_state(slot)
-            slot.supervision.forget()
-            self.start_anew(slot, answer)
-
-        self.tell_asked("restart", slot, request)
-        self.halt(slot, again, f"restart asked for by {request.by}", answer)
-
-    def drop_state(self, slot: Slot) -> None:
-        """Forgets what a task carried: it begins as the configuration says."""
-        slot.carried = None
-
-    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
-        """Starts a task because somebody asked for it; `then` is told an empty string, or why not."""
-        self.launch(slot, then)
-
-    def reschedule_asked(self, slot: Slot, body: Reschedule, request: Request) -> None:
-        """Changes a task's rate; the answer comes once it has taken effect."""
-
-        def change(task: Task) -> dict[str, Any]:
-            timer = task.timer_of(body.rate_hz, body.timer)
-            before_hz = timer.rate_hz
-            if not body.dry_run:
-                task.reschedule(body.rate_hz, body.timer)
-            return {"timer": timer.method, "rate_hz": body.rate_hz, "before_hz": before_hz}
-
-        self.in_task(slot, request, "" if body.dry_run else "rate_changed", change)
-
-    def configure_asked(self, slot: Slot, body: Configure, request: Request) -> None:
-        """Changes a running task's settings; the answer comes once they have taken effect."""
-
-        def change(task: Task) -> dict[str, Any]:
-            if body.dry_run:
-                change_settings(task.settings, body.settings, slot.name)
-            else:
-                task.change_settings(body.settings)
-            return {"settings": dict(body.settings)}
-
-        self.in_task(slot, request, "" if body.dry_run else "settings_changed", change)
-
-    def _describe_asked(self, slot: Slot, body: Describe, request: Request) -> None:
-        detail = self.describe_in_detail(slot)
-        if body.state or body.began:
-            self.in_task(slot, request, "", lambda task: with_state(detail, task, body))
-        else:
-            self.reply(request, result=detail)
-
-    def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
-        """Makes a change in a running task's own actor, then tells `log` and whoever asked.
-
-        Args:
-            slot: the task.
-            request: whom to answer.
-            kind: the event on `log`; empty where nothing was changed.
-            change: makes the change, and returns what is to be told of it.
-
-        Raises:
-            ControlRefused: the task does not run.
-        """
-        task = slot.task
-        if task is None or slot.state is not TaskState.RUNNING:
-            raise ControlRefused(f"{slot.address} is {slot.state.value}, not running")
-
-        def refuse(reason: str) -> None:
-            self.reply(request, reason)
-
-        def no_longer_lost() -> None:
-            slot.on_lost = tuple(tell for tell in slot.on_lost if tell is not refuse)
-
-        def make() -> None:
-            try:
-                told = change(task)
-            except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
-                reason = str(error)
-                self.call(lambda: told_off(reason))
-                return
-            self.call(lambda: done(told))
-
-        def told_off(reason: str) -> None:
-            no_longer_lost()
-            refuse(reason)
-
-        def done(told: dict[str, Any]) -> None:
-            no_longer_lost()
-            self._changed(slot, request, kind, told)
-
-        slot.on_lost = (*slot.on_lost, refuse)
-        task.call(make)
-
-    def _changed(self, slot: Slot, request: Request, kind: str, told: dict[str, Any]) -> None:
-        if kind:
-            self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **told)
-        self.reply(request, result=told)
+    def waits(self, request: Request) -> bool:
+        """Returns whether the sender of a request has not been told yet what becomes of it."""
+        return self._answers.waits(request)
 
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
+        """Tells `log` what was asked for."""
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
-
-
-def with_state(detail: Mapping[str, Any], task: Task, asked: Describe) -> dict[str, Any]:
-    """Returns what `describe_in_detail` says of a task, and its states as far as they are asked for. In its actor.
-
-    Raises:
-        ControlRefused: what it keeps in its state cannot be written down.
-    """
-    told = {**detail, "began": task.began()} if asked.began else dict(detail)
-    if not asked.state:
-        return told
-    try:
-        carried = task.carry()
-    except Exception as error:  # what a task keeps in its state may be anything
-        raise ControlRefused(f"the state of {task.address} cannot be written down: {error}") from None
-    now = {"host_s": task.kernel.host.now(), "mission_s": task.now()}
-    return {**told, **now, "settings": carried.settings, "state": carried.state}
 
 
 def _request(command: Command) -> Request:

@@ -1,30 +1,15 @@
-"""The place of one task in its service, and what the service knows about it."""
+"""The place of one task in its service."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from enum import Enum
-
 import msgspec
 
+from pancakes.control import Command
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.packet import Cause, Fence
-from pancakes.supervision import Supervision
+from pancakes.life.life import Life
+from pancakes.packet import Fence
+from pancakes.request import Request
 from pancakes.task import Carried, Task, TaskSpec
-
-
-class TaskState(Enum):
-    """What a task does now, as its service sees it."""
-
-    STOPPED = "stopped"
-    STARTING = "starting"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    STUCK = "stuck"
-    """It was asked to stop and does not come back from what it is doing. Python cannot end its thread."""
-    RESTARTING = "restarting"
-    FAILED = "failed"
-    """It failed too often, and its service gave up on it."""
 
 
 class Failure(msgspec.Struct, frozen=True):
@@ -41,54 +26,33 @@ class Failure(msgspec.Struct, frozen=True):
     t_s: float
 
 
-class Request(msgspec.Struct, frozen=True):
-    """Who asked for something, and which packet of theirs it was.
-
-    Attributes:
-        by: the asker's address.
-        cause: the packet.
-        number: its place in the order of all commands to this agent.
-    """
-
-    by: str
-    cause: Cause
-    number: int = 0
-
-
 class Slot(msgspec.Struct):
     """The place of one task in its service: it outlives the actors that fill it.
 
-    Who waits for something stands in tuples: empty ones cost nothing, and empty lists and a deque for each of ten
-    thousand tasks are 11 MiB.
+    Requests and commands stand in tuples: empty ones cost nothing, and empty lists and a deque for each of ten thousand
+    tasks are 11 MiB.
 
     Attributes:
-        failure: how it failed the last time; None: it has not.
+        life: how far the task is.
+        task: its actor; None: none runs.
         carried: what its next actor begins with; None: what the configuration says.
-        on_running: told when its task runs, or with the reason why it does not.
-        on_ended: told when its task has ended.
-        on_stuck: told when its task does not end.
-        on_lost: told when its task ends before it has done what it was asked.
-        busy: whether a command that starts or stops the task is being carried out.
-        commands: those that wait for that.
+        fresh: whether its next actor begins as the configuration says, whatever it carried.
+        failure: how it failed the last time; None: it has not.
+        changing: the requests for a change that its actor has not answered yet.
+        commands: those that wait until the one that is being carried out is done.
     """
 
     spec: TaskSpec
     address: str
-    supervision: Supervision
+    life: Life
     mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
-    state: TaskState = TaskState.STOPPED
     task: Task | None = None
     carried: Carried | None = None
+    fresh: bool = False
     fence: Fence | None = None
-    incarnation: int = 0
-    reason: str = ""
     failure: Failure | None = None
-    on_running: tuple[Callable[[str], None], ...] = ()
-    on_ended: tuple[Callable[[], None], ...] = ()
-    on_stuck: tuple[Callable[[str], None], ...] = ()
-    on_lost: tuple[Callable[[str], None], ...] = ()
-    busy: bool = False
-    commands: tuple[Callable[[], None], ...] = ()
+    changing: tuple[Request, ...] = ()
+    commands: tuple[Command, ...] = ()
 
     @property
     def name(self) -> str:

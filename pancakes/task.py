@@ -23,19 +23,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
-from pancakes.control import Migrate
-from pancakes.errors import PancakesError
+from pancakes.changes import Change, Changed
+from pancakes.control import Configure, Describe, Migrate, Reschedule
+from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.kernel.keep import queue, reliable
 from pancakes.kernel.mailbox import Mailbox
+from pancakes.kernel.tell import tell
+from pancakes.life.restart import RestartSpec
 from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet, field_names
 from pancakes.saved_types import check_saved
 from pancakes.settings import change_settings, make_settings, plain_settings
-from pancakes.supervision import RestartSpec
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
@@ -112,6 +114,30 @@ class Carried(msgspec.Struct, frozen=True):
     heard: Mapping[str, int] = _NONE
 
 
+class TaskBegan(msgspec.Struct, frozen=True):
+    """A task's actor tells its service that it runs.
+
+    Attributes:
+        task: the actor.
+    """
+
+    task: Task
+
+
+class TaskEnded(msgspec.Struct, frozen=True):
+    """A task's actor tells its service that it has ended.
+
+    Attributes:
+        task: the actor.
+        error: why, where it failed; None: it was told to end.
+        last: what it carried at the end; None: it could not say.
+    """
+
+    task: Task
+    error: BaseException | None
+    last: Carried | None
+
+
 class Task(Component):
     """The base of all tasks.
 
@@ -144,7 +170,7 @@ class Task(Component):
         carried: Carried | None = None,
         rate_hz: float | None = None,
         fence: Fence | None = None,
-        started: Callable[[Task], None] | None = None,
+        owner: Component | None = None,
         handled: Callable[[Task], None] | None = None,
     ) -> None:
         super().__init__(kernel, address, mailbox)
@@ -154,7 +180,7 @@ class Task(Component):
         self.__heard = Incoming(carried.heard)
         self.__rate_hz = rate_hz
         self.fence = fence
-        self.__on_started = started
+        self.__owner = owner
         if handled is not None:
             self.after_turn = lambda: handled(self)
         # A copy: what the state has lists in may share them.
@@ -162,7 +188,6 @@ class Task(Component):
         self.__carried = carried
         self.__began_s = (0.0, 0.0)
         self.__settings_written: tuple[Any, Mapping[str, Any]] = (None, {})
-        self.last: Carried | None = None
 
     def on_settings(self) -> None:
         """Called in the actor after the settings were changed while it runs."""
@@ -205,8 +230,8 @@ class Task(Component):
         }
 
     def after_start(self) -> None:
-        if self.__on_started is not None:
-            self.__on_started(self)
+        if self.__owner is not None:
+            tell(self.__owner, TaskBegan(self))
 
     def change_settings(self, changes: Mapping[str, Any]) -> None:
         """Changes some settings: all of them are good, or nothing changes. In the actor.
@@ -280,10 +305,64 @@ class Task(Component):
         self.__heard.took(stream, seq)
         return True
 
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, Change):
+            return super().on_receive(message)
+        owner = self.__owner
+        assert owner is not None, f"{self.address} belongs to no service that could ask it for a change"
+        carried: Carried | None = None
+        try:
+            result = self.__change(message.body)
+            if message.carry:
+                carried = self.carry()
+            changed = Changed(self, message, "", result, carried)
+        except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
+            changed = Changed(self, message, str(error), {})
+        tell(owner, changed)
+        return None
+
+    def __change(self, body: Reschedule | Configure | Describe) -> Mapping[str, Any]:
+        match body:
+            case Reschedule():
+                timer = self.timer_of(body.rate_hz, body.timer)
+                before_hz = timer.rate_hz
+                if not body.dry_run:
+                    self.reschedule(body.rate_hz, body.timer)
+                return {"timer": timer.method, "rate_hz": body.rate_hz, "before_hz": before_hz}
+            case Configure():
+                if body.dry_run:
+                    change_settings(self.settings, body.settings, self.name)
+                else:
+                    self.change_settings(body.settings)
+                return {"settings": dict(body.settings)}
+            case Describe():
+                return self.describe_state(body)
+
+    def describe_state(self, asked: Describe) -> dict[str, Any]:
+        """Returns how this task began, and its settings and state, as far as `Describe` asks for them. In the actor.
+
+        Raises:
+            ControlRefused: what it keeps in its state cannot be written down.
+        """
+        told: dict[str, Any] = {"began": self.began()} if asked.began else {}
+        if not asked.state:
+            return told
+        try:
+            carried = self.carry()
+        except Exception as error:  # what a task keeps in its state may be anything
+            raise ControlRefused(f"the state of {self.address} cannot be written down: {error}") from None
+        now = {"host_s": self.kernel.host.now(), "mission_s": self.now()}
+        return {**told, **now, "settings": carried.settings, "state": carried.state}
+
     def end_actor(self, error: BaseException | None) -> None:
+        last = None
         if error is None:
             try:
-                self.last = self.carry()
+                last = self.carry()
             except Exception as failure:  # what a task keeps in its state may be anything
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
         super().end_actor(error)
+        if self.__owner is not None and not tell(self.__owner, TaskEnded(self, error, last)):
+            # Its service has ended before.
+            self.kernel.stream.unsubscribe(self.address)
+            self.kernel.registry.release(self.address)

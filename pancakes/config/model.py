@@ -12,9 +12,9 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.config.places import Places
+from pancakes.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.migration.rule import MigrationRule
 from pancakes.recording.settings import RecordingSettings
-from pancakes.supervision import DeviceRestartSpec, RestartSpec
 
 SCHEMA: Final = 1
 """The number of the format that this version reads; a file states it as `schema = 1`."""

@@ -28,12 +28,12 @@ from pancakes.config.rule_check import faults_of_rule
 from pancakes.config.scanner import KeyPath
 from pancakes.config.source import tables_of, text_of
 from pancakes.errors import ConfigError, Fault
+from pancakes.life.restart import RestartSpec, fault_of_pauses
 from pancakes.names import fault_of_name, nearest_name
 from pancakes.packet import CORE_CHANNELS
 from pancakes.plugins import Plugins
 from pancakes.settings import check_settings, dotted, known_keys, required_keys
 from pancakes.suggestion import suggestion
-from pancakes.supervision import RestartSpec, fault_of_pauses
 
 _T = TypeVar("_T")
 

@@ -9,13 +9,29 @@ from __future__ import annotations
 import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from signal import Signals
 from types import MappingProxyType
-from typing import Final
+from typing import Final, assert_never
 
 from pancakes.launch.member import Member, ProcessRestart
-from pancakes.supervision import Next, RestartSpec, Supervision
+from pancakes.life.effect import (
+    Answer,
+    AskLeave,
+    Halt,
+    LetGo,
+    LookAgain,
+    News,
+    Revoke,
+    Settle,
+    Spawn,
+    Tell,
+    TryAt,
+    WriteRest,
+)
+from pancakes.life.event import Admitted, Began, Due, Event, Finished, Overdue, Refused, StartAsked, StopAsked
+from pancakes.life.life import Life, State
+from pancakes.life.restart import Restarts, RestartSpec
+from pancakes.life.table import handle
 
 READY_S: Final = 30.0
 """An agent that is not ready after so long is named, in seconds."""
@@ -30,7 +46,7 @@ _POLICIES: Final = {"never": "temporary", "on-failure": "transient", "always": "
 
 
 @dataclass(frozen=True, slots=True)
-class Spawn:
+class SpawnProcess:
     """Start the agent's process."""
 
     name: str
@@ -51,14 +67,14 @@ class Kill:
 
 
 @dataclass(frozen=True, slots=True)
-class Begin:
+class BeginMission:
     """Let the mission of these agents begin, which they hold at 0."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class TellPerson:
     """Tell the person what has become of an agent.
 
     Attributes:
@@ -72,34 +88,45 @@ class Tell:
     text: str
 
 
-Action = Spawn | Terminate | Kill | Begin | Tell
-
-
-class State(Enum):
-    """How far an agent is."""
-
-    WAITING = "waiting"
-    STARTING = "starting"
-    RESTARTING = "restarting"
-    READY = "ready"
-    ENDED = "ended"
+Action = SpawnProcess | Terminate | Kill | BeginMission | TellPerson
 
 
 class _Place:
-    """What the course knows of one agent."""
+    """What the course knows of one agent.
+
+    Attributes:
+        life: how far its process is.
+        how: how its process has ended, as a phrase; empty: it has not, or people know.
+        kill_s: when it is killed, once it was told to end.
+    """
 
     def __init__(self, member: Member) -> None:
         self.member = member
-        self.state = State.WAITING
-        self.supervision = Supervision(_spec(member.restart))
+        self.life = Life(member.name, Restarts(_spec(member.restart)))
         self.started_s = 0.0
         self.late = False
+        self.how = ""
         self.kill_s: float | None = None
-        self.killed = False
+
+    @property
+    def waits(self) -> bool:
+        return self.life.state is State.ASKED
+
+    @property
+    def ready(self) -> bool:
+        return self.life.state is State.RUNNING
 
     @property
     def runs(self) -> bool:
-        return self.state in (State.STARTING, State.READY)
+        return self.life.state in (State.STARTING, State.RUNNING, State.STOPPING, State.STUCK)
+
+    @property
+    def killed(self) -> bool:
+        return self.life.state is State.STUCK
+
+    @property
+    def over(self) -> bool:
+        return self.life.state in (State.STOPPED, State.FAILED)
 
 
 class Course:
@@ -118,11 +145,12 @@ class Course:
         self._begun = False
         self._stopping_s: float | None = None
         self._failed = False
+        self._actions: list[Action] = []
 
     @property
     def over(self) -> bool:
         """Whether nothing runs any more, nor will."""
-        return all(place.state is State.ENDED for place in self._places.values())
+        return all(place.over for place in self._places.values())
 
     @property
     def exit_code(self) -> int:
@@ -132,26 +160,29 @@ class Course:
     @property
     def deadline_s(self) -> float | None:
         """When `tick` is due; None where nothing is waited for."""
-        times = [place.kill_s for place in self._places.values() if place.runs and place.kill_s is not None]
+        times = [it.kill_s for it in self._places.values() if it.runs and not it.killed and it.kill_s is not None]
         for place in self._places.values():
-            if place.state is State.STARTING and not place.late:
+            if place.life.state is State.STARTING and not place.late:
                 times.append(place.started_s + READY_S)
-            if place.supervision.due_s is not None:
-                times.append(place.supervision.due_s)
+            if place.life.restarts.due_s is not None:
+                times.append(place.life.restarts.due_s)
         if self._stopping_s is not None and any(it.runs and not it.killed for it in self._places.values()):
             times.append(self._stopping_s + ALL_END_S)
         return min(times, default=None)
 
     def start(self, now_s: float) -> list[Action]:
         """Begins."""
-        return self._start_who_can(now_s)
+        for place in self._places.values():
+            self._feed(place, StartAsked(), now_s)
+        self._admit(now_s)
+        return self._done()
 
     def unstartable(self, name: str, reason: str, now_s: float) -> list[Action]:
         """A process could not be made, for a reason that is a phrase."""
-        place = self._places[name]
-        place.state = State.ENDED
         self._failed = True
-        return [Tell(name, "given_up", f"cannot be started: {reason}"), *self._follow(now_s)]
+        self._feed(self._places[name], Finished(f"cannot be started: {reason}", True, hopeless=True), now_s)
+        self._give_up_followers(now_s)
+        return self._done()
 
     def ready(self, name: str, now_s: float, rests: Mapping[str, str] = MappingProxyType({})) -> list[Action]:
         """An agent says that all which should run at its start does.
@@ -162,15 +193,18 @@ class Course:
             rests: those of its tasks that do not start because of what happened when it ran before, and why.
         """
         place = self._places[name]
-        if place.state is not State.STARTING:
+        if place.life.state is not State.STARTING:
             return []
-        place.state = State.READY
-        place.supervision.runs(now_s)
-        if self._stopping_s is not None:
-            return []
-        told = [Tell(name, "ready", "is ready")]
-        told += [Tell(name, "rests", f"does not start {task}: {why}") for task, why in rests.items()]
-        return [*told, *self._begin_again(place), *self._start_who_can(now_s), *self._begin_if_all_are_ready()]
+        self._feed(place, Began(), now_s)
+        if self._stopping_s is None:
+            for task, why in rests.items():
+                self._tell(name, "rests", f"does not start {task}: {why}")
+            if self._begun and place.member.config.clock.hold:
+                # An agent that was started again holds its mission once more, while that of the others goes on.
+                self._actions.append(BeginMission((name,)))
+            self._admit(now_s)
+            self._begin_if_all_are_ready()
+        return self._done()
 
     def ended(self, name: str, code: int, now_s: float) -> list[Action]:
         """A process has ended.
@@ -181,124 +215,152 @@ class Course:
             now_s: the time.
         """
         place = self._places[name]
-        how = _how(code)
-        if self._stopping_s is not None:
-            place.state = State.ENDED
-            how += ", killed because it took too long" if place.killed else ""
-            return [Tell(name, "ended", f"has ended ({how})"), *self._stop_who_can(now_s)]
-        restart = place.member.restart
-        supervision = place.supervision
-        following = supervision.ended(code != 0, now_s, self._source, hopeless=code == BAD_CONFIGURATION)
-        if following is Next.RESTART:
-            place.state = State.RESTARTING
-            return [Tell(name, "restarted", f"has ended ({how}) and is started again {supervision.when(now_s)}")]
-        place.state = State.ENDED
-        if following is Next.REST:
-            return [Tell(name, "ended", f"has ended ({how})"), *self._follow(now_s)]
-        self._failed = True
-        why = ""
-        if restart.policy != "never" and code != BAD_CONFIGURATION:
-            why = f" after {restart.at_most} restarts within {restart.within_s:g} s"
-        return [Tell(name, "given_up", f"has ended ({how}) and is given up{why}"), *self._follow(now_s)]
+        stopping = self._stopping_s is not None
+        place.how = _how(code) + (", killed because it took too long" if place.killed else "")
+        failed = code != 0 and not stopping
+        story = f"has ended ({place.how})"
+        self._feed(place, Finished(story, failed, code == BAD_CONFIGURATION, closing=stopping), now_s)
+        if stopping:
+            self._stop_next(now_s)
+        elif place.over:
+            self._give_up_followers(now_s)
+        return self._done()
 
     def stop(self, now_s: float) -> list[Action]:
-        """A person wants an end; who says so for the second time does not want to wait."""
+        """A person wants an end; one that says so for the second time does not want to wait."""
         if self._stopping_s is not None:
-            return self._kill(place for place in self._places.values() if place.runs)
+            self._kill((place for place in self._places.values() if place.runs), now_s)
+            return self._done()
         self._stopping_s = now_s
         for place in self._places.values():
-            if place.state in (State.WAITING, State.RESTARTING):
-                place.supervision.cancel()
-                place.state = State.ENDED
-        return self._stop_who_can(now_s)
+            if not place.runs:
+                place.how = ""
+                self._feed(place, StopAsked(), now_s)
+        self._admit(now_s)
+        self._stop_next(now_s)
+        return self._done()
 
     def tick(self, now_s: float) -> list[Action]:
         """Time has passed."""
-        actions: list[Action] = []
         for place in self._places.values():
-            due_s = place.supervision.due_s
+            due_s = place.life.restarts.due_s
             if due_s is not None and now_s >= due_s:
-                actions += self._spawn(place, now_s)
-            if place.state is State.STARTING and not place.late and now_s >= place.started_s + READY_S:
+                self._feed(place, Due(due_s), now_s)
+                self._feed(place, Admitted(), now_s)
+            if place.life.state is State.STARTING and not place.late and now_s >= place.started_s + READY_S:
                 place.late = True
-                actions.append(Tell(place.member.name, "late", f"is not ready after {READY_S:g} s"))
+                self._tell(place.member.name, "late", f"is not ready after {READY_S:g} s")
         too_late = self._stopping_s is not None and now_s >= self._stopping_s + ALL_END_S
         overdue = [
             place
             for place in self._places.values()
-            if place.runs and not place.killed and (too_late or (place.kill_s is not None and now_s >= place.kill_s))
+            if place.runs and (too_late or (place.kill_s is not None and now_s >= place.kill_s))
         ]
-        return [*actions, *self._kill(overdue)]
+        self._kill(overdue, now_s)
+        return self._done()
+
+    def _done(self) -> list[Action]:
+        actions, self._actions = self._actions, []
+        return actions
 
     # Starting --------------------------------------------------------------------------------------------------
 
-    def _start_who_can(self, now_s: float) -> list[Action]:
-        return [
-            action
-            for place in self._places.values()
-            if place.state is State.WAITING
-            and all(self._places[other].state is State.READY for other in place.member.after)
-            for action in self._spawn(place, now_s)
-        ]
+    def _admit(self, now_s: float) -> None:
+        """Starts the agents that wait and come after none that is not ready."""
+        for place in self._places.values():
+            if place.life.state is State.CALLED_OFF:
+                self._feed(place, Refused("the fleet ends"), now_s)
+            elif place.waits and all(self._places[other].ready for other in place.member.after):
+                self._feed(place, Admitted(), now_s)
 
-    def _spawn(self, place: _Place, now_s: float) -> list[Action]:
-        place.supervision.cancel()
-        place.state = State.STARTING
-        place.started_s = now_s
-        place.late = False
-        return [Spawn(place.member.name)]
-
-    def _follow(self, now_s: float) -> list[Action]:
-        """What follows where an agent has ended for good: who waits for it will never start."""
-        actions: list[Action] = []
+    def _give_up_followers(self, now_s: float) -> None:
+        """An agent has ended for good: those that come after it will never start."""
         lost = True
         while lost:
             lost = False
             for place in self._places.values():
-                gone = [other for other in place.member.after if self._places[other].state is State.ENDED]
-                if place.state is State.WAITING and gone:
-                    place.state = State.ENDED
+                gone = [other for other in place.member.after if self._places[other].over]
+                if place.waits and gone:
                     self._failed = lost = True
+                    self._feed(place, Refused(f"{gone[0]}, which it comes after, has ended", for_good=True), now_s)
                     told = f"is not started: {gone[0]}, which it comes after, has ended"
-                    actions.append(Tell(place.member.name, "given_up", told))
+                    self._tell(place.member.name, "given_up", told)
         if self._begin and not self._begun and any(place.runs for place in self._places.values()) and self._held():
             self._begin = False
-            actions.append(Tell("", "held", "the mission does not begin: not all agents of the fleet run"))
-        return actions
+            self._tell("", "held", "the mission does not begin: not all agents of the fleet run")
 
     def _held(self) -> list[str]:
         return [name for name, place in self._places.items() if place.member.config.clock.hold]
 
-    def _begin_if_all_are_ready(self) -> list[Action]:
-        if not self._begin or self._begun or any(it.state is not State.READY for it in self._places.values()):
-            return []
+    def _begin_if_all_are_ready(self) -> None:
+        if not self._begin or self._begun or not all(place.ready for place in self._places.values()):
+            return
         self._begun = True
         held = tuple(self._held())
-        return [Begin(held)] if held else []
-
-    def _begin_again(self, place: _Place) -> list[Action]:
-        """An agent that was started again holds its mission once more, while that of the others goes on."""
-        return [Begin((place.member.name,))] if self._begun and place.member.config.clock.hold else []
+        if held:
+            self._actions.append(BeginMission(held))
 
     # Stopping --------------------------------------------------------------------------------------------------
 
-    def _stop_who_can(self, now_s: float) -> list[Action]:
+    def _stop_next(self, now_s: float) -> None:
         """Tells those to end that no running agent comes after, the last that was started first."""
-        actions: list[Action] = []
         for name, place in reversed(self._places.items()):
             later = any(other.runs and name in other.member.after for other in self._places.values())
-            if place.runs and place.kill_s is None and not place.killed and not later:
+            if place.life.state in (State.STARTING, State.RUNNING) and not later:
                 place.kill_s = now_s + END_S
-                actions.append(Terminate(name))
-        return actions
+                self._actions.append(Terminate(name))
+                self._feed(place, StopAsked(), now_s)
 
-    def _kill(self, places: Iterable[_Place]) -> list[Action]:
-        actions: list[Action] = []
+    def _kill(self, places: Iterable[_Place], now_s: float) -> None:
         for place in places:
-            place.killed = True
-            place.kill_s = None
-            actions.append(Kill(place.member.name))
-        return actions
+            if not place.killed:
+                self._feed(place, StopAsked(), now_s)
+                self._feed(place, Overdue(place.life.incarnation), now_s)
+
+    # What a life asks for --------------------------------------------------------------------------------------
+
+    def _feed(self, place: _Place, event: Event, now_s: float) -> None:
+        place.life, effects = handle(place.life, event, now_s, self._source.uniform)
+        name = place.member.name
+        for effect in effects:
+            match effect:
+                case Spawn():
+                    place.started_s, place.late = now_s, False
+                    self._actions.append(SpawnProcess(name))
+                case Revoke():
+                    self._actions.append(Kill(name))
+                case Tell():
+                    self._tell_life(place, effect, now_s)
+                # The course looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
+                case AskLeave() | Halt() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
+                    pass
+                case _:
+                    assert_never(effect)
+
+    def _tell_life(self, place: _Place, effect: Tell, now_s: float) -> None:
+        name, restart = place.member.name, place.member.restart
+        match effect.news:
+            case News.STARTED:
+                if self._stopping_s is None:
+                    self._tell(name, "ready", "is ready")
+            case News.RESTARTS:
+                self._tell(name, "restarted", f"{effect.text} and is started again {place.life.restarts.when(now_s)}")
+            case News.STOPPED:
+                if place.how:
+                    self._tell(name, "ended", f"has ended ({place.how})")
+            case News.GIVEN_UP:
+                self._failed = True
+                why = ""
+                if restart.policy != "never" and not effect.hopeless:
+                    why = f" after {restart.at_most} restarts within {restart.within_s:g} s"
+                self._tell(name, "given_up", f"{effect.text} and is given up{why}" if place.how else effect.text)
+            case News.REFUSED | News.FAILED | News.FAILED_WHILE_STOPPING | News.FAILED_AT_THE_END | News.STUCK:
+                pass
+            case _:
+                assert_never(effect.news)
+
+    def _tell(self, name: str, event: str, text: str) -> None:
+        self._actions.append(TellPerson(name, event, text))
 
 
 def _spec(restart: ProcessRestart) -> RestartSpec:

@@ -14,10 +14,10 @@ from pancakes.config.schema import DRAFT, NAME, closed
 from pancakes.config.source import tables_of, text_of
 from pancakes.errors import ConfigError
 from pancakes.launch.member import ProcessRestart
+from pancakes.life.restart import fault_of_pauses
 from pancakes.schema import schema_of
 from pancakes.settings import check_settings
 from pancakes.suggestion import suggestion
-from pancakes.supervision import fault_of_pauses
 
 FLEET_FILE: Final = "fleet.toml"
 """The name of a folder's fleet file."""

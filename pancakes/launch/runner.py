@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any, Final, Protocol
 
 from pancakes.clock import MonotonicClock
-from pancakes.launch.course import Action, Begin, Course, Kill, Spawn, Tell, Terminate
+from pancakes.launch.course import Action, BeginMission, Course, Kill, SpawnProcess, TellPerson, Terminate
 from pancakes.launch.lines import Lines
 from pancakes.launch.member import Member
 from pancakes.launch.process import end_all, start_agent
@@ -29,7 +29,7 @@ class Voice(Protocol):
         """An agent has printed a line."""
 
     def told(self, agent: str, event: str, text: str) -> None:
-        """Something has become of an agent; of the fleet where `agent` is empty. See `Tell`."""
+        """Something has become of an agent; of the fleet where `agent` is empty. See `TellPerson`."""
 
 
 LetBegin = Callable[[dict[str, int]], list[str]]
@@ -133,15 +133,15 @@ class Runner:
     def _do(self, actions: Sequence[Action]) -> None:
         for action in actions:
             match action:
-                case Spawn(name):
+                case SpawnProcess(name):
                     self._spawn(name)
                 case Terminate(name):
                     self._processes[name].process.terminate()
                 case Kill(name):
                     self._processes[name].process.kill()
-                case Begin(names):
+                case BeginMission(names):
                     self._begin(names)
-                case Tell(name, event, text):
+                case TellPerson(name, event, text):
                     self._say(self._voice.told, name, event, text)
 
     def _spawn(self, name: str) -> None:

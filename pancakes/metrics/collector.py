@@ -13,6 +13,7 @@ from pancakes.events import Event
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.task_timer import TaskTimer
+from pancakes.life.life import State
 from pancakes.packet import join
 from pancakes.service import Service
 from pancakes.services.network import NetworkService
@@ -151,8 +152,8 @@ class AgentMetrics(Collector):
         for service in [component for component in components if isinstance(component, Service)]:
             for slot in list(service.slots.values()):
                 where = [service.agent, service.name, slot.name]
-                running.add_metric(where, slot.state.value == "running")
-                starts.add_metric(where, slot.incarnation)
+                running.add_metric(where, slot.life.state is State.RUNNING)
+                starts.add_metric(where, slot.life.incarnation)
         yield from (running, starts)
 
     def _links(self) -> Iterator[Metric]:

@@ -127,7 +127,7 @@ def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]
                 OneTask(
                     f"{component.name}/{slot.name}",
                     slot.fence.task_id if slot.fence is not None else "",
-                    slot.incarnation,
+                    slot.life.incarnation,
                     sum(len(queue) for queue in list(slot.mailbox.queues.values())),
                     dropped,
                     tuple(

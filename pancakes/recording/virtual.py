@@ -10,12 +10,13 @@ from pancakes.errors import ControlRefused
 from pancakes.events import Event
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.kernel import Kernel
+from pancakes.life.life import State
 from pancakes.packet import LOG, Packet, agent_of, join
 from pancakes.recording.description import is_described
 from pancakes.recording.recording import Recording
 from pancakes.recording.settings import RecordingSettings
-from pancakes.service import Service, with_state
-from pancakes.slot import Slot, TaskState
+from pancakes.service import Service
+from pancakes.slot import Slot
 
 WRITE_S: Final = 0.25
 """How often, in virtual time, what has come is written."""
@@ -75,11 +76,12 @@ class VirtualRecorder:
 
     def _describe(self, service: Service, slot: Slot, seen: bool) -> None:
         task = slot.task
-        if task is None or slot.state is not TaskState.RUNNING or not is_described(f"{service.name}/{slot.name}"):
+        if task is None or slot.life.state is not State.RUNNING or not is_described(f"{service.name}/{slot.name}"):
             return
         try:
             asked = Describe(slot.name, state=True, began=seen)
-            self._recording.describe(with_state(service.describe_in_detail(slot), task, asked), seen)
+            described = {**service.describe_in_detail(slot), **task.describe_state(asked)}
+            self._recording.describe(described, seen)
         except ControlRefused as error:
             self._say(str(error))
 

@@ -9,9 +9,9 @@ from pancakes.errors import ControlRefused
 from pancakes.migration.event import Adopt as RunHere
 from pancakes.migration.event import Forget as LetRest
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
+from pancakes.request import Request
 from pancakes.services import adoption
 from pancakes.services.lost import Lost
-from pancakes.slot import Request
 
 if TYPE_CHECKING:
     from pancakes.services.durable import DurableService

@@ -15,12 +15,12 @@ from pancakes.errors import MailboxFull
 from pancakes.kernel.handlers import Tick, every, on
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.registry import DeviceEntry
+from pancakes.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.net.transport import Transport
 from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.service import Service
 from pancakes.services.fences import Fences
 from pancakes.slot import Slot
-from pancakes.supervision import DeviceRestartSpec, RestartSpec
 from pancakes.task import Task, TaskSpec
 
 if TYPE_CHECKING:

@@ -15,6 +15,8 @@ import msgspec
 from pancakes.control import Adopt, Describe, Forget, Migrate
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.keep import LATEST
+from pancakes.life.event import Refused, StartAsked, StopAsked
+from pancakes.life.life import RESTS, State
 from pancakes.migration.candidate import would_take
 from pancakes.migration.cost import cost_text, fault_of_choice
 from pancakes.migration.effect import (
@@ -36,13 +38,14 @@ from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
+from pancakes.request import Request
+from pancakes.service import STUCK_S
 from pancakes.services.adoption import DOUBT
 from pancakes.services.decisions import Decisions
-from pancakes.services.recorded import RecordedService
+from pancakes.services.recorded import Leave, RecordedService
 from pancakes.services.snapshots import spec_of
 from pancakes.settings import make_settings
-from pancakes.slot import Request, Slot, TaskState
-from pancakes.supervisor import STUCK_S
+from pancakes.slot import Slot
 from pancakes.task import Carried, TaskSpec
 
 if TYPE_CHECKING:
@@ -139,7 +142,7 @@ class DurableService(RecordedService):
 
     def _freeze(self, slot: Slot | None, effect: Freeze) -> None:
         task = slot.task if slot is not None else None
-        if slot is None or task is None or slot.state is not TaskState.RUNNING:
+        if slot is None or task is None or slot.life.state is not State.RUNNING:
             self._frozen_or_not(slot, effect, None, "it does not run")
             return
 
@@ -209,7 +212,8 @@ class DurableService(RecordedService):
             task.call(task.resume)
         else:
             # Its actor failed while it stood still: it begins again from what was written down.
-            self.relaunch(slot)
+            self._leave[task_id] = Leave.AGAIN
+            self.feed(slot, StartAsked())
 
     def _discard(self, task_id: TaskId, slot: Slot | None) -> None:
         self._arriving.pop(task_id, None)
@@ -224,7 +228,7 @@ class DurableService(RecordedService):
             courier.gone(task_id, ends)
         if slot is None:
             return
-        if slot.task is None and slot.state is not TaskState.STARTING:
+        if slot.task is None and slot.life.state is not State.ASKED:
             # It failed while it stood still, or this agent was started anew since.
             self._forget(slot)
         elif self.id_of(slot) == task_id:
@@ -233,16 +237,12 @@ class DurableService(RecordedService):
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
             self.hold_actuators(slot, "its task was handed over")
             self.kernel.registry.release(slot.address)
-            self.halt(slot, None, f"handed over to {peer}")
+            self.feed(slot, StopAsked(reason=f"handed over to {peer}"))
 
     def _declined(self, task_id: TaskId, reason: str) -> None:
         slot = self.slots.get(task_id.name)
-        if slot is not None and slot.task is None and slot.state in (TaskState.STARTING, TaskState.STOPPING):
-            slot.state = TaskState.STOPPED
-            self._let_go(slot)
-            ended, slot.on_ended = slot.on_ended, ()
-            for then_ended in ended:
-                then_ended()
+        if slot is not None and slot.life.state in (State.ASKED, State.CALLED_OFF):
+            self.feed(slot, Refused(reason, for_good=True))
         for then in self._starting.pop(task_id, []):
             then(reason)
         if self.hand_off(task_id).record.phase is not Phase.PREPARED:
@@ -299,8 +299,8 @@ class DurableService(RecordedService):
     def _follow(self, name: str, then: Callable[[], None]) -> None:
         """Starts a task because another one has gone; `then` is called once its record says that it is wanted."""
         slot = self.slots.get(name)
-        if slot is None or slot.state not in (TaskState.STOPPED, TaskState.FAILED):
-            if name and (slot is None or slot.state in (TaskState.STOPPING, TaskState.STUCK)):
+        if slot is None or slot.life.state not in RESTS:
+            if name and (slot is None or slot.life.state in (State.STOPPING, State.STUCK)):
                 self.log("error", f"{name} cannot follow: {self.address} has no such task at rest")
             then()
             return
@@ -310,12 +310,10 @@ class DurableService(RecordedService):
             then()
             return
 
-        def begun(why_not: str) -> None:
-            self._report(slot, why_not)
-            then()
-
-        slot.supervision.forget()
-        self._begin(slot, begun)
+        task_id = self.id_of(slot)
+        self._starting.setdefault(task_id, []).append(lambda why_not: then())
+        self._leave[task_id] = Leave.WANTED
+        self.feed(slot, StartAsked())
 
     def _attempt_over(self, task_id: TaskId) -> Ledger | None:
         """A hand-off has come to nothing. Returns its account as it stood."""
@@ -418,8 +416,8 @@ class DurableService(RecordedService):
 
     def _migrate(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
         task_id = self.id_of(slot)
-        if slot.task is None or slot.state is not TaskState.RUNNING:
-            raise ControlRefused(f"{slot.address} is {slot.state.value}, so it cannot move")
+        if slot.task is None or slot.life.state is not State.RUNNING:
+            raise ControlRefused(f"{slot.address} is {slot.life.word}, so it cannot move")
         if not slot.spec.type:
             raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
         if task_id in self._moves:
@@ -463,7 +461,9 @@ class DurableService(RecordedService):
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
         super()._not_written(hand_off, reason)
         record = hand_off.record
-        if record.phase is not Phase.PREPARED and record.task_id not in self._starting:
+        slot = self._slot_of(record.task_id)
+        starts = slot is not None and slot.life.state is State.ASKED
+        if record.phase is not Phase.PREPARED and not starts and record.task_id not in self._starting:
             self.kernel.registry.unreserve(self._place_of(record.task_id))
         if record.phase in DOUBT and hand_off.idle:
             # An adoption is not tried again by itself: the person may have learnt better meanwhile.
@@ -485,7 +485,7 @@ class DurableService(RecordedService):
             return
         for slot in list(self.slots.values()):
             rule = slot.spec.rule
-            if rule is None or rule.when != packet.type or slot.state is not TaskState.RUNNING:
+            if rule is None or rule.when != packet.type or slot.life.state is not State.RUNNING:
                 continue
             task_id = self.id_of(slot)
             due = self.kernel.host.now() >= self._ask_again_s.get(task_id, 0.0)

@@ -18,15 +18,19 @@ from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine, level_of
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
+from pancakes.life.effect import Answer
+from pancakes.life.event import Written
+from pancakes.life.life import State
+from pancakes.life.restart import RestartSpec
 from pancakes.packet import LOG, Packet
 from pancakes.printable import printable, printable_line
 from pancakes.recording.recorder import Recorder
+from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.log_record import line_of, record_of
 from pancakes.services.log_writer import LogWriter
 from pancakes.services.wanted_recording import Wanted, WantedRecording
-from pancakes.slot import Request, Slot, TaskState
-from pancakes.supervision import RestartSpec
+from pancakes.slot import Slot
 from pancakes.task import Carried, TaskSpec
 from pancakes.weight import weigher
 
@@ -145,9 +149,9 @@ class LogService(Service):
         self._entries = 0
         self._tracing: Tracing | None = None
 
-    def close(self, then: Callable[[], None]) -> None:
+    def close(self, for_s: float | None = None) -> None:
         self._end_tracing()
-        super().close(then)
+        super().close(for_s)
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self._end_tracing()
@@ -186,6 +190,8 @@ class LogService(Service):
         elif isinstance(body, Traces):
             self._begin_tracing().answer(body, request.by, lambda told: self.reply(request, result=told))
         else:
+            if isinstance(body, Start) and slot is not None and slot.name == RECORDER and slot.life.at_rest:
+                slot.carried = None  # what is not said now is as the configuration says, not as it was said last time
             super().carry_out_command(body, slot, request)
 
     def _page(self, body: History) -> list[dict[str, Any]]:
@@ -249,35 +255,26 @@ class LogService(Service):
         first, self._goes_on = Path(self._goes_on.first), None
         return {**arguments, "goes_on": first}
 
-    def start_asked(self, slot: Slot, body: Start, request: Request) -> None:
-        if slot.name == RECORDER and slot.state in (TaskState.STOPPED, TaskState.FAILED):
-            slot.carried = None  # what is not said now is as the configuration says, not as it was said last time
-        super().start_asked(slot, body, request)
+    def answer(self, slot: Slot, effect: Answer) -> None:
+        recorder = slot.task
+        if effect.reason or not isinstance(recorder, Recorder) or slot.life.state is not State.RUNNING:
+            super().answer(slot, effect)
+            return
+        wanted = Wanted(str(recorder.first.absolute()), self.describe_in_detail(slot)["settings"])
+        answer = super().answer
+        self._want(wanted, lambda why_not: answer(slot, effect))
 
-    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
-        def begun(reason: str) -> None:
-            recorder = slot.task
-            if reason or not isinstance(recorder, Recorder):
-                then(reason)
-                return
-            settings = self.settings_of(slot)
-            self._want(Wanted(str(recorder.first.absolute()), settings), lambda why_not: then(""))
-
-        super().start_anew(slot, begun if slot.name == RECORDER else then)
-
-    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
-        if slot.name != RECORDER:
-            super().when_stopped(slot, then)
+    def write_rest(self, slot: Slot) -> None:
+        if slot.name != RECORDER or self.closing:
+            super().write_rest(slot)
             return
 
         def forgotten(why_not: str) -> None:
-            then(f"{slot.address} is stopped, but may record again after a crash: {why_not}" if why_not else "")
+            lasts_not = f"{slot.address} is stopped, but may record again after a crash: {why_not}"
+            self.feed(slot, Written(lasts_not if why_not else ""))
 
         self._want(None, forgotten)
-
-    def task_ended(self, slot: Slot) -> None:
-        if slot.name == RECORDER and not self.closing:
-            self._want(None, lambda why_not: None)
+        self.rested(slot)
 
     def _want(self, wanted: Wanted | None, then: Callable[[str], None]) -> None:
         """Writes down what is to go on; `then` is called in this actor, with the reason where that failed."""

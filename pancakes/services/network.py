@@ -14,13 +14,16 @@ from pancakes.kernel.handlers import Tick, every
 from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
+from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.follower import LEAST_HZ, Follower
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.migrator import Hosting, TaskMigrator
-from pancakes.slot import Request, Slot
+from pancakes.slot import Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
+
+CLIENT = "NetworkClient"
 
 
 class NetworkClient(Task):
@@ -107,11 +110,12 @@ class NetworkService(Service):
         self._hosting = hosting
         self._ledgers = ledgers
         self._followers: dict[tuple[str, str], Follower] = {}
+        self._for_s: float | None = None  # how long it is to sleep, in mission time
 
     def own_tasks(self) -> Sequence[TaskSpec]:
         mesh = {"mesh": self._mesh}
         return [
-            TaskSpec("NetworkClient", NetworkClient, arguments=mesh),
+            TaskSpec(CLIENT, NetworkClient, arguments=mesh),
             TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
             TaskSpec(
                 "TaskMigrator", TaskMigrator, arguments={**mesh, "hosting": self._hosting, "ledgers": self._ledgers}
@@ -122,11 +126,15 @@ class NetworkService(Service):
         # The mesh outlives the service, so that a port that was taken stays taken while the network sleeps.
         self._mesh.wake()
 
+    def close(self, for_s: float | None = None) -> None:
+        self._for_s = for_s
+        super().close(for_s)
+
     def on_stop(self) -> None:
         for channel, by in list(self._followers):
             self._unfollow(channel, by)
         if not self.kernel.stopping:
-            for_s = self.stopped_for_s
+            for_s = self._for_s
             self._mesh.sleep(for_s / self.kernel.mission.speed if for_s is not None else None)
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
@@ -145,12 +153,6 @@ class NetworkService(Service):
         if isinstance(migrator, TaskMigrator):
             return migrator.refuse_stop()
         return ""
-
-    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
-        """Stops a task. Without the Network Client no answer leaves, so only a task of this agent may stop that."""
-        if slot.name == "NetworkClient" and agent_of(request.by) != self.agent:
-            raise ControlRefused(f"{slot.address} cannot be stopped from elsewhere: nobody could start it again")
-        super().stop_asked(slot, body, request)
 
     def links(self) -> list[dict[str, Any]]:
         """Returns what is to be known about the links to other agents, as plain values. Any thread."""
@@ -175,6 +177,9 @@ class NetworkService(Service):
         elif isinstance(body, Unfollow):
             self._unfollow(body.channel, request.by)
             self.reply(request)
+        elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
+            # Without it no answer leaves.
+            raise ControlRefused(f"{slot.address} cannot be stopped from elsewhere: nobody could start it again")
         else:
             super().carry_out_command(body, slot, request)
 

@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 from msgspec.structs import replace
 
 from pancakes.kernel.letters import ATTEMPTS, MOST_KNOWN
+from pancakes.life.life import State
 from pancakes.migration.core import handle
 from pancakes.migration.effect import Deliver, Forward, Send
 from pancakes.migration.event import Arrived, PacketId
@@ -16,7 +17,7 @@ from pancakes.migration.messages import Moved
 from pancakes.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.migration.record import TaskId
 from pancakes.packet import Packet, join
-from pancakes.slot import Slot, TaskState
+from pancakes.slot import Slot
 
 if TYPE_CHECKING:
     from pancakes.services.courier import Courier
@@ -106,7 +107,7 @@ class Postbox:
 
     def _deliver(self, task_id: TaskId, letter: Letter, packet: Packet | None) -> None:
         slot = self._service.slots.get(task_id.name)
-        if slot is None or slot.task is None or slot.state is not TaskState.RUNNING:
+        if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
             return
         task = slot.task
         key = (task_id, letter.stream, letter.seq)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from enum import Enum
 from functools import partial
 from typing import Any, ClassVar
 
@@ -11,8 +12,10 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.arrays import alike
-from pancakes.control import Stop
+from pancakes.control import Configure, Describe, Reschedule, Stop
 from pancakes.errors import ControlRefused, PancakesError
+from pancakes.life.event import Admitted, PutOff, Refused, StartAsked, StopAsked, Written
+from pancakes.life.life import RESTS, State
 from pancakes.migration.effect import (
     Ack,
     After,
@@ -29,7 +32,8 @@ from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
 from pancakes.packet import Fence, Packet, join
-from pancakes.service import Service
+from pancakes.request import Request
+from pancakes.service import CLOSES, Service
 from pancakes.services.catalogue import Catalogue
 from pancakes.services.checkpoints import Checkpoints, plain_of
 from pancakes.services.lost import Lost
@@ -37,7 +41,7 @@ from pancakes.services.postbox import Postbox
 from pancakes.services.records import Records
 from pancakes.services.snapshots import begins_alike, carried_of, settings_now, snapshot_of, spec_of
 from pancakes.services.waiters import Waiters
-from pancakes.slot import Request, Slot, TaskState
+from pancakes.slot import Slot
 from pancakes.task import Carried, Task, TaskSpec
 from pancakes.weight import in_brief
 
@@ -45,6 +49,19 @@ CHECKPOINT_S = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
 CHECKPOINTS_AT_ONCE = 20
 """So many tasks are looked at in one go; a look at a thousand would make all of them 20 ms late, each second."""
+
+
+class Leave(Enum):
+    """How a task gets leave to start, where not by a new entry in its record."""
+
+    RECOVERED = "recovered"
+    """By its record as it was found on disk."""
+    GRANTED = "granted"
+    """It has leave: its record says that it runs."""
+    AGAIN = "again"
+    """By an entry that says that it runs again; the actor that ran before is gone."""
+    WANTED = "wanted"
+    """By an entry, also where another task has its actuators just now: it follows once these are free."""
 
 
 class RecordedService(Service):
@@ -56,6 +73,7 @@ class RecordedService(Service):
     """
 
     durable: ClassVar[bool] = True
+    keeps_changes: ClassVar[bool] = True
     # A record must have been taken up before anything else is heard of its task.
     started_at_once: ClassVar[int] = sys.maxsize
 
@@ -70,13 +88,13 @@ class RecordedService(Service):
         self._arriving: dict[TaskId, str] = {}
         self._leaving: set[str] = set()
         self._late: dict[str, None] = {}  # tasks whose checkpoint had to wait
-        self._owed: dict[TaskId, None] = {}  # tasks that are ours and wanted, and whose start was refused
         self._residents: set[str] = set()
-        self._told_to_stop: set[str] = set()  # tasks whose own end was asked for, and has not come yet
-        self._fresh: set[str] = set()  # tasks that are to begin as their configuration says
+        self._leave: dict[TaskId, Leave] = {}  # what the next start of a task begins with, where not with its record
+        self._when_ended: dict[str, Callable[[], None]] = {}  # what follows once the actor of a task has ended
+        self._begins: dict[TaskId, Callable[[], None]] = {}  # what follows once the start of a task is decided
         self._stopped: dict[TaskId, list[Callable[[str], None]]] = {}  # who waits for a stop to be on disk
         self._writing = 0  # how many records wait for the disk
-        self._when_written: Callable[[], None] | None = None
+        self._ends = False  # once all records are written
         self._postbox = Postbox(self)
         self._waiters = Waiters(self, records)
 
@@ -161,74 +179,82 @@ class RecordedService(Service):
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         # What a task carries is in its record.
-        if kept is None:
-            self._fresh.add(slot.name)
+        slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is not None and slot.name in self._fresh and hand_off.record.phase is Phase.OWNER:
-            self.drop_state(slot)
-            self.begin(slot, lambda reason: self._report(slot, reason))
-            return
-        if hand_off is None:
-            reason = self.admit(slot)
-            if reason:
-                # Born once that has changed, as when a device that it requires comes up later.
-                slot.reason = reason
-                self._owed[self.id_of(slot)] = None
-                self._report(slot, reason)
-            else:
-                # Born even where another has its actuators just now: it is wanted, and follows once these are free.
-                self._begin(slot, lambda reason: self._report(slot, reason))
-            return
-        runs = hand_off.record.phase in (Phase.OWNER, Phase.FROZEN)
-        if runs:
-            slot.state = TaskState.STARTING
-        hand_off.recover()
-        if not runs:
-            self.settle(slot)
+        task_id = self.id_of(slot)
+        hand_off = self.hand_offs.get(task_id)
+        phase = hand_off.record.phase if hand_off is not None else Phase.OWNER
+        if hand_off is not None and not (slot.fresh and phase is Phase.OWNER):
+            if phase not in (Phase.OWNER, Phase.FROZEN):
+                hand_off.recover()
+                self.settle(slot)
+                return
+            self._leave[task_id] = Leave.RECOVERED
+        self.feed(slot, StartAsked())
 
-    def _report(self, slot: Slot, reason: str) -> None:
-        if slot.state is TaskState.RESTARTING:
-            return  # it failed, and is tried again
-        # Of one whose record was lost the agent itself has said so; one that failed has been told of.
-        told = slot.state is not TaskState.STOPPED or self._undecided(self.hand_off(self.id_of(slot)).record)
-        if reason and not told:
-            self.log("error", f"{slot.address} was not started: {reason}")
-        self.settle(slot)
-
-    def begin(self, slot: Slot, then: Callable[[str], None]) -> None:
-        """Starts a task as its record allows; `then` is told an empty string, or the reason why not."""
-        # Its actuators are kept for it from now on: of two tasks that are to start at once, the second is refused here,
-        # before its record says that it is wanted.
-        reason = self.admit(slot) or self.kernel.registry.reserve(slot.address, slot.spec.cls.requires)
-        if reason:
-            then(reason)
-        else:
-            self._begin(slot, then)
-
-    def _begin(self, slot: Slot, then: Callable[[str], None]) -> None:
-        hand_off = self.hand_off(self.id_of(slot))
-        undecided = self._undecided(hand_off.record)
-        if undecided:
-            self.kernel.registry.unreserve(slot.address)
-            slot.reason = undecided
-            then(undecided)
-            return
-        self._starting.setdefault(hand_off.record.task_id, []).append(then)
+    def ask_leave(self, slot: Slot, again: bool) -> None:
+        task_id = self.id_of(slot)
+        leave = self._leave.pop(task_id, Leave.AGAIN if again and slot.life.asker is None else None)
+        hand_off = self.hand_off(task_id)
         record = hand_off.record
-        slot.state = TaskState.STARTING
+        if leave is Leave.GRANTED:
+            return
+        if self.closing:
+            self.feed(slot, Refused(CLOSES))
+        elif leave is Leave.RECOVERED:
+            hand_off.recover()
+        elif leave is Leave.AGAIN:
+            hand_off.feed(StartAgain(again=True))
+        elif undecided := self._undecided(record):
+            self.kernel.registry.unreserve(slot.address)
+            self.feed(slot, Refused(undecided, for_good=True))
+        elif reason := self._lacks(slot, record, leave):
+            self.feed(slot, Refused(reason))
+        else:
+            self._enter_start(slot, hand_off, again)
+
+    def _lacks(self, slot: Slot, record: Record, leave: Leave | None) -> str:
+        """Says what keeps a task from running; empty: nothing, and its actuators are kept for it from now on."""
+        reason = self.admit(slot)
+        born = record.phase is Phase.ABSENT and slot.life.asker is None
+        if reason or born or leave is Leave.WANTED:
+            return reason
+        # Of two tasks that are to start at once, the second is refused here, before its record says that it is wanted.
+        return self.kernel.registry.reserve(slot.address, slot.spec.cls.requires)
+
+    def _enter_start(self, slot: Slot, hand_off: HandOff, again: bool) -> None:
+        record = hand_off.record
+        if slot.fresh:
+            slot.fresh = False
+            self.drop_state(slot)
         if record.phase is Phase.ABSENT and record.seen == NO_EPOCH:
             hand_off.feed(Born(self._snapshot(slot, slot.carried)))
-        else:
-            if slot.carried is not None and record.phase is Phase.OWNER:
-                hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
-            hand_off.feed(StartAgain())
+            return
+        if slot.carried is not None and record.phase is Phase.OWNER:
+            hand_off.feed(Ended(Wanted.STOPPED, self._snapshot(slot, slot.carried)))
+            again = False
+        hand_off.feed(StartAgain(again))
 
-    def relaunch(self, slot: Slot) -> None:
-        slot.supervision.cancel()
-        slot.state = TaskState.STARTING
-        self.hand_off(self.id_of(slot)).feed(StartAgain(again=True))
+    def spawn(self, slot: Slot) -> None:
+        super().spawn(slot)
+        # From here on the record is what counts, and this grows old.
+        slot.carried = None
+
+    def settle(self, slot: Slot, reason: str = "") -> None:
+        super().settle(slot, reason)
+        if slot.life.state is State.ASKED:
+            return  # nothing but the agent goes on without it
+        task_id = self.id_of(slot)
+        for then in self._starting.pop(task_id, []):
+            then(reason)
+        begun = self._begins.pop(task_id, None)
+        if begun is None:
+            return
+        if slot.life.state is State.REFUSED:
+            # It does not run, but it is still wanted: a start that is asked for may follow.
+            self.hand_off(task_id).feed(Ended(Wanted.RUNNING))
+        begun()
 
     def refuse_start(self, slot: Slot) -> str:
         return self._undecided(self.hand_off(self.id_of(slot)).record) or super().refuse_start(slot)
@@ -272,47 +298,58 @@ class RecordedService(Service):
         # What it has heard it has heard: its sender may not know yet, and sends that again.
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
-    def start_anew(self, slot: Slot, then: Callable[[str], None]) -> None:
-        self.begin(slot, then)
-
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         told = super().describe_task(slot)
         hand_off = self.hand_offs.get(self.id_of(slot))
-        if hand_off is not None and slot.state in (TaskState.STOPPED, TaskState.FAILED):
+        if hand_off is not None and slot.life.state in RESTS:
             told["rest"] = rest_of(hand_off.record)
         return told
 
-    def task_ended(self, slot: Slot) -> None:
-        told_to_stop = slot.name in self._told_to_stop
-        self._told_to_stop.discard(slot.name)
+    def write_rest(self, slot: Slot) -> None:
         if slot.name in self._leaving:
             self._leaving.discard(slot.name)
             self._forget(slot)
-            return
+        else:
+            self._enter_rest(slot)
+        self.rested(slot)
+        then = self._when_ended.pop(slot.name, None)
+        if then is not None:
+            then()
+
+    def _enter_rest(self, slot: Slot) -> None:
         hand_off = self.hand_offs.get(self.id_of(slot))
         if hand_off is None or hand_off.record.phase is not Phase.OWNER:
+            self.feed(slot, Written())
             return
         snapshot = self._snapshot(slot, slot.carried) if slot.carried is not None else b""
-        if self.closing and not told_to_stop:
-            # Nobody asked for an end of the task itself: it goes on when its service comes back. Each record costs a
-            # wait for the disk, and of a thousand tasks most have nothing new in it.
+        if self.closing and slot.life.wanted:
+            # The task itself was not asked to end: it goes on when its service comes back. Each record costs a wait for
+            # the disk, and of a thousand tasks most have nothing new in it.
             if snapshot and not (hand_off.idle and begins_alike(snapshot, hand_off.record.snapshot)):
                 hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot))
+            self.feed(slot, Written())
             return
         wanted = Wanted.STOPPED
-        if slot.state is TaskState.FAILED:
+        if slot.life.state is State.FAILED:
             # What is tried again later is still wanted, also after a reboot.
-            wanted = Wanted.FAILED if slot.supervision.due_s is None else Wanted.RUNNING
+            wanted = Wanted.FAILED if slot.life.restarts.due_s is None else Wanted.RUNNING
         hand_off.feed(Ended(wanted, snapshot))
+        self._when_settled(hand_off, lambda why_not: self.feed(slot, Written(why_not)))
+
+    def _when_settled(self, hand_off: HandOff, then: Callable[[str], None]) -> None:
+        """Calls `then` once all that was decided of a task is on disk, or with the reason why it is not."""
+        if hand_off.settled:
+            then("")
+        else:
+            self._stopped.setdefault(hand_off.record.task_id, []).append(then)
 
     def task_running(self, slot: Slot) -> None:
         self._postbox.again(slot)
 
     def _forget(self, slot: Slot) -> None:
         """A task was given away: what is left of it here is the tombstone in the journal."""
-        self._let_go(slot)
-        slot.supervision.cancel()
-        slot.state = TaskState.STOPPED
+        self.let_go(slot)
+        self.feed(slot, StopAsked(reason="it is elsewhere"))
         slot.carried = None
         slot.mailbox.clear_data()
         courier = self._postbox.courier()
@@ -321,26 +358,23 @@ class RecordedService(Service):
         if slot.name not in self._residents:
             del self.slots[slot.name]
 
-    def settle_all(self, then: Callable[[], None]) -> None:
+    def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
-        self._when_written = then
+        self._ends = True
         self._look_written()
 
     def _look_written(self) -> None:
-        then = self._when_written
-        if then is not None and not self._writing:
-            self._when_written = None
-            then()
+        if self._ends and not self._writing:
+            self._ends = False
+            self.end_at_last()
 
     def _not_written(self, hand_off: HandOff, reason: str) -> None:
         task_id = hand_off.record.task_id
         self._checkpoints.forget(task_id)
         hand_off.failed(reason)
         slot = self._slot_of(task_id)
-        if slot is not None and slot.state is TaskState.STARTING and slot.task is None:
-            # It starts once it can be written down; nothing else waits for that.
-            slot.reason = reason
-            self.settle(slot)
+        if slot is not None and slot.life.state is State.ASKED:
+            self.feed(slot, PutOff(reason))
         if hand_off.settled:
             # It is not tried again.
             for then in self._stopped.pop(task_id, []):
@@ -376,50 +410,22 @@ class RecordedService(Service):
             else:
                 self.after_host(number * CHECKPOINT_S / len(batches), partial(self._checkpoint_some, batch))
         self.after_host(CHECKPOINT_S, self._checkpoint_all)
-        self._start_owed()
 
-    def _start_owed(self) -> None:
-        """Starts what was refused before, such as a task that came while another still held its actuators."""
-        for task_id in list(self._owed):
-            slot = self._slot_of(task_id)
-            if slot is None or slot.state is not TaskState.STOPPED:
-                del self._owed[task_id]
-            elif not slot.busy and not self.refuse_start(slot):
-                self.begin(slot, lambda reason, slot=slot: self._report(slot, reason))  # type: ignore[misc]
-
-    def stop_asked(self, slot: Slot, body: Stop, request: Request) -> None:
-        self._refuse_if_moved(slot)
-        task_id = self.id_of(slot)
-        if task_id not in self._owed or slot.state is not TaskState.STOPPED:
-            super().stop_asked(slot, body, request)
-            if slot.state is TaskState.STOPPING:
-                self._told_to_stop.add(slot.name)
-            return
-        if body.dry_run:
-            self.reply(request)
-            return
-        del self._owed[task_id]
-        self.tell_asked("stop", slot, request)
-        self.hand_off(task_id).feed(Ended(Wanted.STOPPED))
-        self.when_stopped(slot, lambda reason: self.reply(request, reason))
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if slot is not None and isinstance(body, (Stop, Reschedule, Configure, Describe)):
+            if not isinstance(body, Describe) or body.state or body.began:
+                self._refuse_if_moved(slot)
+        super().carry_out_command(body, slot, request)
 
     def _refuse_if_moved(self, slot: Slot) -> None:
         record = self.hand_off(self.id_of(slot)).record
         if record.phase is Phase.RELEASED:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
 
-    def when_stopped(self, slot: Slot, then: Callable[[str], None]) -> None:
-        task_id = self.id_of(slot)
-        if self.hand_off(task_id).settled:
-            then("")
-        else:
-            # Who was told that it is stopped may rely on that, also where this agent is killed the moment after.
-            self._stopped.setdefault(task_id, []).append(then)
-
     def _checkpoint_some(self, names: Sequence[str]) -> None:
         for name in names:
             slot = self.slots.get(name)
-            if slot is None or slot.task is None or slot.state is not TaskState.RUNNING:
+            if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
                 continue
             # Its duplicate filter cannot have changed either: whoever gives it a letter owes the sender an answer then.
             task_id = self.id_of(slot)
@@ -432,17 +438,10 @@ class RecordedService(Service):
             return arguments
         return {**arguments, "handled": lambda task: self._handled(slot, task)}
 
-    def in_task(self, slot: Slot, request: Request, kind: str, change: Callable[[Task], dict[str, Any]]) -> None:
-        """Makes a change in a running task's own actor; it outlives a failure of that task the moment after."""
-        self._refuse_if_moved(slot)
-
-        def changed(task: Task) -> dict[str, Any]:
-            told = change(task)
-            if kind:
-                self._handled(slot, task)
-            return told
-
-        super().in_task(slot, request, kind, changed)
+    def changed(self, slot: Slot, carried: Carried) -> None:
+        # It outlives a failure of the task the moment after.
+        if slot.task is not None:
+            self._save(slot, slot.task, carried)
 
     def _handled(self, slot: Slot, task: Task) -> None:
         """A task with `durability = "each"` has handled something, or any task was changed (in its own turn)."""
@@ -465,7 +464,7 @@ class RecordedService(Service):
         self.call(lambda: self._save(slot, task, carried))
 
     def _save(self, slot: Slot, task: Task, carried: Carried) -> None:
-        if slot.task is not task or slot.state is not TaskState.RUNNING:
+        if slot.task is not task or slot.life.state is not State.RUNNING:
             return
         task_id = self.id_of(slot)
         hand_off = self.hand_off(task_id)
@@ -545,13 +544,12 @@ class RecordedService(Service):
                 return
         elif slot.task is not None:
             # It came back before the actor that was given away has ended.
-            self.halt(slot, lambda: self._start_task(task_id, effect, done), "it comes back")
+            self._when_ended[slot.name] = lambda: self._start_task(task_id, effect, done)
+            self.feed(slot, StopAsked(reason="it comes back"))
             return
         self._checkpoints.forget(task_id)
-        self._owed.pop(task_id, None)
         slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
         slot.fence = Fence(str(task_id), (effect.epoch.n, effect.epoch.minter))
-        slot.incarnation = effect.incarnation
         for seq in snapshot.sent.values():
             self.kernel.continue_seq(slot.address, seq + 1)
         courier = self._postbox.courier()
@@ -564,27 +562,13 @@ class RecordedService(Service):
             state = in_brief(snapshot.state)
             self.event("task_arrived", task=slot.name, source_agent=peer, epoch=effect.epoch.n, state=state)
 
-        def launched(reason: str) -> None:
-            waiting = self._starting.pop(task_id, [])
-            if reason and not waiting and slot.state is TaskState.STOPPED:  # else it failed, which has been told
-                self.log("error", f"{task_id} is ours, but was not started: {reason}")
-            for then in waiting:
-                then(reason)
-            if reason and slot.state is TaskState.STOPPED:
-                # It was refused, so it does not run, but it is still wanted: a start that is asked for may follow.
-                self.hand_off(task_id).feed(Ended(Wanted.RUNNING))
-                self._owed[task_id] = None
-            done()
-
-        if slot.state is TaskState.STOPPING:
-            # Its service was told to stop while the record of its start was being written.
-            slot.carried = None
-            slot.on_running = (*slot.on_running, launched)
-            self._rest(slot, slot.reason)
-            return
-        self.launch(slot, launched)
-        # From here on the record is what counts, and this grows old.
-        slot.carried = None
+        self._begins[task_id] = done
+        if slot.life.state not in (State.ASKED, State.CALLED_OFF):
+            self._leave[task_id] = Leave.GRANTED
+            self.feed(slot, StartAsked())
+        reason = CLOSES if self.closing else self.admit(slot)
+        reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        self.feed(slot, Refused(reason) if reason else Admitted(effect.incarnation + 1))
 
     def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""

@@ -8,13 +8,10 @@ cannot wake itself.
 from __future__ import annotations
 
 import math
-import sys
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from enum import Enum
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
-import msgspec
 from msgspec.structs import replace
 
 from pancakes.answers import Answers
@@ -39,67 +36,23 @@ from pancakes.control import (
     Traces,
     Unfollow,
 )
-from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
+from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
+from pancakes.kernel.kernel import Kernel
+from pancakes.life.event import StartAsked, StopAsked
+from pancakes.life.life import State
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
-from pancakes.printable import printable_line
-from pancakes.service import WAITING, Service, ServiceSpec
+from pancakes.request import Request
+from pancakes.service import WAITING, Service, ServiceEnded, ServiceReady, ServiceSpec
 from pancakes.services.network import NetworkService
-from pancakes.settings import SettingsError
-from pancakes.slot import Request, Slot
+from pancakes.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
+from pancakes.slot import Slot
 from pancakes.suggestion import suggestion
-from pancakes.supervision import Next, Supervision
-from pancakes.supervisor import STUCK_S
-from pancakes.task import Carried
 
-if TYPE_CHECKING:
-    from pancakes.kernel.kernel import Kernel
-    from pancakes.kernel.timer import OneShot
-
-WATCH_S = 0.02
-"""How often, in host time, a service that failed is looked at until the last of its tasks has ended."""
 ANSWERED_S = 2.5
 """An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
 NETWORK = "network"
-LOG_SERVICE = "log"
-
-
-class ServiceState(Enum):
-    """What a service does now."""
-
-    STOPPED = "stopped"
-    STARTING = "starting"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    RESTARTING = "restarting"
-    FAILED = "failed"
-
-
-class ServicePlace(msgspec.Struct):
-    """The place of one service; it outlives the actors that fill it.
-
-    Attributes:
-        busy: whether a command that starts or stops the service is being carried out.
-        commands: those that wait for that.
-        alarm: what will wake the service, where it was stopped for a time.
-        kept: what its tasks carried when it was stopped, by their names.
-        keep_state: whether they go on with that when it is started.
-    """
-
-    spec: ServiceSpec
-    address: str
-    supervision: Supervision
-    state: ServiceState = ServiceState.STOPPED
-    service: Service | None = None
-    reason: str = ""
-    on_running: list[Callable[[str], None]] = msgspec.field(default_factory=list)
-    on_ended: list[Callable[[], None]] = msgspec.field(default_factory=list)
-    busy: bool = False
-    commands: deque[Callable[[], None]] = msgspec.field(default_factory=deque)
-    alarm: OneShot | None = None
-    kept: Mapping[str, Carried] = msgspec.field(default_factory=dict)
-    keep_state: bool = True
 
 
 class Root(Component):
@@ -127,194 +80,43 @@ class Root(Component):
         shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
     ) -> None:
         super().__init__(kernel, address)
-        self.places = {
-            spec.name: ServicePlace(spec, join(self.agent, spec.name), Supervision(spec.restart)) for spec in specs
-        }
+        self._services = ServiceKeeper(self, self, specs, self._become_ready)
         self._identity = identity
         self._migrations = migrations
         self._on_ready = ready
         self._shutdown = shutdown
         self._answers = Answers(self)
         self._number = 0
-        self._closing = False
         self.ready = False
+
+    @property
+    def places(self) -> dict[str, ServicePlace]:
+        """The places of its services, by name."""
+        return self._services.places
 
     def on_start(self) -> None:
         for body in CONTROLS:
             self.subscribe(SYSCTRL, body, self.on_control, keep=WAITING)
-        self._start_next(list(self.places.values()))
+        self._services.start_next()
 
-    def _start_next(self, places: list[ServicePlace]) -> None:
-        """Starts the services one after the other: tasks need the devices that come before them."""
-        if self._closing:
-            return
-        if not places:
-            self.ready = True
-            self.event("ready")
-            self._on_ready()
-            return
-        self.launch(places[0], lambda reason: self._start_next(places[1:]))
-
-    # Services --------------------------------------------------------------------------------------------------
-
-    def launch(self, place: ServicePlace, then: Callable[[str], None] | None = None) -> None:
-        """Starts a service; `then` is called once it runs, or with the reason why it does not."""
-        place.state = ServiceState.STARTING
-        place.reason = ""
-        place.supervision.cancel()
-        if place.alarm is not None:
-            place.alarm.cancel()
-        if then is not None:
-            place.on_running.append(then)
-        spec = place.spec
-        kept = place.kept if place.keep_state else None
-        try:
-            service = self.kernel.spawn(
-                spec.cls,
-                place.address,
-                settings=spec.settings,
-                tasks=spec.tasks,
-                kept=kept,
-                ready=lambda service: self.call(lambda: self._service_ready(place, service)),
-                exited=lambda service, error: self.call(lambda: self._service_ended(place, service, error)),
-                **spec.arguments,
-            )
-        except Exception as error:  # what a service's author wrote in __init__ may raise anything
-            self._service_failed(place, error, hopeless=isinstance(error, SettingsError))
-            return
-        # Not before: the next try begins with the same where its constructor fails.
-        place.kept, place.keep_state = {}, True
-        assert isinstance(service, Service)
-        place.service = service
-
-    def halt(self, place: ServicePlace, then: Callable[[], None], request: Request | None = None) -> None:
-        """Stops a service and all of its tasks; `then` is called once it has ended.
-
-        Args:
-            place: the service's place.
-            then: called in this actor.
-            request: who asked for it: what was asked for before is begun before; None: it stops at once.
-        """
-        if place.state in (ServiceState.STOPPED, ServiceState.FAILED) and place.supervision.due_s is None:
-            then()
-            return
-        place.on_ended.append(then)
-        if place.service is None:
-            # It has failed, and waits for its next try, or for the last of its tasks to end.
-            place.supervision.cancel()
-            self._rest(place)
-            return
-        if place.state is ServiceState.STOPPING:
-            return
-        place.state = ServiceState.STOPPING
-        service = place.service
-        if request is not None:
-            try:
-                self.publish(SYSCTRL, Command(request.number, request.cause, ""), to=place.address)
-                return
-            except PancakesError as error:
-                self.log("warning", f"{place.address} ends before it did all that it was asked: {error}")
-        service.call(lambda: service.close(lambda: None))
+    def _become_ready(self) -> None:
+        self.ready = True
+        self.event("ready")
+        self._on_ready()
 
     def close(self, then: Callable[[], None]) -> None:
         """Stops all services, last first; `then` is called in this actor when the last has ended."""
-        self._closing = True
-        places = list(self.places.values())
+        self._services.close(then)
 
-        def next_one() -> None:
-            if places:
-                self.halt(places.pop(), next_one)
-            else:
-                then()
-                self.stop()
-
-        next_one()
-
-    def _service_ready(self, place: ServicePlace, service: Component) -> None:
-        if place.service is not service or place.state is not ServiceState.STARTING:
-            return
-        place.state = ServiceState.RUNNING
-        place.supervision.runs(self.kernel.host.now())
-        self.event("service_started", service=place.spec.name)
-        self._tell_running(place, "")
-
-    def _service_ended(self, place: ServicePlace, service: Component, error: BaseException | None) -> None:
-        if place.service is not service:
-            return
-        self.kernel.stream.unsubscribe(place.address)
-        assert isinstance(service, Service)
-        for request in service.unheard():
-            self.reply(request, f"{place.address} ended before it came to that")
-        if error is None:
-            place.kept = self._kept_by(service)
-        place.service = None
-        if error is not None and place.state is not ServiceState.STOPPING:
-            self._service_failed(place, error)
-            return
-        self._rest(place)
-
-    def _kept_by(self, service: Service) -> Mapping[str, Carried]:
-        try:
-            return service.keep()
-        except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
-            self.log("error", f"what the tasks of {service.address} carried is lost: {describe(error)}")
-            return {}
-
-    def _rest(self, place: ServicePlace) -> None:
-        place.state = ServiceState.STOPPED
-        self.event("service_stopped", service=place.spec.name)
-        self._tell_running(place, f"{place.address} was stopped before it ran")
-        waiting, place.on_ended = place.on_ended, []
-        for then in waiting:
-            then()
-
-    def _service_failed(self, place: ServicePlace, error: BaseException, hopeless: bool = False) -> None:
-        text, traceback = describe(error, place.spec.cls), traceback_of(error)
-        place.reason = text
-        supervision, now_s = place.supervision, self.kernel.host.now()
-        following = supervision.ended(True, now_s, self.random, hopeless or isinstance(error, ClassError))
-        self.event("service_failed", service=place.spec.name, error=text, then=following.value)
-        if self._closing:
-            supervision.cancel()
-        due_s = supervision.due_s
-        if due_s is not None:
-            self.after_host(due_s - now_s, lambda: self._try_again(place, due_s))
-        if following is Next.RESTART and not self._closing:
-            self.log("warning", f"{place.address} is started again {supervision.when(now_s)}: {text}", traceback)
-            place.state = ServiceState.RESTARTING
-        else:
-            place.state = ServiceState.FAILED
-            then_again = "" if due_s is None else f", and tried again {supervision.when(now_s)}"
-            self.log("error", f"{place.address} is given up{then_again}: {text}", traceback)
-            if place.spec.name == LOG_SERVICE:
-                # The console is a task of this service, so it is said here.
-                line = f"{place.address} is given up, so nothing is shown of what is logged: {text}"
-                print(printable_line(line), file=sys.stderr)
-        self._tell_running(place, f"{place.address} failed: {text}")
-
-    def _try_again(self, place: ServicePlace, due_s: float) -> None:
-        """Starts a failed service anew once the last of its old tasks has ended: no task may run twice."""
-        if self._closing or place.supervision.due_s != due_s:
-            return
-        prefix = place.address + "/"
-        old = [it.address for it in self.kernel.registry.components() if it.address.startswith(prefix)]
-        if not old:
-            self.launch(place)
-            return
-        self.after_host(WATCH_S, lambda: self._try_again(place, due_s))
-        if self.kernel.host.now() > due_s + STUCK_S:
-            self._tell_running(place, f"{place.address} waits for the end of {old[0]}, which is stuck")
-
-    def begin_anew(self, place: ServicePlace, then: Callable[[str], None]) -> None:
-        """Starts a service because that was asked for, at once; `then` is told as by `launch`."""
-        place.on_running.append(then)
-        self._try_again(place, place.supervision.hasten(self.kernel.host.now()))
-
-    def _tell_running(self, place: ServicePlace, reason: str) -> None:
-        """Tells all that wait for a service to run an empty string, or why it does not."""
-        waiting, place.on_running = place.on_running, []
-        for then in waiting:
-            then(reason)
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case ServiceReady():
+                self._services.service_ready(message)
+            case ServiceEnded():
+                self._services.service_ended(message)
+            case _:
+                return super().on_receive(message)
+        return None
 
     # Control ---------------------------------------------------------------------------------------------------
 
@@ -353,8 +155,12 @@ class Root(Component):
         self._answers.refuse_all(reason)
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
-        """Answers whoever asked; an empty reason means that it has been done."""
+        """Answers the sender of a request; an empty reason means that it has been done."""
         self._answers.give(request, reason, result)
+
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
+        self._answers.put_off(request, reason)
 
     def _resolve(self, body: Any, request: Request) -> None:
         if isinstance(body, Begin):
@@ -418,7 +224,7 @@ class Root(Component):
             return name, ""
         for place in self.places.values():
             if place.service is None and name in [spec.name for spec in place.spec.tasks]:
-                raise ControlRefused(f"{place.address} is {place.state.value}, and {name} with it")
+                raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
         known = [
             *self.places,
             *(slot.name for place in self.places.values() if place.service for slot in _slots(place.service)),
@@ -430,8 +236,8 @@ class Root(Component):
 
     def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
         place = self.places.get(service)
-        if place is None or place.service is None or place.state is not ServiceState.RUNNING:
-            raise ControlRefused(f"{join(self.agent, service)} is {place.state.value if place else 'not there'}")
+        if place is None or place.service is None or place.life.state is not State.RUNNING:
+            raise ControlRefused(f"{join(self.agent, service)} is {place.life.word if place else 'not there'}")
         self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
         self._answers.pass_on(request)
 
@@ -440,9 +246,7 @@ class Root(Component):
             self.after_host(ANSWERED_S, lambda: self._tell_what_waits(place, request))
             if place.busy or place.commands:
                 # One after the other, so that the last of several that contradict each other is the one that holds.
-                place.commands.append(
-                    lambda: self._attempt(request, lambda: self._change_service(place, body, request))
-                )
+                place.commands = (*place.commands, (body, request))
             else:
                 self._change_service(place, body, request)
         elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget)):
@@ -454,52 +258,45 @@ class Root(Component):
 
     def _tell_what_waits(self, place: ServicePlace, request: Request) -> None:
         """Tells the asker of a command that takes long why it does, before the asker stops waiting."""
-        why = f"{place.address} is {place.state.value}: that waits for a task that is busy, or for the journal"
+        why = f"{place.address} is {place.life.word}: that waits for a task that is busy, or for the journal"
         self._answers.put_off(request, f"{why}. What was asked for is done after that")
 
     def _change_service(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
-        name = place.spec.name
+        name, life = place.spec.name, place.life
         if isinstance(body, Start):
-            if place.state not in (ServiceState.STOPPED, ServiceState.FAILED, ServiceState.RESTARTING):
-                raise ControlRefused(f"{place.address} is {place.state.value} already")
+            if life.state not in (State.STOPPED, State.FAILED, State.RESTARTING):
+                raise ControlRefused(f"{place.address} is {life.word} already")
             if body.settings is not None:
                 raise ControlRefused(f"{place.address} is a service: only a task can be started with other settings")
-            if body.dry_run:
-                self.reply(request)
-                return
-            self._tell_asked("start", name, request)
-            self.begin_anew(place, self._occupy(place, request))
         elif isinstance(body, Stop):
-            self._stop_service(place, body, request)
-        elif body.dry_run:
+            self._refuse_stop(place, body, request)
+        if body.dry_run:
             self.reply(request)
+            return
+        self._tell_asked(type(body).__name__.lower(), name, request)
+        if isinstance(body, Start):
+            self._services.feed(place, StartAsked(request))
+            return
+        if isinstance(body, Restart):
+            place.fresh = not body.keep_state
+            place.for_s = 0.0  # a peer that hears goodbye dials again soon
         else:
-            place.keep_state = body.keep_state
-            self._tell_asked("restart", name, request)
-            if name == NETWORK and place.service is not None:
-                place.service.stopped_for_s = 0.0  # who is told goodbye shall dial again soon
-            self._halt_as_asked(place, request, lambda answer: self.begin_anew(place, answer))
+            place.for_s = body.for_s
+            place.wakes_s = self.now() + body.for_s if body.for_s is not None else None
+        event = StopAsked(request, f"asked for by {request.by}", again=isinstance(body, Restart))
+        if name != NETWORK:
+            self._services.feed(place, event)
+            return
+        # The answer has to leave before the way out is closed. It leaves at the end of this turn, and the service may
+        # have its own turn before that, in another thread.
+        self.reply(request)
+        place.told = request.number
+        defer(lambda: self._services.feed(place, event))
 
-    def _occupy(self, place: ServicePlace, request: Request, answered: bool = False) -> Callable[[str], None]:
-        """Lets later commands for a service wait; returns what answers this one and lets them go on."""
-        place.busy = True
-
-        def answer(reason: str) -> None:
-            if not answered:
-                self.reply(request, reason)
-            place.busy = False
-            self.call(lambda: self._next_command(place))
-
-        return answer
-
-    def _next_command(self, place: ServicePlace) -> None:
-        while place.commands and not place.busy:
-            place.commands.popleft()()
-
-    def _stop_service(self, place: ServicePlace, body: Stop, request: Request) -> None:
-        waits = place.supervision.due_s is not None  # for its next try, which a stop calls off
-        if place.state is not ServiceState.RUNNING and not waits:
-            raise ControlRefused(f"{place.address} is {place.state.value}, not running")
+    def _refuse_stop(self, place: ServicePlace, body: Stop, request: Request) -> None:
+        due = place.life.restarts.due_s is not None  # its next try, which a stop calls off
+        if place.life.state is not State.RUNNING and not due:
+            raise ControlRefused(f"{place.address} is {place.life.word}, not running")
         if body.for_s is not None and not 0 < body.for_s < math.inf:
             raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")
         elsewhere = agent_of(request.by) != self.agent
@@ -510,40 +307,13 @@ class Root(Component):
         reason = place.service.refuse_stop() if place.service is not None else ""
         if reason:
             raise ControlRefused(reason)
-        if body.dry_run:
-            self.reply(request)
-            return
-        if place.service is not None:
-            place.service.stopped_for_s = body.for_s
-        self._tell_asked("stop", place.spec.name, request)
-        wakes_s = self.now() + body.for_s if body.for_s is not None else None
 
-        def halted(answer: Callable[[str], None]) -> None:
-            # Not before: to stop may take longer than the sleep that was asked for, and there is nobody to wake yet.
-            if wakes_s is not None:
-                place.alarm = self.after(max(0.0, wakes_s - self.now()), lambda: self._wake(place))
-            answer("")
-
-        self._halt_as_asked(place, request, halted)
-
-    def _halt_as_asked(
-        self, place: ServicePlace, request: Request, then: Callable[[Callable[[str], None]], None]
-    ) -> None:
-        """Stops a service for who asked for it; `then` is called with what answers."""
-        if place.spec.name != NETWORK:
-            answer = self._occupy(place, request)
-            self.halt(place, lambda: then(answer), request)
-            return
-        # The answer has to leave before the way out is closed. It leaves at the end of this turn, and the service may
-        # have its own turn before that, in another thread.
-        self.reply(request)
-        answered = self._occupy(place, request, answered=True)
-        defer(lambda: self.halt(place, lambda: then(answered), request))
-
-    def _wake(self, place: ServicePlace) -> None:
-        if place.state is ServiceState.STOPPED and not self._closing:
-            self.event("asked", what="wake", service=place.spec.name, by=self.address)
-            self.launch(place)
+    def next_command(self, place: ServicePlace) -> None:
+        """Carries out the commands for a service that waited behind another."""
+        while place.commands and not place.busy:
+            (body, request), *later = place.commands
+            place.commands = tuple(later)
+            self._attempt(request, partial(self._change_service, place, body, request))
 
     def _end_agent(self, body: Shutdown, request: Request) -> None:
         reason = self._shutdown(True)
@@ -624,9 +394,9 @@ class Root(Component):
             "agent": self.agent,
             "service": place.spec.name,
             "type": place.spec.cls.__name__,
-            "state": place.state.value,
-            "reason": place.reason,
-            **place.supervision.describe(self.kernel.host.now()),
+            "state": place.life.word,
+            "reason": place.life.reason,
+            **place.life.restarts.describe(self.kernel.host.now()),
             "tasks": [slot.name for slot in _slots(place.service)] if place.service is not None else [],
         }
 

@@ -10,12 +10,12 @@ from msgspec.structs import asdict, replace
 
 from pancakes import codecs
 from pancakes.arrays import alike
+from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
 from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
 from pancakes.services.catalogue import Catalogue
 from pancakes.slot import Slot
-from pancakes.supervision import RestartSpec
 from pancakes.task import Carried, TaskSpec
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pancakes.migration.record import TaskId
+from pancakes.request import Request
 from pancakes.services.records import Records
-from pancakes.slot import Request
 
 if TYPE_CHECKING:
     from pancakes.services.recorded import RecordedService
@@ -46,7 +46,7 @@ class Waiters:
             self._service.after_host(LOOK_AGAIN_S, lambda: self._look(task_id, request))
             return
         slot = service.slots.get(task_id.name)
-        what = f"{slot.address} is {slot.state.value}" if slot is not None else str(task_id)
+        what = f"{slot.address} is {slot.life.word}" if slot is not None else str(task_id)
         service.put_off(
             request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
         )

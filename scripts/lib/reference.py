@@ -21,11 +21,11 @@ from pancakes.cli.main import pancakes
 from pancakes.codecs import type_info
 from pancakes.config import model
 from pancakes.devices.driver import Driver
+from pancakes.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import has_fields, known_types
 from pancakes.plugins import Plugins
 from pancakes.schema import dataclasses_of, field_notes, schema_of, summary_of
-from pancakes.supervision import DeviceRestartSpec, RestartSpec
 from pancakes.task import Nothing
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"

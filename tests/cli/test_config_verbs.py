@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from processes import Rig
 
-from pancakes.supervision import RestartSpec
+from pancakes.life.restart import RestartSpec
 
 BAD = "[clock]\nsped = 1\n[device.x]\ndriver = 'host.lod'\n"
 

@@ -3,7 +3,18 @@
 from pathlib import Path
 
 from pancakes.config import parse
-from pancakes.launch.course import ALL_END_S, END_S, READY_S, Action, Begin, Course, Kill, Spawn, Tell, Terminate
+from pancakes.launch.course import (
+    ALL_END_S,
+    END_S,
+    READY_S,
+    Action,
+    BeginMission,
+    Course,
+    Kill,
+    SpawnProcess,
+    TellPerson,
+    Terminate,
+)
 from pancakes.launch.member import Member, ProcessRestart
 
 
@@ -14,11 +25,11 @@ def member(name: str, *after: str, restart: ProcessRestart | None = None, hold: 
 
 def done(actions: list[Action]) -> list[Action]:
     """What is done; what is only told is left out."""
-    return [action for action in actions if not isinstance(action, Tell)]
+    return [action for action in actions if not isinstance(action, TellPerson)]
 
 
 def told(actions: list[Action]) -> list[tuple[str, str]]:
-    return [(action.name, action.event) for action in actions if isinstance(action, Tell)]
+    return [(action.name, action.event) for action in actions if isinstance(action, TellPerson)]
 
 
 def running(*members: Member) -> Course:
@@ -27,7 +38,7 @@ def running(*members: Member) -> Course:
     spawned = done(course.start(0.0))
     while spawned:
         action = spawned.pop(0)
-        if isinstance(action, Spawn):
+        if isinstance(action, SpawnProcess):
             spawned += done(course.ready(action.name, 0.0))
     return course
 
@@ -43,14 +54,14 @@ def again(course: Course, ended: list[Action]) -> list[Action]:
 def test_an_agent_starts_once_those_are_ready_that_it_comes_after() -> None:
     course = Course([member("c", "a", "b"), member("a"), member("b", "a")])
 
-    assert done(course.start(0.0)) == [Spawn("a")]
-    assert done(course.ready("a", 1.0)) == [Spawn("b")]
-    assert done(course.ready("b", 2.0)) == [Spawn("c")]
+    assert done(course.start(0.0)) == [SpawnProcess("a")]
+    assert done(course.ready("a", 1.0)) == [SpawnProcess("b")]
+    assert done(course.ready("b", 2.0)) == [SpawnProcess("c")]
     assert not course.over
 
 
 def test_where_nobody_waits_all_start_at_once_in_their_order() -> None:
-    assert done(Course([member("b"), member("a")]).start(0.0)) == [Spawn("b"), Spawn("a")]
+    assert done(Course([member("b"), member("a")]).start(0.0)) == [SpawnProcess("b"), SpawnProcess("a")]
 
 
 def test_they_end_in_reverse_and_nobody_before_those_that_come_after_it() -> None:
@@ -76,7 +87,7 @@ def test_who_does_not_end_is_killed() -> None:
     assert course.tick(10.0 + END_S) == []
     assert course.deadline_s is None
     (last,) = course.ended("a", -9, 13.0)
-    assert isinstance(last, Tell)
+    assert isinstance(last, TellPerson)
     assert last.text == "has ended (ended by SIGKILL, killed because it took too long)"
     assert course.exit_code == 0
 
@@ -111,8 +122,8 @@ def test_a_stop_while_they_start_starts_no_more() -> None:
 def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
     course = running(member("a", restart=ProcessRestart("on-failure", at_most=2, within_s=10.0)), member("b"))
 
-    assert again(course, course.ended("a", 1, 1.0)) == [Spawn("a")]
-    assert again(course, course.ended("a", -11, 2.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", 1, 1.0)) == [SpawnProcess("a")]
+    assert again(course, course.ended("a", -11, 2.0)) == [SpawnProcess("a")]
     actions = course.ended("a", 1, 3.0)
     assert told(actions) == [("a", "given_up")]
     assert done(actions) == []
@@ -126,9 +137,9 @@ def test_a_failure_starts_it_again_until_it_is_given_up() -> None:
 def test_failures_that_lie_far_apart_do_not_add_up() -> None:
     course = running(member("a", restart=ProcessRestart("on-failure", at_most=1, within_s=10.0)))
 
-    assert again(course, course.ended("a", 1, 100.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", 1, 100.0)) == [SpawnProcess("a")]
     course.ready("a", 101.0)
-    assert again(course, course.ended("a", 1, 111.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", 1, 111.0)) == [SpawnProcess("a")]
     course.ready("a", 112.0)
     assert told(course.ended("a", 1, 121.0)) == [("a", "given_up")]
 
@@ -142,7 +153,7 @@ def test_each_restart_waits_longer_than_the_one_before() -> None:
         assert course.deadline_s is not None
         waited_s.append(course.deadline_s - now_s)
         now_s = course.deadline_s
-        assert done(course.tick(now_s)) == [Spawn("a")]
+        assert done(course.tick(now_s)) == [SpawnProcess("a")]
 
     assert len(waited_s) == 4
     for found_s, most_s in zip(waited_s, (1.0, 2.0, 4.0, 4.0), strict=True):
@@ -152,7 +163,7 @@ def test_each_restart_waits_longer_than_the_one_before() -> None:
 def test_a_person_is_told_when_the_next_try_is() -> None:
     course = running(member("a", restart=ProcessRestart(pause_s=8.0)))
     (only,) = course.ended("a", 1, 1.0)
-    assert isinstance(only, Tell) and course.deadline_s is not None
+    assert isinstance(only, TellPerson) and course.deadline_s is not None
     assert only.text == f"has ended (exit code 1) and is started again in {course.deadline_s - 1.0:.1f} s"
 
 
@@ -170,7 +181,7 @@ def test_what_ended_in_order_is_started_again_by_always_alone() -> None:
     course = running(member("a"), member("b", restart=ProcessRestart("always")), member("c"))
 
     assert told(course.ended("a", 0, 1.0)) == [("a", "ended")]
-    assert again(course, course.ended("b", 0, 1.0)) == [Spawn("b")]
+    assert again(course, course.ended("b", 0, 1.0)) == [SpawnProcess("b")]
     course.ended("c", 0, 1.0)
     assert not course.over
     assert course.exit_code == 0
@@ -204,7 +215,7 @@ def test_a_process_that_cannot_be_made() -> None:
     course.start(0.0)
 
     (only,) = course.unstartable("a", "too many open files", 0.0)
-    assert isinstance(only, Tell)
+    assert isinstance(only, TellPerson)
     assert only.text == "cannot be started: too many open files"
     assert (course.over, course.exit_code) == (True, 1)
 
@@ -225,14 +236,14 @@ def test_missions_that_wait_begin_once_everybody_is_ready() -> None:
 
     assert done(course.ready("a", 1.0)) == []
     assert done(course.ready("c", 1.0)) == []
-    assert done(course.ready("b", 2.0)) == [Begin(("a", "c"))]
+    assert done(course.ready("b", 2.0)) == [BeginMission(("a", "c"))]
 
 
 def test_one_that_was_started_again_begins_by_itself() -> None:
     course = running(member("a", hold=True), member("b", hold=True))
-    assert again(course, course.ended("a", 1, 3.0)) == [Spawn("a")]
+    assert again(course, course.ended("a", 1, 3.0)) == [SpawnProcess("a")]
 
-    assert done(course.ready("a", 4.0)) == [Begin(("a",))]
+    assert done(course.ready("a", 4.0)) == [BeginMission(("a",))]
 
 
 def test_a_mission_does_not_begin_without_one_of_the_fleet() -> None:

@@ -77,7 +77,7 @@ def test_ticks_their_lateness_and_the_rate_asked_for_are_told(agent):
 def test_what_waits_what_was_lost_and_what_failed_is_told(agent):
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     agent.wait_for_event("task_failed")
-    agent.wait_until(lambda: agent.slot("Slow").state.value == "running")
+    agent.wait_until(lambda: agent.slot("Slow").life.state.value == "running")
     told = scraped(agent)
     assert told["pancakes_task_failures_total", "client", "Slow", "restart"] == 1.0
     assert told["pancakes_dead_letters_total",] == 1.0

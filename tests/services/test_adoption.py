@@ -25,7 +25,7 @@ class Count(Task):
 @pytest.fixture
 def fleet():
     with FleetInTest(5, classes={"test.Count": Count}) as made:
-        made.start("a", tasks={"Count": Count})
+        made.start("a", tasks={"Count": Count}, services={"network": {"restart": {"policy": "temporary"}}})
         made.start("b")
         made.connect()
         made.network.set_quality("a", "b", Quality(latency_s=0.02))
@@ -151,7 +151,7 @@ def test_while_the_other_is_connected_it_is_refused(fleet):
 def test_while_the_network_sleeps_nobody_knows_who_is_there(fleet):
     a, _ = committed_and_alone(fleet)
     a.component("network/TaskMigrator").stop()
-    a.component("network").close(lambda: None)
+    a.component("network").close()
     fleet.run_for(1.0)
 
     assert "nobody knows whether b is there" in a.ask(Adopt("Count", force=True)).reason

@@ -291,7 +291,7 @@ def test_a_failed_task_begins_from_its_checkpoint(fleet):
     agent.publish("system", Pose(0.0, 0.0, 0.0))
     fleet.run_for(0.12)
     assert n - 12 <= agent.task("Count").state.n < n
-    assert agent.slot("Count").incarnation > 1
+    assert agent.slot("Count").life.incarnation > 1
 
 
 def test_stopping_the_client_service_is_no_stop_of_its_tasks(fleet):

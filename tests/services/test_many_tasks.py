@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 from pancakes.control import Command, Stop
 from pancakes.events import LogLine
+from pancakes.life.life import State
 from pancakes.packet import SYSCTRL, Packet
-from pancakes.service import Service
-from pancakes.slot import TaskState
-from pancakes.supervisor import STARTED_AT_ONCE
+from pancakes.service import STARTED_AT_ONCE, Service
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest
 
@@ -43,7 +42,7 @@ def test_all_of_many_tasks_run_once_the_service_is_ready():
             agent = a_crowd(fleet, tasks)
             assert agent.running("crowd") == [f"Small{number}" for number in range(tasks)]
             service = agent.component("crowd")
-            assert not any(slot.busy or slot.commands for slot in service.slots.values())
+            assert not any(slot.life.asker or slot.commands for slot in service.slots.values())
 
 
 class Impatient(Crowd):
@@ -63,7 +62,7 @@ def test_what_is_asked_of_a_task_before_its_turn_to_start_waits_for_that():
         service = agent.component("crowd")
         assert service.was_running == [number < STARTED_AT_ONCE for number in range(tasks)]
         fleet.run_for(1.0)
-        assert agent.slot(f"Small{tasks - 1}", "crowd").state is TaskState.STOPPED
+        assert agent.slot(f"Small{tasks - 1}", "crowd").life.state is State.STOPPED
         assert len(agent.running("crowd")) == tasks - 1
 
 

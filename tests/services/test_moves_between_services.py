@@ -7,10 +7,10 @@ import pytest
 from pancakes.control import Migrate, Start, Stop
 from pancakes.devices.types import Load, Pose
 from pancakes.kernel.handlers import on
+from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import Phase, TaskId
 from pancakes.service import Service
 from pancakes.services.durable import DurableService
-from pancakes.supervision import RestartSpec
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest
 

@@ -359,17 +359,17 @@ def test_the_answer_has_left_before_anybody_can_close_the_way_out(fleet, monkeyp
     """The network service may have its turn, in another thread, before the root's has ended."""
     agent, _ = fleet.start("a"), fleet.start("b")
     fleet.connect()
-    root = agent.component("kernel")
-    halt, left = root.halt, []
+    network = agent.component("network")
+    close, left = network.close, []
 
     def sent():
         return agent.agent.mesh.describe()["peers"][0]["packets_out"]
 
-    def halt_and_look(*arguments):
+    def close_and_look(*arguments):
         left.append(sent())
-        halt(*arguments)
+        close(*arguments)
 
-    monkeypatch.setattr(root, "halt", halt_and_look)
+    monkeypatch.setattr(network, "close", close_and_look)
     asked = fleet.agents["b"].publish(SYSCTRL, command, to="a")
     before = sent()
     assert fleet.agents["b"].reply_to(asked).ok

@@ -136,7 +136,7 @@ def test_a_restart_keeps_the_state_or_drops_it(fleet, service):
     assert agent.task("Count", service).state.n == 10
     assert agent.ask(Restart("Count", keep_state=False)).ok
     assert agent.task("Count", service).state.n == 0
-    assert agent.slot("Count", service).incarnation == 3
+    assert agent.slot("Count", service).life.incarnation == 3
 
 
 def test_a_restart_that_drops_the_state_begins_as_the_configuration_says(fleet, service):
@@ -281,7 +281,7 @@ def test_a_task_that_fails_is_started_again_and_both_are_told(fleet, service):
     assert "RuntimeError: negative" in failed[0]["error"] and "test_task_control.py" in failed[0]["error"]
     assert agent.kernel.letters.count == 1
     assert [line for line in agent.lines("info") if line.startswith("got")] == ["got 1", "got 2"]
-    assert agent.slot("Fragile", service).incarnation == 4
+    assert agent.slot("Fragile", service).life.incarnation == 4
 
 
 def test_a_task_that_fails_too_often_is_given_up(fleet, service):
@@ -323,7 +323,7 @@ def test_the_policy_says_what_follows_an_end(fleet, service, policy, x_m, state,
     agent.publish("system", Pose(x_m, 0.0, 0.0))
     fleet.run_for(1.0)
     assert agent.ask(Describe("Fragile")).result["state"] == state
-    assert agent.slot("Fragile", service).incarnation == runs
+    assert agent.slot("Fragile", service).life.incarnation == runs
 
 
 def test_what_a_task_that_was_given_up_had_subscribed_to_holds_nobody_up(fleet, service):

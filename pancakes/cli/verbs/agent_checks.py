@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from pancakes import __version__
 from pancakes.cli.verbs.finding import Finding
+from pancakes.life.restart import tries
 from pancakes.runtime_dir import Entry
-from pancakes.supervision import tries
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""

@@ -14,14 +14,14 @@ from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.client import Client, Where
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
+from pancakes.life.restart import tries
 from pancakes.suggestion import suggestion
-from pancakes.supervision import tries
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 DONE = ("agent", "service", "done", "number")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
 STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
-"""The values of `pancakes.services.root.ServiceState`, which is not imported for them: a command has to be quick."""
+"""The words of `pancakes.life.life` for services, which is not imported for them: a command has to be quick."""
 
 
 @click.group()

@@ -17,13 +17,13 @@ from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.client import Client, Where
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
-from pancakes.supervision import tries
+from pancakes.life.restart import tries
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
 DONE = ("agent", "service", "task", "done", "number")
 STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
-"""The values of `pancakes.slot.TaskState`, which is not imported for them: a command has to be quick."""
+"""The values of `pancakes.life.life.WORDS`, which is not imported for them: a command has to be quick."""
 
 
 @click.group()

@@ -1,19 +1,22 @@
-"""When what ended is started again: the decision, as OTP's supervisors make it, with a growing pause. Pure.
+"""When what has ended is started again: OTP's restart policies, with a pause that grows. Pure.
 
 Tasks, devices, services and the processes of a launched fleet share it.
 """
 
 from __future__ import annotations
 
-import random
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Final, Literal
 
 import msgspec
+from msgspec.structs import replace
 
 LEAST: Final = 0.75
 """Each pause is drawn between this share of its length and all of it: what failed together does not return together."""
+
+Draw = Callable[[float, float], float]
+"""Draws a number between two, as `random.Random.uniform` does."""
 
 
 class RestartSpec(msgspec.Struct, frozen=True):
@@ -59,89 +62,75 @@ class Next(Enum):
     GIVE_UP = "give up"
 
 
-class Supervision:
+class Restarts(msgspec.Struct, frozen=True):
     """The memory that a restart policy needs, for one task, service or process.
 
     Attributes:
         spec: the policy.
         failures: how often it has failed since it last ran well, for `within_s`, or was started on request.
         due_s: the host time of the next try; None: none is due.
+        since_s: it runs since this host time; None: it does not run.
+        ran_s: how long it has run in all. The next two are counted on this clock.
+        restarts_s: when it was started again.
+        failed_s: when it failed last.
     """
 
-    __slots__ = ("_failed_s", "_ran_s", "_restarts_s", "_since_s", "due_s", "failures", "spec")
+    spec: RestartSpec
+    failures: int = 0
+    due_s: float | None = None
+    since_s: float | None = None
+    ran_s: float = 0.0
+    restarts_s: tuple[float, ...] = ()
+    failed_s: float = 0.0
 
-    def __init__(self, spec: RestartSpec) -> None:
-        self.spec = spec
-        self.failures = 0
-        self.due_s: float | None = None
-        self._since_s: float | None = None  # it runs since then
-        self._ran_s = 0.0  # how long it has run in all; the next two are counted on this clock
-        self._restarts_s: tuple[float, ...] = ()
-        self._failed_s = 0.0
+    def began(self, now_s: float) -> Restarts:
+        """Returns the memory after a start has succeeded."""
+        return replace(self, since_s=now_s)
 
-    def runs(self, now_s: float) -> None:
-        """Its start has succeeded."""
-        self._since_s = now_s
-
-    def ended(self, failed: bool, now_s: float, source: random.Random, hopeless: bool = False) -> Next:
+    def ended(self, failed: bool, now_s: float, draw: Draw, hopeless: bool = False) -> tuple[Next, Restarts]:
         """Decides what follows an end that was not asked for; `due_s` says when there is a next try.
 
         Args:
             failed: whether it ended by an error.
             now_s: host time.
-            source: the pause is drawn with it.
+            draw: draws the length of the pause.
             hopeless: whether each further try would end in the same way, as with settings that are wrong.
         """
         spec = self.spec
-        self.due_s = None
-        if self._since_s is not None:
-            self._ran_s += now_s - self._since_s
-            self._since_s = None
-        earliest_s = self._ran_s - spec.within_s
-        self._restarts_s = tuple(time_s for time_s in self._restarts_s if time_s > earliest_s)
-        if self._failed_s <= earliest_s:
-            self.failures = 0
-        if failed:
-            self.failures += 1
-            self._failed_s = self._ran_s
+        ran_s = self.ran_s + (now_s - self.since_s if self.since_s is not None else 0.0)
+        earliest_s = ran_s - spec.within_s
+        failures = self.failures if self.failed_s > earliest_s else 0
+        after = Restarts(
+            spec,
+            failures=failures + failed,
+            ran_s=ran_s,
+            restarts_s=tuple(time_s for time_s in self.restarts_s if time_s > earliest_s),
+            failed_s=ran_s if failed else self.failed_s,
+        )
         if spec.policy == "temporary" or (spec.policy == "transient" and not failed):
-            return Next.GIVE_UP if failed else Next.REST
+            return (Next.GIVE_UP if failed else Next.REST), after
         if hopeless:
-            return Next.GIVE_UP
-        number = len(self._restarts_s)
+            return Next.GIVE_UP, after
+        number = len(after.restarts_s)
         if number < spec.at_most:
-            self._restarts_s = (*self._restarts_s, self._ran_s)
-            self._wait(now_s, min(spec.pause_s * 2.0 ** min(number, 100), spec.pause_max_s), source)
-            return Next.RESTART
+            pause_s = min(spec.pause_s * 2.0 ** min(number, 100), spec.pause_max_s)
+            restarts_s = (*after.restarts_s, ran_s)
+            return Next.RESTART, replace(after, restarts_s=restarts_s, due_s=_due_s(now_s, pause_s, draw))
         if spec.again_s:
-            self._wait(now_s, spec.again_s, source)
-        return Next.GIVE_UP
+            after = replace(after, due_s=_due_s(now_s, spec.again_s, draw))
+        return Next.GIVE_UP, after
 
-    def _wait(self, now_s: float, pause_s: float, source: random.Random) -> None:
-        self.due_s = now_s + pause_s * source.uniform(LEAST, 1.0)
+    def tried(self) -> Restarts:
+        """Returns the memory where the next try is made now, or called off."""
+        return self if self.due_s is None else replace(self, due_s=None)
 
-    def take(self, due_s: float) -> bool:
-        """The time of a try has come; returns whether it is still due. After that none is."""
-        due = self.due_s == due_s
-        if due:
-            self.due_s = None
-        return due
-
-    def cancel(self) -> None:
-        """No try is due any more: it is started now, or not at all."""
-        self.due_s = None
-
-    def hasten(self, now_s: float) -> float:
-        """A start is asked for: a try is due now, and the failures so far are forgotten. Returns the time."""
-        self.forget()
-        self.due_s = now_s
-        return now_s
-
-    def forget(self) -> None:
-        """Begins anew, as where a start or a stop is asked for."""
-        self._restarts_s = ()
-        self.failures = 0
-        self.due_s = None
+    def forgotten(self) -> Restarts:
+        """Returns the memory where a start or a stop was asked for: the failures so far do not count any more."""
+        return (
+            self.tried()
+            if not (self.restarts_s or self.failures)
+            else replace(self, restarts_s=(), failures=0, due_s=None)
+        )
 
     def when(self, now_s: float) -> str:
         """Returns when the next try is, as a phrase: `in 3.2 s`."""
@@ -156,12 +145,16 @@ class Supervision:
         Returns:
             `failures`, and `next_try_s`: in how many seconds of host time the next try is; None: none is due.
         """
-        due_s = self.due_s  # it may be another thread that asks
-        return {"failures": self.failures, "next_try_s": None if due_s is None else max(0.0, due_s - now_s)}
+        next_try_s = None if self.due_s is None else max(0.0, self.due_s - now_s)
+        return {"failures": self.failures, "next_try_s": next_try_s}
+
+
+def _due_s(now_s: float, pause_s: float, draw: Draw) -> float:
+    return now_s + pause_s * draw(LEAST, 1.0)
 
 
 def tries(described: Mapping[str, Any]) -> str:
-    """Returns what `Supervision.describe` says, for people: `failed 3 times, next try in 3.2 s`; empty: none is due."""
+    """Returns what `Restarts.describe` says, for people: `failed 3 times, next try in 3.2 s`; empty: none is due."""
     failures, next_try_s = described.get("failures", 0), described.get("next_try_s")
     if next_try_s is None:
         return ""

@@ -1,0 +1,21 @@
+"""A command that somebody waits for."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.packet import Cause
+
+
+class Request(msgspec.Struct, frozen=True):
+    """The sender of a control packet, and which of its packets that was.
+
+    Attributes:
+        by: the sender's address.
+        cause: the packet.
+        number: its place in the order of all commands to this agent.
+    """
+
+    by: str
+    cause: Cause
+    number: int = 0

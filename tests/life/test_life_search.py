@@ -1,0 +1,50 @@
+"""No history of requests, timers, ends and failures breaks a life; and the search would see a rule that does."""
+
+import pytest
+from model.life_search import search
+
+from pancakes.life.life import State
+from pancakes.life.restart import RestartSpec
+from pancakes.life.table import TABLE
+
+SPECS = {
+    "permanent": RestartSpec("permanent", at_most=1),
+    "permanent, tried again": RestartSpec("permanent", at_most=1, again_s=60.0),
+    "transient": RestartSpec("transient", at_most=1),
+    "temporary": RestartSpec("temporary", at_most=1),
+}
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_no_history_breaks_a_promise(name):
+    worlds, _, violation = search(SPECS[name])
+    assert not violation
+    assert worlds > 500
+
+
+def test_every_pair_of_the_table_is_met():
+    met = set().union(*(search(spec)[1] for spec in SPECS.values()))
+    never = {pair for pair in TABLE if pair not in met}
+    print_matrix(met)
+    assert not never
+
+
+def print_matrix(met):
+    """Shows which events were met in which states."""
+    events = sorted({kind for _, kind in TABLE}, key=lambda kind: kind.__name__)
+    print()
+    for state in State:
+        print(f"{state.name:<11}", " ".join(kind.__name__ if (state, kind) in met else "·" for kind in events))
+
+
+def nothing(life, event, at):
+    return life, []
+
+
+DOES_SOMETHING = [pair for pair, rule in TABLE.items() if rule.__name__ != "_nothing"]
+
+
+@pytest.mark.parametrize(("state", "kind"), sorted(DOES_SOMETHING, key=lambda pair: (pair[0].name, pair[1].__name__)))
+def test_a_rule_that_does_nothing_is_seen(state, kind):
+    mutant = {**TABLE, (state, kind): nothing}
+    assert any(search(spec, mutant)[2] for spec in SPECS.values()), "the search does not see it"
