@@ -32,7 +32,8 @@ from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
-from pancakes.service import Close, Service, ServiceSpec
+from pancakes.service import Service, ServiceSpec
+from pancakes.service_messages import Close
 from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.durable import DurableService

@@ -7,7 +7,6 @@ from typing import Any, Final, Protocol
 
 from msgspec.structs import replace
 
-from pancakes.changes import Change
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.kernel.tell import tell
@@ -16,7 +15,7 @@ from pancakes.life.life import State
 from pancakes.request import Request
 from pancakes.settings import change_plain
 from pancakes.slot import Slot
-from pancakes.task import Carried
+from pancakes.task_messages import Carried, Change
 
 
 class Commanded(Protocol):

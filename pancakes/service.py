@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import islice
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 import msgspec
 
 from pancakes.answers import Answers
-from pancakes.changes import Changed
+from pancakes.closing import CLOSES, STUCK_S, Closing
 from pancakes.commands import COMMANDS
 from pancakes.control import Command, Describe, Hold, Reschedule
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
@@ -23,27 +22,25 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.tell import tell
 from pancakes.life.effect import Answer, Tell
-from pancakes.life.event import Admitted, Began, Finished, Overdue, Refused, StartAsked, StopAsked, Written
+from pancakes.life.event import Admitted, Began, Finished, Overdue, Refused, StartAsked, Written
 from pancakes.life.life import Life, State
 from pancakes.life.restart import Restarts, RestartSpec
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
 from pancakes.request import Request
 from pancakes.saved_types import check_saved
+from pancakes.service_messages import Close, ServiceEnded, ServiceReady
 from pancakes.settings import SettingsError, make_settings
 from pancakes.slot import Failure, Slot
-from pancakes.task import Carried, Nothing, Task, TaskBegan, TaskEnded, TaskSpec
+from pancakes.startup import Startup
+from pancakes.task import Nothing, Task, TaskSpec
 from pancakes.task_description import describe_in_detail, describe_task
+from pancakes.task_messages import Carried, Changed, TaskBegan, TaskEnded
 from pancakes.task_news import tell_of_task
 
-STUCK_S: Final = 2.0
-"""A task that has not ended so long after it was asked to, in host time, is stuck."""
-STUCK_AT_THE_END_S: Final = 0.4
-"""Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
 STARTED_AT_ONCE: Final = 64
 WAITING: Final = reliable(1024)
 """So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
 more is refused, and told so: none may be lost without a word."""
-CLOSES: Final = "its service stops"
 
 
 class ServiceSpec(msgspec.Struct, frozen=True):
@@ -64,42 +61,6 @@ class ServiceSpec(msgspec.Struct, frozen=True):
     tasks: tuple[TaskSpec, ...] = ()
     restart: RestartSpec = RestartSpec()
     arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
-
-
-class Close(msgspec.Struct, frozen=True):
-    """The root tells a service to stop its tasks and to end.
-
-    Attributes:
-        for_s: after so many seconds of mission time the root starts it again; None: it does not by itself.
-    """
-
-    for_s: float | None = None
-
-
-class ServiceReady(msgspec.Struct, frozen=True):
-    """A service tells the root that all tasks that start with it run, or do not.
-
-    Attributes:
-        service: the service's actor.
-    """
-
-    service: Service
-
-
-class ServiceEnded(msgspec.Struct, frozen=True):
-    """A service tells the root that it has ended.
-
-    Attributes:
-        service: the service's actor.
-        error: why, where it failed; None: it was told to end.
-        kept: what its tasks carried last, by their names, for its next start.
-        unheard: the requests that it has not answered.
-    """
-
-    service: Service
-    error: BaseException | None
-    kept: Mapping[str, Carried]
-    unheard: tuple[Request, ...]
 
 
 def _stays(component: Component, error: BaseException | None) -> None:
@@ -165,11 +126,8 @@ class Service(Component):
         self._keeper: Keeper[Slot] = Keeper(self, self)
         self._answers = Answers(self)
         self._newest_command = 0
-        self._unsettled: set[str] = set()  # tasks that start with it, until that is decided
-        self._unstarted: set[str] = set()  # those of them whose turn to start has not come
-        self._told_ready = False
-        self._to_close: list[Slot] = []
-        self._closes: Slot | None = None
+        self._startup = Startup(self, self.started_at_once, self._start, self._tell_ready)
+        self._closing = Closing(self, self.feed, self.let_go, self.settle_all)
 
     # For subclasses --------------------------------------------------------------------------------------------
 
@@ -273,15 +231,9 @@ class Service(Component):
 
     def after_start(self) -> None:
         for spec in self.specs():
-            slot = self.open_slot(spec)
-            self.take_up(slot, self._kept)
-            if self.wants(slot):
-                self._unsettled.add(slot.name)
+            self.take_up(self.open_slot(spec), self._kept)
         self.log("debug", f"{self.address} started with {', '.join(self.slots) or 'no tasks'}")
-        self._unstarted |= self._unsettled
-        self._start_some(iter([slot for slot in self.slots.values() if slot.name in self._unsettled]))
-        if not self._unsettled and not self._told_ready:
-            self._tell_ready()
+        self._startup.begin([slot for slot in self.slots.values() if self.wants(slot)])
 
     def open_slot(self, spec: TaskSpec) -> Slot:
         """Makes the place for a task, without starting it.
@@ -295,25 +247,13 @@ class Service(Component):
         slot = self.slots[spec.name] = Slot(spec, address, Life(address, Restarts(spec.restart)))
         return slot
 
-    def _start_some(self, wanted: Iterator[Slot]) -> None:
-        """Starts the next few of many tasks; the others follow in turns of their own.
-
-        In one turn ten thousand would hold a thread of the pool for half a second, and fight with those that run
-        already for the interpreter. What is asked of a task meanwhile waits.
-        """
-        some = list(islice(wanted, self.started_at_once))
-        for slot in some:
-            self._unstarted.discard(slot.name)
-            if self.closing:
-                continue
+    def _start(self, slot: Slot) -> None:
+        if not self.closing:
             self.start_configured(slot)
-            if slot.commands:
-                self.call(partial(self._next_command, slot))
-        if len(some) == self.started_at_once:
-            self.call(lambda: self._start_some(wanted))
+        if slot.commands:
+            self.call(partial(self._next_command, slot))
 
     def _tell_ready(self) -> None:
-        self._told_ready = True
         if self._owner is not None:
             tell(self._owner, ServiceReady(self))
 
@@ -324,31 +264,7 @@ class Service(Component):
             for_s: after how many seconds of mission time it will be started again; None: it will not by itself.
         """
         self.closing = True
-        self._to_close = [slot for slot in self.slots.values() if slot.life.state not in (State.STOPPED, State.REFUSED)]
-        self._close_next()
-
-    def _close_next(self) -> None:
-        while self._to_close:
-            slot = self._to_close.pop()
-            if slot.life.at_rest:
-                self.let_go(slot)
-                continue
-            self._closes = slot
-            self.after_host(
-                STUCK_AT_THE_END_S if self.kernel.stopping else STUCK_S, partial(self._give_up_closing, slot)
-            )
-            self.feed(slot, StopAsked(reason=CLOSES))
-            return
-        self._closes = None
-        self.settle_all()
-
-    def _give_up_closing(self, slot: Slot) -> None:
-        """One task that does not end must not keep the others from ending."""
-        if self._closes is not slot:
-            return
-        if slot.task is not None:
-            self.feed(slot, Overdue(slot.life.incarnation))
-        self._close_next()
+        self._closing.begin(self.slots.values())
 
     def end_at_last(self) -> None:
         """Ends this actor, now that all of its tasks have ended."""
@@ -508,10 +424,7 @@ class Service(Component):
 
     def settle(self, slot: Slot, reason: str = "") -> None:
         """The start of a task is decided: it runs, or `reason` says why not."""
-        if slot.name in self._unsettled:
-            self._unsettled.discard(slot.name)
-            if not self._unsettled:
-                self._tell_ready()
+        self._startup.settled(slot)
         if slot.life.state is State.RUNNING:
             self.task_running(slot)
 
@@ -522,8 +435,7 @@ class Service(Component):
 
     def rested(self, slot: Slot) -> None:
         """A task has come to rest: where the service ends, the next one's turn has come."""
-        if self._closes is slot:
-            self._close_next()
+        self._closing.rested(slot)
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         """Answers a request to start or stop a task; the commands that wait behind it go on."""
@@ -555,7 +467,7 @@ class Service(Component):
         self._begin_command(command, request)
 
     def _is_busy(self, slot: Slot) -> bool:
-        return slot.life.asker is not None or slot.name in self._unstarted
+        return slot.life.asker is not None or self._startup.is_to_start(slot)
 
     def _begin_command(self, command: Command, request: Request) -> None:
         try:

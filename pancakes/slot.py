@@ -9,7 +9,8 @@ from pancakes.kernel.mailbox import Mailbox
 from pancakes.life.life import Life
 from pancakes.packet import Fence
 from pancakes.request import Request
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.task import Task, TaskSpec
+from pancakes.task_messages import Carried
 
 
 class Failure(msgspec.Struct, frozen=True):

@@ -15,7 +15,7 @@ A task says what it depends on and what it reacts to, and owns no thread, socket
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
-from pancakes.changes import Change, Changed
 from pancakes.control import Configure, Describe, Migrate, Reschedule
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.component import Component
@@ -38,6 +37,21 @@ from pancakes.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet, field_names
 from pancakes.saved_types import check_saved
 from pancakes.settings import change_settings, make_settings, plain_settings
+from pancakes.task_messages import (
+    Carried,
+    Change,
+    Changed,
+    Give,
+    Given,
+    GoOn,
+    Look,
+    Looked,
+    Outcome,
+    StandStill,
+    Stood,
+    TaskBegan,
+    TaskEnded,
+)
 
 if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
@@ -98,46 +112,6 @@ class TaskSpec(msgspec.Struct, frozen=True):
     arguments: Mapping[str, Any] = _NONE
 
 
-class Carried(msgspec.Struct, frozen=True):
-    """What a task carries from one actor to the next, on this agent or on another.
-
-    Attributes:
-        settings: its settings, as plain values.
-        state: its state, as plain values.
-        periods_s: the periods of its timers, by method.
-        heard: its duplicate filter: up to which number it has handled the packets addressed to it, by stream.
-    """
-
-    settings: Mapping[str, Any]
-    state: Mapping[str, Any]
-    periods_s: Mapping[str, float] = _NONE
-    heard: Mapping[str, int] = _NONE
-
-
-class TaskBegan(msgspec.Struct, frozen=True):
-    """A task's actor tells its service that it runs.
-
-    Attributes:
-        task: the actor.
-    """
-
-    task: Task
-
-
-class TaskEnded(msgspec.Struct, frozen=True):
-    """A task's actor tells its service that it has ended.
-
-    Attributes:
-        task: the actor.
-        error: why, where it failed; None: it was told to end.
-        last: what it carried at the end; None: it could not say.
-    """
-
-    task: Task
-    error: BaseException | None
-    last: Carried | None
-
-
 class Task(Component):
     """The base of all tasks.
 
@@ -171,7 +145,7 @@ class Task(Component):
         rate_hz: float | None = None,
         fence: Fence | None = None,
         owner: Component | None = None,
-        handled: Callable[[Task], None] | None = None,
+        tells_each_turn: bool = False,
     ) -> None:
         super().__init__(kernel, address, mailbox)
         carried = carried or Carried(_NONE, _NONE)
@@ -181,8 +155,8 @@ class Task(Component):
         self.__rate_hz = rate_hz
         self.fence = fence
         self.__owner = owner
-        if handled is not None:
-            self.after_turn = lambda: handled(self)
+        if tells_each_turn:
+            self.after_turn = self.__look
         # A copy: what the state has lists in may share them.
         self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
         self.__carried = carried
@@ -230,8 +204,7 @@ class Task(Component):
         }
 
     def after_start(self) -> None:
-        if self.__owner is not None:
-            tell(self.__owner, TaskBegan(self))
+        self.__tell(TaskBegan(self))
 
     def change_settings(self, changes: Mapping[str, Any]) -> None:
         """Changes some settings: all of them are good, or nothing changes. In the actor.
@@ -306,20 +279,59 @@ class Task(Component):
         return True
 
     def on_receive(self, message: Any) -> Any:
-        if not isinstance(message, Change):
-            return super().on_receive(message)
-        owner = self.__owner
-        assert owner is not None, f"{self.address} belongs to no service that could ask it for a change"
-        carried: Carried | None = None
+        match message:
+            case Change():
+                self.__take_change(message)
+            case Look():
+                self.__look()
+            case StandStill():
+                self.__stand_still(message)
+            case GoOn():
+                self.resume()
+            case Give():
+                self.__take(message)
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def __tell(self, message: object) -> bool:
+        return self.__owner is not None and tell(self.__owner, message)
+
+    def __look(self) -> None:
+        if self.actor_inbox.paused or self.actor_stopped.is_set():
+            return
+        try:
+            looked = Looked(self, self.carry())
+        except Exception as error:  # what a task keeps in its state may be anything
+            looked = Looked(self, None, str(error))
+        self.__tell(looked)
+
+    def __stand_still(self, message: StandStill) -> None:
+        self.pause()
+        try:
+            stood = Stood(self, message.offer, self.carry())
+        except Exception as error:  # what a task keeps in its state may be anything
+            stood = Stood(self, message.offer, None, str(error))
+            self.resume()
+        self.__tell(stood)
+
+    def __take(self, message: Give) -> None:
+        letter = message.letter
+        try:
+            took = self.take_letter(letter.stream, letter.seq, letter.first, message.packet)
+        except BaseException:
+            self.__tell(Given(self, message, Outcome.FAILED))
+            raise
+        self.__tell(Given(self, message, Outcome.TAKEN if took else Outcome.EARLY))
+
+    def __take_change(self, message: Change) -> None:
         try:
             result = self.__change(message.body)
-            if message.carry:
-                carried = self.carry()
+            carried = self.carry() if message.carry else None
             changed = Changed(self, message, "", result, carried)
         except (PancakesError, ValueError, TypeError) as error:  # TypeError: what cannot be saved
             changed = Changed(self, message, str(error), {})
-        tell(owner, changed)
-        return None
+        self.__tell(changed)
 
     def __change(self, body: Reschedule | Configure | Describe) -> Mapping[str, Any]:
         match body:
@@ -362,7 +374,7 @@ class Task(Component):
             except Exception as failure:  # what a task keeps in its state may be anything
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
         super().end_actor(error)
-        if self.__owner is not None and not tell(self.__owner, TaskEnded(self, error, last)):
+        if self.__owner is not None and not self.__tell(TaskEnded(self, error, last)):
             # Its service has ended before.
             self.kernel.stream.unsubscribe(self.address)
             self.kernel.registry.release(self.address)

@@ -11,7 +11,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.schema import schema_of
 from pancakes.settings import SettingsError, make_settings, plain_settings
 from pancakes.slot import Slot
-from pancakes.task import Carried
+from pancakes.task_messages import Carried
 
 
 def describe_task(kernel: Kernel, service: str, slot: Slot) -> dict[str, Any]:

@@ -7,7 +7,8 @@ import pytest
 from pancakes.control import Configure, Reply, Reschedule, Stop
 from pancakes.devices.types import Load, Pose, Twist
 from pancakes.settings import SettingsError
-from pancakes.task import Carried, Task, every, on, queue, reliable
+from pancakes.task import Task, every, on, queue, reliable
+from pancakes.task_messages import Carried
 from pancakes.testing import FleetInTest, assert_published
 
 

@@ -24,7 +24,8 @@ from pancakes.replay.script import Script
 from pancakes.replay.stays import STOPPED, Stay
 from pancakes.replay.steps import Change, Given
 from pancakes.settings import change_plain
-from pancakes.task import Carried, Task
+from pancakes.task import Task
+from pancakes.task_messages import Carried
 
 
 @dataclass

@@ -10,7 +10,8 @@ import msgspec
 from pancakes import codecs
 from pancakes.arrays import saved_array
 from pancakes.migration.record import TaskId
-from pancakes.task import Carried, Nothing, Task
+from pancakes.task import Nothing, Task
+from pancakes.task_messages import Carried
 
 
 class _Written(msgspec.Struct):

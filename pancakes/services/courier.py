@@ -10,13 +10,14 @@ from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, R
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
+from pancakes.kernel.tell import tell
 from pancakes.migration.outbox import Outbox
 from pancakes.migration.post import RESEND_S, Dispatch, ForwardTo, Letter, Receipt
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Posted
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
-from pancakes.services.postbox import COURIER
+from pancakes.services.postbox import COURIER, CameFor, Say
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES
 
@@ -57,6 +58,12 @@ class Courier(Component):
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.kernel.stream.courier = None
+
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, Say):
+            return super().on_receive(message)
+        self.say(message.peer, message.body)
+        return None
 
     def take(self, packet: Packet) -> None:
         """Takes a packet whose destination is a task. In the publisher's thread.
@@ -158,7 +165,7 @@ class Courier(Component):
             packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])
         except RemoteProtocolError as error:
             self.log("warning", f"a packet for {task_id} cannot be read: {error}")
-        service.call(lambda: service.letter_arrived(letter, packet))
+        tell(service, CameFor(letter, packet))
 
     def _acknowledged(self, receipt: Receipt, peer: str) -> None:
         with self._lock:

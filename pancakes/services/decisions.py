@@ -11,6 +11,7 @@ from pancakes.migration.event import Forget as LetRest
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.request import Request
 from pancakes.services import adoption
+from pancakes.services.bidding_messages import AttemptOver
 from pancakes.services.lost import Lost
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class Decisions:
             owned = record.phase is Phase.OWNER
             if owned:
                 # The asker of the move that was in doubt has waited for this.
-                service.tell_migrator(lambda migrator: migrator.abandon(service, task_id, reason, ledger))
+                service.tell_migrator(AttemptOver(service, task_id, "", reason, ledger))
                 service.event("task_adopted", task=task_id.name, peer=peer, epoch=record.epoch.n)
             if owned and why_not:
                 why_not = f"{task_id} belongs to {service.agent} now, but does not run: {why_not}"

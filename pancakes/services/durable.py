@@ -8,13 +8,15 @@ in order.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
+from pancakes.closing import STUCK_S
 from pancakes.control import Adopt, Describe, Forget, Migrate
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.keep import LATEST
+from pancakes.kernel.tell import tell
 from pancakes.life.event import Refused, StartAsked, StopAsked
 from pancakes.life.life import RESTS, State
 from pancakes.migration.candidate import would_take
@@ -33,23 +35,34 @@ from pancakes.migration.event import Award, Concluded, FreezeFailed, Frozen, Rec
 from pancakes.migration.handoff import HandOff
 from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import HandOffMessage, Solicit, Transfer
-from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
+from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId
 from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import SYSTEM, Packet, agent_of, join
 from pancakes.request import Request
-from pancakes.service import STUCK_S
 from pancakes.services.adoption import DOUBT
+from pancakes.services.bidding_messages import (
+    Accounted,
+    AttemptOver,
+    Awarded,
+    BrokenOff,
+    Came,
+    HasMoved,
+    MigratorBegan,
+    MoveOver,
+    Negotiate,
+    SendTo,
+    ServiceBegan,
+)
 from pancakes.services.decisions import Decisions
+from pancakes.services.migrator import TaskMigrator
 from pancakes.services.recorded import Leave, RecordedService
 from pancakes.services.snapshots import spec_of
 from pancakes.settings import make_settings
 from pancakes.slot import Slot
-from pancakes.task import Carried, TaskSpec
-
-if TYPE_CHECKING:
-    from pancakes.services.migrator import TaskMigrator
+from pancakes.task import TaskSpec
+from pancakes.task_messages import GoOn, StandStill, Stood
 
 SETTLE_S = 10.0
 """How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
@@ -88,6 +101,8 @@ class DurableService(RecordedService):
         self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
         self._ask_again_s: dict[TaskId, float] = {}
         self._watched: list[str] = []
+        self._freezes: dict[TaskId, Epoch] = {}  # the hand-offs for which tasks are to stand still
+        self._concluding: dict[TaskId, int] = {}  # how much of what follows a hand-over is still to be done
         self._asks = 0
         self._decisions = Decisions(self)
 
@@ -95,12 +110,12 @@ class DurableService(RecordedService):
         super().after_start()
         for record, ledger in self._broken_off:
             self._account_for_broken_off(record, ledger)
-        self.tell_migrator(lambda migrator: migrator.service_began(self))
+        self.tell_migrator(ServiceBegan(self))
 
     def _account_for_broken_off(self, record: Record, ledger: Ledger) -> None:
         reason = f"{self.address} was started anew before {ledger.winner} had the task"
         ledger = ledger.stayed(str(record.offer), reason)
-        self.tell_migrator(lambda migrator: migrator.account(self, record.task_id, ledger, reason, reason))
+        self.tell_migrator(BrokenOff(self, record.task_id, ledger, reason))
 
     def specs(self) -> Sequence[TaskSpec]:
         specs = super().specs()
@@ -125,7 +140,7 @@ class DurableService(RecordedService):
             case Send():
                 self._send(effect.peer, effect.message)
             case Freeze():
-                self._freeze(slot, effect)
+                self._freeze(task_id, slot, effect)
             case Resume():
                 self._resume(task_id, slot)
             case Discard():
@@ -134,68 +149,53 @@ class DurableService(RecordedService):
                 self._declined(task_id, effect.reason)
             case AttemptFailed():
                 ledger = self._attempt_over(task_id)
-                self.tell_migrator(
-                    lambda migrator: migrator.attempt_failed(self, task_id, effect.peer, effect.reason, ledger)
-                )
+                self.tell_migrator(AttemptOver(self, task_id, effect.peer, effect.reason, ledger))
             case HandedOver():
                 self._handed_over(task_id, effect)
 
-    def _freeze(self, slot: Slot | None, effect: Freeze) -> None:
+    def _freeze(self, task_id: TaskId, slot: Slot | None, effect: Freeze) -> None:
         task = slot.task if slot is not None else None
         if slot is None or task is None or slot.life.state is not State.RUNNING:
-            self._frozen_or_not(slot, effect, None, "it does not run")
+            self.hand_off(task_id).feed(FreezeFailed(effect.offer, "it does not run"))
             return
+        self._freezes[task_id] = effect.offer
+        tell(task, StandStill(effect.offer))
+        self.after_host(STUCK_S, lambda: self._give_up_freezing(task_id, effect.offer))
 
-        answered: list[bool] = []
-
-        def stand_still() -> None:
-            if answered:
-                return
-            answered.append(True)
-            task.pause()
-            try:
-                carried, reason = task.carry(), ""
-            except Exception as error:  # what a task keeps in its state may be anything
-                carried, reason = None, str(error)
-                task.resume()
-            self.call(lambda: self._frozen_or_not(slot, effect, carried, reason))
-
-        task.call(stand_still)
-        self.after_host(STUCK_S, lambda: self._give_up_freezing(slot, effect, answered))
-
-    def _give_up_freezing(self, slot: Slot, effect: Freeze, answered: list[bool]) -> None:
+    def _give_up_freezing(self, task_id: TaskId, offer: Epoch) -> None:
         """A task that does not come back from what it is doing cannot be moved."""
-        if not answered:
-            answered.append(False)
-            self._frozen_or_not(slot, effect, None, "it is stuck")
+        if self._freezes.get(task_id) == offer:
+            del self._freezes[task_id]
+            self.hand_off(task_id).feed(FreezeFailed(offer, "it is stuck"))
 
-    def _frozen_or_not(self, slot: Slot | None, effect: Freeze, carried: Carried | None, reason: str) -> None:
-        if slot is None:
+    def _stood(self, slot: Slot, stood: Stood) -> None:
+        """A task stands still, or cannot be moved."""
+        task_id = self.id_of(slot)
+        hand_off = self.hand_off(task_id)
+        waits = self._freezes.get(task_id) == stood.offer
+        if waits:
+            del self._freezes[task_id]
+        if stood.carried is None:
+            if waits:
+                hand_off.feed(FreezeFailed(stood.offer, stood.reason))
             return
-        hand_off = self.hand_off(self.id_of(slot))
-        if carried is None or slot.task is None:
-            hand_off.feed(FreezeFailed(effect.offer, reason or "it ended meanwhile"))
-            return
-        if not hand_off.volatile.freezing:
+        if not waits or not hand_off.volatile.freezing:
             # The hand-off was broken off while the task was busy: it goes on.
-            late = slot.task
-            late.call(late.resume)
+            tell(stood.task, GoOn())
             return
         self.hold_actuators(slot, "its task is handed over")
         courier = self._postbox.courier()
-        task_id = hand_off.record.task_id
         try:
-            snapshot = self._snapshot(slot, carried, courier.leave(task_id) if courier is not None else None)
+            snapshot = self._snapshot(slot, stood.carried, courier.leave(task_id) if courier is not None else None)
         except PancakesError as error:
             self._stays(task_id)
-            task = slot.task
-            task.call(task.resume)
-            hand_off.feed(FreezeFailed(effect.offer, str(error)))
+            tell(stood.task, GoOn())
+            hand_off.feed(FreezeFailed(stood.offer, str(error)))
             return
-        self.event("task_frozen", task=slot.name, offer=effect.offer.n)
+        self.event("task_frozen", task=slot.name, offer=stood.offer.n)
         move = self._moves.get(task_id)
         sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
-        hand_off.feed(Frozen(effect.offer, snapshot, sequel))
+        hand_off.feed(Frozen(stood.offer, snapshot, sequel))
 
     def _stays(self, task_id: TaskId) -> None:
         courier = self._postbox.courier()
@@ -209,7 +209,7 @@ class DurableService(RecordedService):
         task = slot.task
         if task is not None:
             self.event("task_resumed", task=slot.name)
-            task.call(task.resume)
+            tell(task, GoOn())
         else:
             # Its actor failed while it stood still: it begins again from what was written down.
             self._leave[task_id] = Leave.AGAIN
@@ -251,10 +251,10 @@ class DurableService(RecordedService):
         going_on = self.hand_off(task_id).record.phase in (Phase.FROZEN, Phase.COMMITTED)
         if task_id in self._moves and not going_on:
             ledger = self._attempt_over(task_id)
-            self.tell_migrator(lambda migrator: migrator.abandon(self, task_id, reason, ledger))
+            self.tell_migrator(AttemptOver(self, task_id, "", reason, ledger))
 
     def _send(self, peer: str, message: HandOffMessage) -> None:
-        self.tell_migrator(lambda migrator: migrator.send(peer, message))
+        self.tell_migrator(SendTo(peer, message))
 
     def _handed_over(self, task_id: TaskId, effect: HandedOver) -> None:
         slot = self.slots.get(task_id.name)
@@ -274,27 +274,22 @@ class DurableService(RecordedService):
 
     def _conclude(self, task_id: TaskId, effect: HandedOver, sequel: Sequel) -> None:
         """Does what is to follow a hand-over; only when all of it is done, or on disk, does the record forget it."""
-        left = 2
-
-        def one_done() -> None:
-            nonlocal left
-            left -= 1
-            if not left:
-                self.hand_off(task_id).feed(Concluded())
-
-        def account(migrator: TaskMigrator) -> None:
-            migrator.moved(self, task_id, effect, sequel.ledger, note)
-            self.call(one_done)
-
+        self._concluding[task_id] = 2
         anew = f"the Task Migrator of {self.agent}" if task_id in self._moves else self.address
         peer = effect.peer
         note = f"{anew} was started anew while the task was on its way, so the duration ends with the choice of {peer}"
         if self.migrator() is None:
             self.log("warning", f"the move of {task_id} to {peer} leaves no account: the Network Service is stopped")
-            one_done()
+            self._one_done(task_id)
         else:
-            self.tell_migrator(account)
-        self._follow(sequel.then, one_done)
+            self.tell_migrator(HasMoved(self, task_id, peer, str(effect.epoch), sequel.ledger, note))
+        self._follow(sequel.then, lambda: self._one_done(task_id))
+
+    def _one_done(self, task_id: TaskId) -> None:
+        self._concluding[task_id] -= 1
+        if not self._concluding[task_id]:
+            del self._concluding[task_id]
+            self.hand_off(task_id).feed(Concluded())
 
     def _follow(self, name: str, then: Callable[[], None]) -> None:
         """Starts a task because another one has gone; `then` is called once its record says that it is wanted."""
@@ -323,23 +318,45 @@ class DurableService(RecordedService):
         ledger, move.ledger = move.ledger, None
         return ledger
 
-    def tell_migrator(self, tell: Callable[[TaskMigrator], None]) -> None:
+    def tell_migrator(self, message: object) -> None:
+        """Tells the Task Migrator something, where it runs."""
         migrator = self.migrator()
         if migrator is not None:
-            migrator.call(lambda: tell(migrator))
+            tell(migrator, message)
 
     def migrator(self) -> TaskMigrator | None:
+        """Returns the Task Migrator; None: it does not run."""
         component = self.kernel.registry.get(join(self.agent, "network", MIGRATOR))
-        return component if component is not None and hasattr(component, "negotiate") else None  # type: ignore[return-value]
+        return component if isinstance(component, TaskMigrator) else None
 
-    # What the migrator says ------------------------------------------------------------------------------------
+    # What others tell ------------------------------------------------------------------------------------------
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Came():
+                self._receive(message.peer, message.message, message.refusal)
+            case Awarded():
+                self._award(message)
+            case Accounted():
+                self._one_done(message.task_id)
+            case MoveOver():
+                self._move_ended(message.task_id, message.reason, message.result)
+            case MigratorBegan():
+                self._migrator_began()
+            case Stood():
+                slot = self.slots.get(message.task.name)
+                if slot is not None and slot.task is message.task:
+                    self._stood(slot, message)
+            case _:
+                return super().on_receive(message)
+        return None
 
     def knows(self, task_id: TaskId) -> bool:
         """Returns whether this service has a record of the task. Any thread."""
         hand_off = self.hand_offs.get(task_id)
         return hand_off is not None and (hand_off.record.phase is not Phase.ABSENT or hand_off.record.seen != NO_EPOCH)
 
-    def receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
+    def _receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
         """Takes a hand-off message from a peer. In this actor."""
         task_id = message.task_id
         news = isinstance(message, Transfer) and would_take(self.hand_off(task_id).record, message.offer)
@@ -367,14 +384,14 @@ class DurableService(RecordedService):
             return f"has a task named {slot.name} already"
         return self.kernel.registry.reserve(self._place_of(message.task_id), snapshot.requires)
 
-    def award(self, task_id: TaskId, peer: str, request: Solicit, ledger: Ledger) -> None:
-        """The bids are compared: hands the task to `peer`. In this actor."""
-        move = self._moves.get(task_id)
+    def _award(self, awarded: Awarded) -> None:
+        """The bids are compared: hands the task to the cheapest bidder."""
+        move = self._moves.get(awarded.task_id)
         if move is not None:
-            move.ledger = ledger
-        self.hand_off(task_id).feed(Award(peer, request))
+            move.ledger = awarded.ledger
+        self.hand_off(awarded.task_id).feed(Award(awarded.peer, awarded.request))
 
-    def move_ended(self, task_id: TaskId, reason: str, result: Any) -> None:
+    def _move_ended(self, task_id: TaskId, reason: str, result: Any) -> None:
         """The move is over, one way or the other. In this actor."""
         move = self._moves.pop(task_id, None)
         if move is None:
@@ -385,14 +402,14 @@ class DurableService(RecordedService):
             self._ask_again_s[task_id] = self.kernel.host.now() + ASK_AGAIN_S
             self.log("warning", f"{task_id} stays on {self.agent}: {reason}")
 
-    def migrator_began(self) -> None:
+    def _migrator_began(self) -> None:
         """The migrator has started anew and knows of no negotiation: those that wait are told. In this actor.
 
         A hand-off under way goes on without it, and with it the move.
         """
         for task_id, move in list(self._moves.items()):
             if move.ledger is None:
-                self.move_ended(task_id, "the Task Migrator was started anew", None)
+                self._move_ended(task_id, "the Task Migrator was started anew", None)
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
@@ -446,7 +463,7 @@ class DurableService(RecordedService):
         self._moves[task_id] = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         self.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
-        migrator.call(lambda: migrator.negotiate(self, request, asked_by, body.to, body.dry_run))
+        tell(migrator, Negotiate(self, request, asked_by, body.to, body.dry_run))
 
     # What a person decides -------------------------------------------------------------------------------------
 

@@ -31,7 +31,8 @@ from pancakes.services.log_record import line_of, record_of
 from pancakes.services.log_writer import LogWriter
 from pancakes.services.wanted_recording import Wanted, WantedRecording
 from pancakes.slot import Slot
-from pancakes.task import Carried, TaskSpec
+from pancakes.task import TaskSpec
+from pancakes.task_messages import Carried
 from pancakes.weight import weigher
 
 if TYPE_CHECKING:

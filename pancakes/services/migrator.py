@@ -10,11 +10,12 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
+from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
+from pancakes.kernel.tell import tell
 from pancakes.migration.capability import Capability
 from pancakes.migration.cost import Cost, HostLoad, cost_of, cost_text
-from pancakes.migration.effect import HandedOver
 from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import (
     Abort,
@@ -36,7 +37,8 @@ from pancakes.migration.messages import (
     addressed,
     is_for,
 )
-from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
+from pancakes.migration.negotiation import Awarded as Cheapest
+from pancakes.migration.negotiation import Exhausted, Negotiation, Outcome
 from pancakes.migration.pieces import Assembly, cut
 from pancakes.migration.record import TaskId
 from pancakes.migration.slots import Slot, Slots
@@ -44,6 +46,19 @@ from pancakes.migration.snapshot import Snapshot
 from pancakes.migration.times import Times
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.services.bidding_messages import (
+    Accounted,
+    AttemptOver,
+    Awarded,
+    BrokenOff,
+    Came,
+    HasMoved,
+    MigratorBegan,
+    MoveOver,
+    Negotiate,
+    SendTo,
+    ServiceBegan,
+)
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.load import IDLE, Load, LoadMeter
 from pancakes.task import Task
@@ -81,6 +96,16 @@ class Hosting:
         self.recorded = recorded
 
 
+class PeerDown(msgspec.Struct, frozen=True):
+    """The Network Service tells the migrator that a peer has gone.
+
+    Attributes:
+        peer: the peer.
+    """
+
+    peer: str
+
+
 class TaskMigrator(Task):
     """Asks all neighbours for bids, answers theirs, and carries the messages of hand-offs.
 
@@ -97,7 +122,7 @@ class TaskMigrator(Task):
         self._hosting = hosting
         self._ledgers = ledgers
         self._times = Times()
-        self._negotiations: dict[TaskId, tuple[Negotiation, DurableService]] = {}
+        self._negotiations: dict[TaskId, tuple[Negotiation, Component]] = {}
         self._assembly = Assembly()
         self._slots = Slots()
         self.battery_level: float | None = None
@@ -110,24 +135,44 @@ class TaskMigrator(Task):
             self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
             self.after_host(FIRST_LOOK_S, self._measure)
         for service in self._durable_services():
-            service.call(service.migrator_began)
+            tell(service, MigratorBegan())
 
-    # For the service that owns the task ------------------------------------------------------------------------
+    # What the services tell that own the tasks -----------------------------------------------------------------
 
-    def negotiate(self, service: DurableService, request: Solicit, asked_by: str, to: str, dry_run: bool) -> None:
-        """Asks the neighbours who would take a task. In this actor."""
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Negotiate():
+                self._negotiate(message)
+            case AttemptOver():
+                self._attempt_over(message)
+            case HasMoved():
+                self._moved(message)
+            case BrokenOff():
+                self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
+            case ServiceBegan():
+                self._service_began(message.service)
+            case SendTo():
+                self._send(message.peer, message.message)
+            case PeerDown():
+                self._assembly.drop(message.peer)  # a snapshot that was on its way would come anew
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def _negotiate(self, asked: Negotiate) -> None:
         now_s = self.kernel.host.now()
+        request = asked.request
         negotiation = Negotiation(
             request,
             self.agent,
-            asked_by,
+            asked.asked_by,
             self._mesh.neighbours(),
             now_s,
-            to,
-            dry_run,
+            asked.to,
+            asked.dry_run,
             self._times.bid_window_s,
         )
-        self._negotiations[request.task_id] = (negotiation, service)
+        self._negotiations[request.task_id] = (negotiation, asked.service)
         outcome = negotiation.begin(now_s)
         for peer in negotiation.asked:
             self._say(peer, request)
@@ -135,87 +180,57 @@ class TaskMigrator(Task):
             self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
         self._conclude(request.task_id, outcome)
 
-    def attempt_failed(
-        self, service: DurableService, task_id: TaskId, peer: str, reason: str, ledger: Ledger | None
-    ) -> None:
-        """The hand-off to a bidder came to nothing: the next one's turn. In this actor.
-
-        Args:
-            service: whose task it is.
-            task_id: the task.
-            peer: the bidder.
-            reason: why.
-            ledger: the account, for where this migrator does not know of the negotiation: the other bids are forgotten.
-        """
+    def _attempt_over(self, over: AttemptOver) -> None:
+        task_id, reason = over.task_id, over.reason
         found = self._negotiations.get(task_id)
-        if found is not None:
-            self.event("handoff_failed", task=task_id.name, to=peer, reason=reason)
-            self._conclude(task_id, found[0].failed(peer, reason, self.kernel.host.now()))
-        elif ledger is not None:
-            self.account(service, task_id, ledger.stayed("", reason), reason, reason)
-
-    def moved(
-        self, service: DurableService, task_id: TaskId, effect: HandedOver, ledger: Ledger | None, note: str
-    ) -> None:
-        """The task has a new owner. In this actor.
-
-        Args:
-            service: whose task it was.
-            task_id: the task.
-            effect: the new owner, and its epoch.
-            ledger: the account, for where this migrator does not know of the negotiation.
-            note: what had come between, in that case.
-        """
-        found = self._negotiations.get(task_id)
-        if found is not None:
-            found[0].moved(effect.peer, self.kernel.host.now())
-            self._finish(task_id, "", str(effect.epoch))
-        elif ledger is not None:
-            self.account(service, task_id, ledger.moved(str(effect.epoch)), note, "")
-
-    def abandon(self, service: DurableService, task_id: TaskId, reason: str, ledger: Ledger | None = None) -> None:
-        """The task cannot be handed over at all just now. In this actor; arguments as in `attempt_failed`."""
-        if task_id in self._negotiations:
+        if found is not None and over.peer:
+            self.event("handoff_failed", task=task_id.name, to=over.peer, reason=reason)
+            self._conclude(task_id, found[0].failed(over.peer, reason, self.kernel.host.now()))
+        elif found is not None:
             self._finish(task_id, reason)
-        elif ledger is not None:
-            self.account(service, task_id, ledger, reason, reason)
+        elif over.ledger is not None:
+            ledger = over.ledger.stayed("", reason) if over.peer else over.ledger
+            self._account(over.service, task_id, ledger, reason, reason)
 
-    def account(self, service: DurableService, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
-        """Keeps the account of a move that is over, publishes it, and tells the service. In this actor.
+    def _moved(self, moved: HasMoved) -> None:
+        found = self._negotiations.get(moved.task_id)
+        if found is not None:
+            found[0].moved(moved.peer, self.kernel.host.now())
+            self._finish(moved.task_id, "", moved.epoch)
+        elif moved.ledger is not None:
+            self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
+        tell(moved.service, Accounted(moved.task_id))
+
+    def _account(self, service: Component, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+        """Keeps the account of a move that is over, publishes it, and tells the service.
 
         Args:
-            service: whose task it is.
+            service: the service that owns, or owned, the task.
             task_id: the task.
             ledger: the account.
             note: why it came to nothing, or what had come between; kept with the account.
-            why_not: what to tell whoever asked for it; empty: it has moved.
+            why_not: what to tell the asker; empty: it has moved.
         """
         self._negotiations.pop(task_id, None)  # of a service that has been started anew since
         self._ledgers.add(ledger, note, self.now())
         self._tell(service, task_id, ledger, why_not)
 
-    def _tell(self, service: DurableService, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+    def _tell(self, service: Component, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
         plain = msgspec.to_builtins(ledger)
         self.event("migration", task=task_id.name, **plain)
-        service.call(lambda: service.move_ended(task_id, why_not, plain))
+        tell(service, MoveOver(task_id, why_not, plain))
 
-    def service_began(self, service: DurableService) -> None:
-        """A service has started anew, and knows of no move that its predecessor asked for. In this actor."""
+    def _service_began(self, service: Component) -> None:
         for task_id, (_, owner) in list(self._negotiations.items()):
             if owner is not service and owner.name == service.name:
                 self._finish(task_id, f"{owner.address} was started anew")
 
-    def send(self, peer: str, message: HandOffMessage) -> None:
-        """Sends a message of a hand-off; it may be lost, and whoever needs it says it again. In this actor."""
+    def _send(self, peer: str, message: HandOffMessage) -> None:
         if isinstance(message, Transfer):
             for piece in cut(message):
                 self._say(peer, piece)
         else:
             self._say(peer, message)
-
-    def peer_down(self, name: str) -> None:
-        """A peer has gone: a snapshot that was on its way would come anew. In this actor."""
-        self._assembly.drop(name)
 
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now. Any thread."""
@@ -246,9 +261,9 @@ class TaskMigrator(Task):
         if outcome is None or found is None:
             return
         negotiation, service = found
-        if isinstance(outcome, Awarded):
+        if isinstance(outcome, Cheapest):
             ledger = negotiation.ledger(self.kernel.host.now())
-            service.call(lambda: service.award(task_id, outcome.peer, negotiation.request, ledger))
+            tell(service, Awarded(task_id, outcome.peer, negotiation.request, ledger))
         elif isinstance(outcome, Exhausted):
             self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
 
@@ -258,7 +273,7 @@ class TaskMigrator(Task):
         if negotiation.dry_run:
             self._tell(service, task_id, ledger, reason)
         else:
-            self.account(service, task_id, ledger, reason, reason)
+            self._account(service, task_id, ledger, reason, reason)
 
     @on(NETWORK, Bid, keep=KEEP)
     def on_bid(self, packet: Packet) -> None:
@@ -433,8 +448,7 @@ class TaskMigrator(Task):
                 reason = refusal or f"runs no service {name!r} that takes tasks in"
                 self._say(peer, Nak(message.task_id, message.offer, reason))
             return
-        found = owner
-        found.call(lambda: found.receive(peer, message, refusal))
+        tell(owner, Came(peer, message, refusal))
 
     def _keeper(self, task_id: TaskId) -> DurableService | None:
         """Returns the service that runs and has a record of a task."""

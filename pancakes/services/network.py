@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 from pancakes.control import Follow, Stop, Unfollow
 from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
 from pancakes.kernel.handlers import Tick, every
+from pancakes.kernel.tell import tell
 from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import Mesh
 from pancakes.packet import Packet, agent_of, join
@@ -18,7 +19,7 @@ from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.follower import LEAST_HZ, Follower
 from pancakes.services.ledgers import Ledgers
-from pancakes.services.migrator import Hosting, TaskMigrator
+from pancakes.services.migrator import Hosting, PeerDown, TaskMigrator
 from pancakes.slot import Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
@@ -169,7 +170,7 @@ class NetworkService(Service):
                 self._unfollow(channel, by)
         migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
         if isinstance(migrator, TaskMigrator):
-            migrator.call(lambda: migrator.peer_down(name))
+            tell(migrator, PeerDown(name))
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, Follow):

@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
+import msgspec
 from msgspec.structs import replace
 
 from pancakes.kernel.letters import ATTEMPTS, MOST_KNOWN
+from pancakes.kernel.tell import tell
 from pancakes.life.life import State
 from pancakes.migration.core import handle
 from pancakes.migration.effect import Deliver, Forward, Send
@@ -18,11 +20,12 @@ from pancakes.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.migration.record import TaskId
 from pancakes.packet import Packet, join
 from pancakes.slot import Slot
+from pancakes.task import Task
+from pancakes.task_messages import Give, Given, Outcome
 
 if TYPE_CHECKING:
     from pancakes.services.courier import Courier
     from pancakes.services.recorded import RecordedService
-    from pancakes.task import Task
 
 COURIER: Final = "kernel/Courier"
 """Where on each agent the courier is."""
@@ -33,6 +36,30 @@ KEPT_BYTES: Final = 4 * 1024 * 1024
 """... and most bytes of them; with more, the task is written down at once, and only then are they acknowledged."""
 
 _Key = tuple[TaskId, str, int]
+
+
+class CameFor(msgspec.Struct, frozen=True):
+    """The courier tells a service that a packet has come for one of its tasks.
+
+    Attributes:
+        letter: the letter that it came in.
+        packet: what is in it; None: it cannot be read here.
+    """
+
+    letter: Letter
+    packet: Packet | None
+
+
+class Say(msgspec.Struct, frozen=True):
+    """A service tells the courier to tell that of another agent something.
+
+    Attributes:
+        peer: the other agent.
+        body: what to tell it.
+    """
+
+    peer: str
+    body: Letter | Receipt | ForwardTo
 
 
 class _Kept:
@@ -78,7 +105,7 @@ class Postbox:
         self._kept: dict[TaskId, _Kept] = {}  # acknowledged before that
         self._failures: dict[_Key, int] = {}
         # What each task has still to look at: which letter, and what its sender said then of those before it.
-        self._given: WeakKeyDictionary[Task, set[tuple[str, int, int]]] = WeakKeyDictionary()
+        self._given: WeakKeyDictionary[Task, dict[tuple[str, int, int], Packet | None]] = WeakKeyDictionary()
 
     def arrived(self, letter: Letter, packet: Packet | None) -> None:
         """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again.
@@ -119,23 +146,25 @@ class Postbox:
         if packet is not None and self._failures.get(key, 0) < ATTEMPTS:
             # To its handlers it is as any other packet that names them.
             addressed = replace(packet, destination=slot.address)
-        given = self._given.setdefault(task, set())
+        given = self._given.setdefault(task, {})
         place = (letter.stream, letter.seq, letter.first)
         if place in given:
             return  # it comes again and again while the task computes or waits, and would fill the memory
-        given.add(place)
+        given[place] = packet
+        tell(task, Give(letter, addressed))
 
-        def give() -> None:
-            given.discard(place)
-            try:
-                took = task.take_letter(letter.stream, letter.seq, letter.first, addressed)
-            except BaseException:
-                self._service.call(lambda: self._failed(key, slot.address, packet))
-                raise
-            if took:
-                self._service.call(lambda: self._took(slot, task, letter, packet))
-
-        task.call(give)
+    def given(self, told: Given) -> None:
+        """A task says what has become of a letter."""
+        letter, task = told.give.letter, told.task
+        assert isinstance(task, Task)
+        packet = self._given[task].pop((letter.stream, letter.seq, letter.first))
+        task_id = TaskId.parse(letter.task_id)
+        if told.outcome is Outcome.FAILED:
+            self._failed((task_id, letter.stream, letter.seq), task.address, packet)
+        elif told.outcome is Outcome.TAKEN:
+            slot = self._service.slots.get(task_id.name)
+            if slot is not None:
+                self._took(slot, task, letter, packet)
 
     def _failed(self, key: _Key, address: str, packet: Packet | None) -> None:
         """A handler raised: the letter is not acknowledged, so it comes again when the task has been restarted."""
@@ -214,7 +243,7 @@ class Postbox:
     def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
         courier = self.courier()
         if courier is not None:
-            courier.call(lambda: courier.say(peer, body))
+            tell(courier, Say(peer, body))
 
     def courier(self) -> Courier | None:
         """Returns this agent's courier; None while it is being started anew."""

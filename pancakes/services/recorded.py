@@ -12,8 +12,10 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.arrays import alike
+from pancakes.closing import CLOSES
 from pancakes.control import Configure, Describe, Reschedule, Stop
 from pancakes.errors import ControlRefused, PancakesError
+from pancakes.kernel.tell import tell
 from pancakes.life.event import Admitted, PutOff, Refused, StartAsked, StopAsked, Written
 from pancakes.life.life import RESTS, State
 from pancakes.migration.effect import (
@@ -27,22 +29,22 @@ from pancakes.migration.effect import (
 from pancakes.migration.event import Born, Checkpoint, Ended, Event
 from pancakes.migration.event import Start as StartAgain
 from pancakes.migration.handoff import HandOff
-from pancakes.migration.post import Letter
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
 from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
-from pancakes.packet import Fence, Packet, join
+from pancakes.packet import Fence, join
 from pancakes.request import Request
-from pancakes.service import CLOSES, Service
+from pancakes.service import Service
 from pancakes.services.catalogue import Catalogue
 from pancakes.services.checkpoints import Checkpoints, plain_of
 from pancakes.services.lost import Lost
-from pancakes.services.postbox import Postbox
+from pancakes.services.postbox import CameFor, Postbox
 from pancakes.services.records import Records
 from pancakes.services.snapshots import begins_alike, carried_of, settings_now, snapshot_of, spec_of
 from pancakes.services.waiters import Waiters
 from pancakes.slot import Slot
-from pancakes.task import Carried, Task, TaskSpec
+from pancakes.task import Task, TaskSpec
+from pancakes.task_messages import Carried, Given, Look, Looked
 from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
@@ -436,32 +438,36 @@ class RecordedService(Service):
         arguments = super().arguments_of(slot)
         if slot.spec.durability != "each":
             return arguments
-        return {**arguments, "handled": lambda task: self._handled(slot, task)}
+        return {**arguments, "tells_each_turn": True}
 
     def changed(self, slot: Slot, carried: Carried) -> None:
         # It outlives a failure of the task the moment after.
         if slot.task is not None:
             self._save(slot, slot.task, carried)
 
-    def _handled(self, slot: Slot, task: Task) -> None:
-        """A task with `durability = "each"` has handled something, or any task was changed (in its own turn)."""
-        if not task.actor_stopped.is_set():
-            self._look(slot, task)
-
     def checkpoint(self, slot: Slot, task: Task) -> None:
         """Has a running task written down, if anything has changed."""
-        task.call(partial(self._look, slot, task))
+        tell(task, Look())
 
-    def _look(self, slot: Slot, task: Task) -> None:
-        """Takes what a task carries, in the task's actor, and has it written down in this one."""
-        if task.actor_inbox.paused:
-            return
-        try:
-            carried = task.carry()
-        except Exception as error:  # what a task keeps in its state may be anything
-            self.log("error", f"the state of {slot.address} cannot be written down: {error}")
-            return
-        self.call(lambda: self._save(slot, task, carried))
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Looked():
+                slot = self.slots.get(message.task.name)
+                if slot is not None and slot.task is message.task:
+                    self._looked(slot, slot.task, message)
+            case Given():
+                self._postbox.given(message)
+            case CameFor():
+                self._postbox.arrived(message.letter, message.packet)
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def _looked(self, slot: Slot, task: Task, looked: Looked) -> None:
+        if looked.carried is None:
+            self.log("error", f"the state of {slot.address} cannot be written down: {looked.reason}")
+        else:
+            self._save(slot, task, looked.carried)
 
     def _save(self, slot: Slot, task: Task, carried: Carried) -> None:
         if slot.task is not task or slot.life.state is not State.RUNNING:
@@ -483,10 +489,6 @@ class RecordedService(Service):
         self._checkpoints.take(task_id, task, carried, plain)
         consumed = self._postbox.consumed(task_id, carried.heard)
         hand_off.feed(Checkpoint(hand_off.record.epoch, hand_off.record.incarnation, snapshot, consumed))
-
-    def letter_arrived(self, letter: Letter, packet: Packet | None) -> None:
-        """A packet has come that is addressed to a task; None: it cannot be read here. In this actor."""
-        self._postbox.arrived(letter, packet)
 
     # What the core asks for ------------------------------------------------------------------------------------
 

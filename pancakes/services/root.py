@@ -44,7 +44,8 @@ from pancakes.life.event import StartAsked, StopAsked
 from pancakes.life.life import State
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.request import Request
-from pancakes.service import WAITING, Service, ServiceEnded, ServiceReady, ServiceSpec
+from pancakes.service import WAITING, Service, ServiceSpec
+from pancakes.service_messages import ServiceEnded, ServiceReady
 from pancakes.services.network import NetworkService
 from pancakes.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.slot import Slot

@@ -8,6 +8,7 @@ from typing import Any, Final, Protocol, assert_never
 
 import msgspec
 
+from pancakes.closing import STUCK_S
 from pancakes.control import Command
 from pancakes.errors import ClassError, PancakesError, describe, traceback_of
 from pancakes.keeper import Keeper
@@ -21,9 +22,10 @@ from pancakes.life.restart import Restarts
 from pancakes.packet import SYSCTRL, join
 from pancakes.printable import printable_line
 from pancakes.request import Request
-from pancakes.service import STUCK_S, Close, Service, ServiceEnded, ServiceReady, ServiceSpec
+from pancakes.service import Service, ServiceSpec
+from pancakes.service_messages import Close, ServiceEnded, ServiceReady
 from pancakes.settings import SettingsError
-from pancakes.task import Carried
+from pancakes.task_messages import Carried
 
 WATCH_S: Final = 0.02
 """How often, in host time, a service that is to start is looked at until the last of its old tasks has ended."""

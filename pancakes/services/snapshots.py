@@ -16,7 +16,8 @@ from pancakes.migration.rule import MigrationRule
 from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
 from pancakes.services.catalogue import Catalogue
 from pancakes.slot import Slot
-from pancakes.task import Carried, TaskSpec
+from pancakes.task import TaskSpec
+from pancakes.task_messages import Carried
 
 
 def snapshot_of(

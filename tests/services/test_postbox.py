@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+from pancakes.kernel.tell import tell
 from pancakes.migration.post import Letter
 from pancakes.packet import packet_type
 from pancakes.services import postbox
+from pancakes.services.postbox import CameFor
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 
@@ -32,7 +34,7 @@ def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_
         def arrive(number):
             # The second of its stream: the task waits for the first, and takes none of them.
             letter = Letter("a/Sink", f"stream{number}", 2, 1, b"", "gone")
-            client.call(lambda: client.letter_arrived(letter, None))
+            tell(client, CameFor(letter, None))
             fleet.run_for(0.01)
 
         for number in range(20):

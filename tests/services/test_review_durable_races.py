@@ -7,9 +7,11 @@ import pytest
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Load, Twist
+from pancakes.kernel.tell import tell
 from pancakes.migration.messages import Transfer
 from pancakes.migration.record import Epoch, Phase, TaskId, Wanted
 from pancakes.net.memory import Quality
+from pancakes.services.bidding_messages import Came
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -183,7 +185,7 @@ def test_a_transfer_that_comes_late_brings_no_second_arrival(fleet):
     assert a.reply_to(_move(fleet)).ok
     record = hand_off(b, "Count", "a").record
     service = b.component("client")
-    service.call(lambda: service.receive("a", Transfer(record.task_id, Epoch(1, "a"), record.snapshot), ""))
+    tell(service, Came("a", Transfer(record.task_id, Epoch(1, "a"), record.snapshot), ""))
     assert b.ask(Restart("Count")).ok
     assert len(b.events("task_arrived")) == 1
 

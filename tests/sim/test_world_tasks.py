@@ -17,7 +17,8 @@ from pancakes.sim.normal import normals
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.sim.trajectory import HEADER, Trajectory, row
 from pancakes.sim.world import World
-from pancakes.task import Carried, Task, on
+from pancakes.task import Task, on
+from pancakes.task_messages import Carried
 
 BUS = "tcp://127.0.0.1:7499"
 CONTENTS = {
