@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.recording.chunks import MAGIC
 from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.message import packet_from_data
 from pancakes.recording.mission_time import MissionTime
@@ -174,4 +174,4 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
 def _was_begun(file: BinaryIO) -> bool:
     """Returns whether a recorder may have been killed the moment after it made the file."""
     file.seek(0)
-    return MAGIC.startswith(file.read(len(MAGIC)))
+    return MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC)))

@@ -1,6 +1,7 @@
 """The files of a recording: packets go in and come out as they were, also where a crash has cut the file off."""
 
 import errno
+import io
 import os
 from types import SimpleNamespace
 
@@ -12,7 +13,6 @@ from recording.files import S, pose, read, written
 from pancakes.devices.types import Motion
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence
-from pancakes.recording.chunks import ChunkedFile
 from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.message import packet_from_data
 from pancakes.recording.parts import Parts, part_path, parts_of
@@ -38,25 +38,36 @@ def test_packets_come_out_as_they_went_in(tmp_path):
     assert found[1].task_id == "a/Scan"
 
 
-def test_a_disk_that_fails_for_a_moment_costs_nothing(tmp_path):
-    writer = RecordingWriter(tmp_path / "r.mcap", {})
-    file = writer._chunks._file
-    writer._chunks._file = SimpleNamespace(tell=file.tell, write=raise_full)
-    failures = 0
-    for number in range(2000):
-        try:
+def test_a_disk_that_fails_ends_the_file_after_what_was_flushed_before(tmp_path, monkeypatch):
+    class Disk(io.FileIO):
+        """A file on a disk that may be full."""
+
+        full = False
+
+        def write(self, data):
+            if self.full:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(data)
+
+    path = tmp_path / "r.mcap"
+    disk = Disk(path, "xb")
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr("pathlib.Path.open", lambda path, mode: io.BufferedWriter(disk))
+        writer = RecordingWriter(path, {"agent": "a"})
+    for number in range(50):
+        writer.write(pose(number))
+    writer.flush()
+    disk.full = True
+    with pytest.raises(OSError, match="No space left"):
+        for number in range(50, 2000):
             writer.write(pose(number))
-        except OSError:
-            failures += 1
-    writer._chunks._file = file
-    writer.write(pose(2000))
+    disk.full = False
     writer.close()
-    assert failures > 1
-    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == list(range(1, 2002))
-
-
-def raise_full(data):
-    raise OSError(28, "No space left on device")
+    entries, reader = read(path)
+    assert entries[:50] == [pose(number) for number in range(50)]
+    assert reader.notes() == [f"{path} is cut off: its end is missing"]
+    assert repair(path).messages == len(entries)
+    assert read(path)[1].notes() == []
 
 
 def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
@@ -407,10 +418,10 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
 
 
 def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
-    def full(chunks, name, values):
+    def full(writer, name, values):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(ChunkedFile, "add_metadata", full)
+    monkeypatch.setattr(Writer, "add_metadata", full)
     with pytest.raises(RecordingError, match=r"r\.mcap cannot be written: No space left on device"):
         make_parts(tmp_path / "r.mcap")
     assert list(tmp_path.iterdir()) == []
