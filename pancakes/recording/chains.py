@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
 from typing import Final
 
 import msgspec
@@ -107,36 +106,3 @@ class Causes:
         arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
         travel_s, handling_s = (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS
         return Step(packet, first_ns, travel_s, handling_s, sent)
-
-
-class Latencies(msgspec.Struct, frozen=True):
-    """How long chains of one shape took.
-
-    Attributes:
-        shape: see `Chain.shape`.
-        seconds: from the first cause to the last effect, sorted.
-        handling_s: the mean of each step's time to the next, travel included.
-    """
-
-    shape: tuple[str, ...]
-    seconds: tuple[float, ...]
-    handling_s: tuple[float, ...]
-
-    def quantile_s(self, share: float) -> float:
-        """Returns the time that this share of the chains stayed below, from 0 to 1."""
-        return self.seconds[min(len(self.seconds) - 1, int(share * len(self.seconds)))]
-
-
-def latencies(chains: Iterable[Chain]) -> list[Latencies]:
-    """Sorts chains by their shape; the most frequent shape comes first."""
-    by_shape: dict[tuple[str, ...], list[Chain]] = {}
-    for chain in chains:
-        by_shape.setdefault(chain.shape, []).append(chain)
-    found = [_latencies(shape, alike) for shape, alike in by_shape.items()]
-    return sorted(found, key=lambda it: (-len(it.seconds), it.shape))
-
-
-def _latencies(shape: tuple[str, ...], chains: Sequence[Chain]) -> Latencies:
-    steps = zip(*(chain.steps for chain in chains), strict=True)
-    means = tuple(sum(step.travel_s + step.handling_s for step in alike) / len(alike) for alike in steps)
-    return Latencies(shape, tuple(sorted(chain.latency_s for chain in chains)), means)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -21,20 +20,6 @@ MOST: Final = 100_000
 def bucket_of(lateness_s: float) -> int:
     """Returns the number of the bucket that a lateness belongs to."""
     return max(0, math.ceil(4.0 * math.log2(lateness_s / LEAST_S))) if lateness_s > LEAST_S else 0
-
-
-def counts_of(latenesses_s: list[float]) -> dict[int, int]:
-    """Returns how many of some ticks there were in each bucket; sorts them."""
-    latenesses_s.sort()
-    counts: dict[int, int] = {}
-    at = 0
-    while at < len(latenesses_s):  # a step for each bucket, and not for each tick
-        bucket = bucket_of(latenesses_s[at])
-        end = bisect_right(latenesses_s, LEAST_S * STEP**bucket, at + 1)
-        # At the very edge of a bucket the two may differ by a rounding, and the same bucket comes again.
-        counts[bucket] = counts.get(bucket, 0) + end - at
-        at = end
-    return counts
 
 
 def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
@@ -67,13 +52,13 @@ class Latenesses:
         self._heard: deque[tuple[TaskTimer, float]] = deque(maxlen=MOST)
         self.heard: Callable[[tuple[TaskTimer, float]], None] = self._heard.append
 
-    def take(self) -> Mapping[TaskTimer, dict[int, int]]:
+    def take(self) -> Mapping[TaskTimer, Mapping[int, int]]:
         """Returns how many ticks there were in each bucket since the last time, by timer."""
-        ticks: dict[TaskTimer, list[float]] = {}
+        counts: dict[TaskTimer, Counter[int]] = {}
         for _ in range(len(self._heard)):
             try:
                 timer, lateness_s = self._heard.popleft()
             except IndexError:  # an old one fell out just now
                 break
-            ticks.setdefault(timer, []).append(lateness_s)
-        return {timer: counts_of(its) for timer, its in ticks.items()}
+            counts.setdefault(timer, Counter())[bucket_of(lateness_s)] += 1
+        return counts

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import base64
-import types
 from collections.abc import Callable
-from enum import Enum
 from functools import cache
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final
 
 import msgpack
 import msgspec
@@ -15,7 +13,7 @@ import msgspec
 from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.packet import Cause, Fence, Packet, body_from_plain, field_names, has_fields
+from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 
@@ -42,15 +40,11 @@ def data_of(packet: Packet) -> bytes:
     Raises:
         LocalProtocolError: its body cannot be recorded.
     """
-    cls: type = type(packet.body)
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
     except _CANNOT_ENCODE:
         return _exact_data(row, packet)
-    # JSON says null for what is no number: most nulls are a None.
-    if _is_told(cls) and data.count(b"null") == (packet.cause is None) + (packet.fence is None):
-        return data
     return data if _holds_body(data, packet.body) else _exact_data(row, packet)
 
 
@@ -67,49 +61,12 @@ def _holds_body(data: bytes, body: Any) -> bool:
 
 
 @cache
-def _is_told(cls: type) -> bool:
-    """Returns whether JSON says all about each body of a class, but for numbers that are none.
-
-    To look at what was written costs as much as writing it, which of a long list is much.
-    """
-    return has_fields(cls) and _comes_back(cls, ())
-
-
-def _comes_back(hint: Any, inside: tuple[type, ...]) -> bool:
-    if hint in _TOLD:
-        return True
-    origin, parts = get_origin(hint), [part for part in get_args(hint) if part is not Ellipsis]
-    if origin is Annotated:
-        return _comes_back(parts[0], inside)
-    if origin is Literal:
-        return True
-    if origin is dict:
-        return parts[0] is str and _comes_back(parts[1], inside)
-    if origin in (list, tuple):
-        return all(_comes_back(part, inside) for part in parts)
-    if origin in (Union, types.UnionType):
-        there = [part for part in parts if part is not type(None)]
-        return len(there) == 1 and _comes_back(there[0], inside)
-    if not isinstance(hint, type) or hint in inside:
-        return False
-    if issubclass(hint, Enum):
-        return True
-    if not has_fields(hint):
-        return False
-    try:
-        hints = get_type_hints(hint)
-    except Exception:  # a class may name a type that is imported for checks only: nothing is known of its fields
-        return False
-    return all(_comes_back(hints.get(name, Any), (*inside, hint)) for name in field_names(hint))
-
-
-@cache
 def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
     """Returns what makes something with the body of a class of a message's data; None where that cannot be."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
         decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
-    except Exception:  # as above, and there are classes that msgspec makes of nothing
+    except Exception:  # a class may name a type that is imported for checks only, or be one that msgspec cannot make
         return None
     return decode
 
@@ -131,7 +88,6 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
         ) from None
 
 
-_TOLD: Final = (str, bytes, int, float, bool, type(None))
 # RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
 _CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
 _LISTS: Final = codecs.json_encoder(as_list)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pancakes.devices.pace import Pace
 from pancakes.devices.types import Pose
 from pancakes.packet import SYSTEM, Packet
-from pancakes.sim.normal import normals
 from pancakes.sim.quantities import NotNegative, Positive
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.task import Task, on
@@ -55,7 +54,7 @@ class MotionCapture(Task):
     def on_start(self) -> None:
         self._pace = Pace(self.settings.send_hz)
         self._missing_told = False
-        self._normal = normals(self.random)
+        self._normal = self.random.gauss
 
     def on_settings(self) -> None:
         self._pace = Pace(self.settings.send_hz)

@@ -11,7 +11,6 @@ from pancakes.devices.types import Battery, Infrared, Motion, Sonar
 from pancakes.sim.arena import Arena
 from pancakes.sim.body import Robot, Sensor
 from pancakes.sim.disc import Disc
-from pancakes.sim.normal import normals
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot import IrRing, SonarRing
 from pancakes.sim.settings import NoiseSettings
@@ -63,7 +62,7 @@ class Senses:
     def __init__(self, arena: Arena, noise: NoiseSettings, random: random.Random) -> None:
         self._arena = arena
         self._noise = noise
-        self._normal = normals(random)
+        self._normal = random.gauss
         self._rings: dict[tuple[str, str], _Ring] = {}  # by the kind of robot and the kind of ring
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:

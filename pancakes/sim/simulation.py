@@ -20,7 +20,6 @@ from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
-from pancakes.sim.normal import normals
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
 from pancakes.sim.state import BodyState, Spent, WorldState
@@ -66,7 +65,7 @@ class Simulation:
         self._settings = settings
         # One source for each purpose: the mover's way must not depend on how often a sensor was asked.
         self._start_random = _branch(random)
-        self._wheel_normal = normals(_branch(random))
+        self._wheel_normal = _branch(random).gauss
         self._walk_random = _branch(random)
         self._arena = Arena(settings.arena.width_m, settings.arena.height_m)
         self._senses = Senses(self._arena, settings.noise, _branch(random))
