@@ -8,6 +8,7 @@ reason to: another value, or a task that has started anew.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -164,6 +165,45 @@ class OrderBook:
     def opened(self, service: str) -> None:
         """A service runs again."""
         self._closed.pop(service, None)
+
+
+class Decider(ABC):
+    """What decides for a task that adjusts others, and keeps the book of its orders.
+
+    Args:
+        normal: where each knob stands before any order.
+        doubt: whether another one decided before this one, so that nothing is known of where the knobs stand.
+
+    Attributes:
+        book: what was asked of which task.
+    """
+
+    def __init__(self, normal: Mapping[Knob, float], doubt: bool) -> None:
+        self.book = OrderBook(normal)
+        if doubt:
+            self.book.doubt()
+
+    @abstractmethod
+    def give_back(self, now_s: float) -> list[Order]:
+        """Returns what restores everything: the task is about to stop, and will hear no answers."""
+
+    def asked(self, seq: int, order: Order, now_s: float) -> None:
+        """An order has been given; see `OrderBook.asked`."""
+        self.book.asked(seq, order, now_s)
+
+    def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
+        """An order has been answered. Returns sentences for people; see `OrderBook.answered`."""
+        return self.book.answered(seq, ok, reason, result)
+
+    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Takes an event of this agent: tasks and services that start and stop."""
+        service = str(fields.get("service", ""))
+        if kind == "task_started":
+            self.book.started(service, str(fields.get("task", "")))
+        elif kind == "service_stopped":
+            self.book.closed(service)
+        elif kind == "service_started":
+            self.book.opened(service)
 
 
 def _found(knob: Knob, description: Any) -> float | None:

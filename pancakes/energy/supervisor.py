@@ -52,10 +52,6 @@ class Supervisor(AdjustingTask):
         self.give_last(self.decider.give_back(self.now()))
         self._begin(True)
 
-    def on_stop(self) -> None:
-        if not self.kernel.stopping:  # where all tasks end there is nobody to give anything back to
-            self.give_last(self.decider.give_back(self.now()))
-
     def _begin(self, doubt: bool) -> None:
         self._in_force = self.settings
         self.decider = Supervision(self.settings, self.now(), doubt)
