@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from pancakes.packet import Packet
@@ -24,16 +25,6 @@ MOST_TOPICS: Final = 2000
 
 
 @dataclass
-class Topic:
-    """Packets of one type on one channel of one agent."""
-
-    agent: str
-    channel: str
-    type: str
-    packets: int = 0
-
-
-@dataclass
 class Findings:
     """What was found.
 
@@ -42,7 +33,7 @@ class Findings:
         packets: how many packets were looked at.
         first_ns: when the first was recorded; see `Entry`.
         last_ns: when the last was.
-        topics: what there was, by agent, channel and type.
+        topics: how many packets there were, by agent, channel and type.
         strange: how many packets could not be made sense of: their types were other ones when they were recorded.
         time: turns the recording's time into mission time, in which everything is told.
     """
@@ -51,7 +42,7 @@ class Findings:
     packets: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
+    topics: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     strange: int = 0
     time: MissionTime = MissionTime()
     paths: Paths = field(default_factory=Paths)
@@ -134,12 +125,8 @@ class Findings:
 
     def _count(self, agent: str, packet: Packet) -> None:
         key = (agent, packet.channel, packet.type)
-        topic = self.topics.get(key)
-        if topic is None:
-            if len(self.topics) >= MOST_TOPICS:
-                return
-            topic = self.topics[key] = Topic(*key)
-        topic.packets += 1
+        if key in self.topics or len(self.topics) < MOST_TOPICS:
+            self.topics[key] += 1
 
     def plain(self) -> dict[str, Any]:
         """Returns the figures of the report as plain values, for other programs."""
@@ -151,19 +138,7 @@ class Findings:
             "begin_s": self.begin_s,
             "end_s": self.end_s,
             "duration_s": self.duration_s,
-            "tasks": [
-                {
-                    "agent": lane.agent,
-                    "service": lane.service,
-                    "task": lane.task,
-                    "task_id": lane.task_id,
-                    "spans": [
-                        {"from_s": span.from_s, "to_s": span.to_s, "epoch": span.epoch, "ended": span.ended}
-                        for span in lane.spans
-                    ],
-                }
-                for lane in self.course.lanes.values()
-            ],
+            "tasks": [asdict(lane) for lane in self.course.lanes.values()],
             "timers": [
                 {
                     "agent": timer.agent,
@@ -192,24 +167,7 @@ class Findings:
                 }
                 for name in self.traffic.links.names()
             ],
-            "moves": [
-                {
-                    "at_s": move.at_s,
-                    "task_id": move.task_id,
-                    "source": move.source,
-                    "outcome": move.outcome,
-                    "winner": move.winner,
-                    "asked_by": move.asked_by,
-                    "cost": move.cost,
-                    "duration_s": move.duration_s,
-                    "silence_s": move.silence_s,
-                    "answers": [
-                        {"peer": it.peer, "answer": it.answer, "fate": it.fate, "cost": it.cost, "reason": it.reason}
-                        for it in move.answers
-                    ],
-                }
-                for move in self.moves.moves
-            ],
+            "moves": [asdict(move) for move in self.moves.moves],
             "reactions": [
                 {
                     "steps": list(it.steps),

@@ -9,6 +9,7 @@ from itertools import count
 from typing import Any, Final
 
 from pancakes.packet import agent_of
+from pancakes.recording.chains import Step
 from pancakes.recording.commands import ActuatorCommand, body_text
 from pancakes.recording.mission_time import MissionTime
 
@@ -24,23 +25,6 @@ BODY_CHARACTERS: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
-class PickedStep:
-    """One packet of a chain, without what it said.
-
-    Attributes:
-        name: who said what, see `Step.name`.
-        seq: the packet's number among its source's.
-        travel_s: see `Step`.
-        handling_s: see `Step`.
-    """
-
-    name: str
-    seq: int
-    travel_s: float
-    handling_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class PickedCommand:
     """A command and its chain, as little of it as a report tells.
 
@@ -53,17 +37,14 @@ class PickedCommand:
 
     mission_s: float
     text: str
-    steps: tuple[PickedStep, ...]
+    steps: tuple[Step, ...]
     latency_s: float
 
     @classmethod
     def of(cls, command: ActuatorCommand, time: MissionTime) -> PickedCommand:
         """Makes one of a command; not of its stamp, as an agent that is started again counts its time anew."""
-        steps = tuple(
-            PickedStep(step.name, step.packet.seq, step.travel_s, step.handling_s) for step in command.chain.steps
-        )
         text = body_text(command.packet.body, BODY_CHARACTERS)
-        return cls(time.at(command.time_ns), text, steps, command.chain.latency_s)
+        return cls(time.at(command.time_ns), text, command.chain.steps, command.chain.latency_s)
 
 
 @dataclass
@@ -161,7 +142,7 @@ class PickedCommands:
                         round(1e3 * it.mission_s),
                         texts.number(it.text),
                         kind,
-                        [step.seq for step in it.steps],
+                        [step.packet.seq for step in it.steps],
                         [round(1e6 * step.travel_s) for step in before],
                         [round(1e6 * step.handling_s) for step in before],
                     ]

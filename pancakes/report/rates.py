@@ -98,13 +98,13 @@ class Drops:
     task: str
     total: int = 0
     over_time: Series = field(default_factory=Series)
-    _before: tuple[int, int] | None = None
+    _before: int | None = None
 
-    def add(self, t_s: float, incarnation: int, dropped: int) -> None:
+    def add(self, t_s: float, dropped: int) -> None:
         """Takes a sample; a mailbox outlives the actors of its task."""
         if self._before is not None:
-            self.total += max(0, dropped - self._before[1])
-        self._before = (incarnation, dropped)
+            self.total += max(0, dropped - self._before)
+        self._before = dropped
         self.over_time.add(t_s, self.total)
 
 
@@ -115,12 +115,10 @@ class Link:
     Attributes:
         agent: who counts.
         last: the newest figures.
-        rtt: round trips in seconds, over time.
     """
 
     agent: str
     last: OneLink
-    rtt: Series = field(default_factory=Series)
 
 
 @dataclass
@@ -151,13 +149,11 @@ class Rates:
         for link in figures.links:
             known = self.links.setdefault((agent, link.peer), Link(agent, link))
             known.last = link
-            if link.rtt_s is not None:
-                known.rtt.add(t_s, link.rtt_s)
         self.undelivered[agent], self.dead_letters[agent] = figures.undelivered, figures.dead_letters
 
     def _add_task(self, agent: str, task: OneTask, mission_s: float, t_s: float) -> None:
         drops = self.drops.setdefault((agent, task.task), Drops(agent, task.task))
-        drops.add(t_s, task.incarnation, task.dropped)
+        drops.add(t_s, task.dropped)
         for figures in task.timers:
             if figures.rate_hz <= 0 and not figures.ticks:
                 continue  # a driver that reads nothing by itself

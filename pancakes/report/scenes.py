@@ -10,7 +10,21 @@ from pancakes.report.course import Lane
 from pancakes.report.findings import Findings
 from pancakes.report.moves import Move
 from pancakes.report.paths import Body, Command
-from pancakes.report.style import COLUMN_IN, DASHES, FAINT, INK, WIDE_IN, Palette, Picture, figure, save, time_axis
+from pancakes.report.style import (
+    COLOURS,
+    COLUMN_IN,
+    DASHES,
+    FAINT,
+    INK,
+    WIDE_IN,
+    Palette,
+    Picture,
+    figure,
+    label_rows,
+    plot_line,
+    save,
+    time_axis,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,9 +134,7 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
                     axes.plot(span.to_s, place, "x", ms=5, mew=1.2, color=INK, zorder=3)
         for move in findings.moves.moves:
             _arrow(axes, move, lanes)
-        axes.set_yticks(range(len(lanes)), [f"{lane.agent}  {lane.task}" for lane in lanes])
-        axes.set_ylim(len(lanes) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings.begin_s, findings.end_s, clock)
         moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
         return save(made, out, "tasks", f"Who ran what. Crosses: failures.{moved}")
@@ -149,15 +161,8 @@ def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) 
     with figure(COLUMN_IN, 1.9) as made:
         axes = made.add_subplot()
         for number, (agent, series) in enumerate(sorted(batteries.items())):
-            points = series.whole()
-            axes.plot(
-                [point[0] for point in points],
-                [100.0 * point[1] for point in points],
-                lw=1.1,
-                ls=DASHES[number // 8 % len(DASHES)],
-                color=palette.colour(agent),
-                label=agent,
-            )
+            points = [(t_s, 100.0 * level) for t_s, level in series.whole()]
+            plot_line(axes, points, number // len(COLOURS), palette.colour(agent), agent, lw=1.1)
         for move in findings.moves.moves[:MOST_MOVES]:
             if move.outcome == "moved":
                 axes.axvline(move.at_s, color=FAINT, lw=0.7, zorder=0)
@@ -187,9 +192,7 @@ def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | Non
             axes.plot(it.cost, place, "o" if won else ".", ms=4, color=colour)
             axes.text(it.cost + 0.03 * largest, place, f"{it.cost:.3g}, {it.fate}", va="center", fontsize=7)
         labels = [f"{move.task} at {move.at_s:.0f} s: {it.peer}" for move, it in rows]
-        axes.set_yticks(range(len(rows)), labels)
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        label_rows(axes, labels)
         axes.set_xlim(-0.04 * largest, 1.35 * largest)
         axes.set_xlabel("cost asked for")
         return save(made, out, "moves", "What neighbours asked for when a task was to move; filled: who got it.")

@@ -5,8 +5,8 @@ import pytest
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Packet
 from pancakes.recording.chains import Causes
-from pancakes.report.reactions import Reactions
 from pancakes.recording.entry import Entry
+from pancakes.report.reactions import Reactions
 
 MS = 1_000_000
 
