@@ -40,11 +40,9 @@ KHEPERA_III: Final = RobotModel(
     mass_kg=0.69,
     drive=DifferentialDrive(
         wheel_base_m=0.0885,
-        wheel_radius_m=0.021,
         max_wheel_mps=_MAX_UNITS / _UNITS_PER_MPS,
         max_v_mps=0.314,
         max_omega_radps=2.276,
-        ticks_per_turn=2764,
         units_per_mps=_UNITS_PER_MPS,
     ),
     full_v=8.4,

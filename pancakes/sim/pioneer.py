@@ -30,11 +30,9 @@ PIONEER_3DX: Final = RobotModel(
     mass_kg=9.0,
     drive=DifferentialDrive(
         wheel_base_m=0.33,
-        wheel_radius_m=0.0975,
         max_wheel_mps=0.75,
         max_v_mps=0.7,
         max_omega_radps=math.radians(140.0),
-        ticks_per_turn=19_105,
         units_per_mps=1000.0,
     ),
     full_v=12.6,

@@ -37,10 +37,12 @@ class Fan:
         max_range_m: how far a ray reaches.
 
     Attributes:
+        bearings_rad: where they look, from straight ahead.
         reach_m: what is farther away from the body's centre is seen by none of them.
     """
 
     def __init__(self, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float) -> None:
+        self.bearings_rad = tuple(sensor.bearing_rad for sensor in sensors)
         self._max_range_m = max_range_m
         self._slope = math.tan(min(0.5 * cone_rad, 1.5))
         self.reach_m = max_range_m + max(math.hypot(sensor.x_m, sensor.y_m) for sensor in sensors)

@@ -50,7 +50,6 @@ class Feed:
         self._recorded_s = -1.0
         self._waiting = ""
         self._over = ""
-        self._cached: tuple[Cursor | None, Cursor, str, bytes] | None = None
 
     def wait_for(self, reason: str) -> None:
         """Says why there is nothing to be seen; empty: there is."""
@@ -106,9 +105,6 @@ class Feed:
             t = self.now()
             model = self.model
             cursor = Cursor(model.board.version, model.happenings.count)
-            told = f"{self._waiting}\n{self._over}"
-            if self._cached is not None and self._cached[:3] == (seen, cursor, told) and seen != cursor:
-                return self._cached[3], cursor  # pages that keep up all get the same
             frame = self._frame(t, seen.version if seen is not None else None)
             events = model.happenings.since(seen.event if seen is not None else 0)
             if events:
@@ -120,9 +116,7 @@ class Feed:
                 frame["waiting"] = self._waiting
             if self._over:
                 frame["over"] = self._over
-            data = codecs.encode_json(frame)
-            self._cached = (seen, cursor, told, data)
-            return data, cursor
+            return codecs.encode_json(frame), cursor
 
     def _frame(self, t: float, version: int | None) -> dict[str, Any]:
         model = self.model

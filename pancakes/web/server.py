@@ -28,7 +28,7 @@ from pancakes.web.feed import FRAMES_HZ, Cursor
 from pancakes.web.files import static_files
 from pancakes.web.http import refused, response
 from pancakes.web.orders import order_from
-from pancakes.web.page import Shown
+from pancakes.web.shown import Shown
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
