@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
-from pancakes.demo.pace import Ticks, ticks_of
+from pancakes.demo.timeliness import Ticks, ticks_of
 from pancakes.events import Event
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of

@@ -19,15 +19,15 @@ from pancakes.clock import MonotonicClock
 from pancakes.config import Config, parse
 from pancakes.demo.conductor import Conductor, Mission
 from pancakes.demo.demo import Run
-from pancakes.demo.pace import late_ones
-from pancakes.demo.plan import LAUNCHER, Plan
+from pancakes.demo.demo_plan import LAUNCHER, DemoPlan
+from pancakes.demo.timeliness import late_ones
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.launch.afresh import check_alone, empty_state
 from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
-from pancakes.recording.virtual import VirtualRecorder
+from pancakes.recording.virtual_recorder import VirtualRecorder
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
@@ -48,7 +48,7 @@ RECORDING = "recording"
 class Launcher(Agent):
     """The launcher's own agent: a client of the mesh with one task, the conductor."""
 
-    def __init__(self, plan: Plan, mission: Mission, virtual: Any = None) -> None:
+    def __init__(self, plan: DemoPlan, mission: Mission, virtual: Any = None) -> None:
         self._plan = plan
         self._mission = mission
         peers = ", ".join(f'"{address}"' for address in plan.peers())
@@ -92,7 +92,7 @@ class Processes:
     They end with the launcher, whatever becomes of it.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: DemoPlan) -> None:
         self._plan = plan
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -118,7 +118,7 @@ class Processes:
         end_all(self._processes.values(), STOP_S)
 
 
-def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
+def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
     """Runs the agents as processes until the mission is over, or `interrupted` is set.
 
     Returns:
@@ -192,10 +192,10 @@ class Onlooker(Protocol):
 
 
 def run_virtual(
-    plan: Plan,
+    plan: DemoPlan,
     mission: Mission,
     interrupted: threading.Event,
-    faults: Faults | None = None,
+    faults: NetworkFaults | None = None,
     onlooker: Onlooker | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
@@ -281,7 +281,7 @@ def _run_while(
     return interrupted.is_set()
 
 
-class Faults:
+class NetworkFaults:
     """What goes wrong with the network of a virtual run, drawn from a seed.
 
     Latency and jitter all the time; and now and then a link between two agents breaks and is made anew.
@@ -307,12 +307,12 @@ class Faults:
             fleet.dispatcher.call_at(at_s, lambda one=one, other=other: fleet.network.break_links(one, other))  # type: ignore[misc]
 
 
-def run_of(plan: Plan, mission: Mission) -> Run:
+def run_of(plan: DemoPlan, mission: Mission) -> Run:
     """Returns what a mission that is over was, for its judge."""
     return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
 
 
-def judge(plan: Plan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
+def judge(plan: DemoPlan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
     """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
     summary = plan.demo.judge(run)
     write_results(plan.out, summary, timing)
@@ -325,7 +325,7 @@ def write_results(out: Path, summary: Mapping[str, Any], timing: Mapping[str, An
         (out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
+def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
     """Returns the agents' configurations as plain mappings, for a demo's judge."""
 
     def plain(config: Config) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from pancakes.energy.orders import Decider, Order
 
 
 @dataclass
-class Pace:
+class RatePair:
     """The two rates of a task.
 
     Attributes:
@@ -48,7 +48,7 @@ class Rule:
 
     when: str
     field: str
-    rates: dict[str, Pace]
+    rates: dict[str, RatePair]
     above: float | None = None
     below: float | None = None
     changes_by: Annotated[float, Meta(gt=0)] | None = None
@@ -132,7 +132,7 @@ class Activity:
         return now_s - self._last_s < self._rule.quiet_after_s
 
 
-class Supervision(Decider):
+class RateSupervision(Decider):
     """The decisions of a supervisor.
 
     Args:

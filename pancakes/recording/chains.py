@@ -8,13 +8,13 @@ from typing import Final
 import msgspec
 
 from pancakes.packet import Cause, Packet, agent_of
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 LONGEST: Final = 64
 """No chain is followed further: a task that answers itself for ever would make one without an end."""
 
 
-class Step(msgspec.Struct, frozen=True):
+class ChainStep(msgspec.Struct, frozen=True):
     """One packet of a chain.
 
     Attributes:
@@ -45,7 +45,7 @@ class Chain(msgspec.Struct, frozen=True):
         steps: the packets.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[ChainStep, ...]
 
     @property
     def latency_s(self) -> float:
@@ -70,7 +70,7 @@ class Causes:
         self._packets: OrderedDict[Cause, Packet] = OrderedDict()
         self._seen_ns: dict[Cause, dict[str, int]] = {}
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RecordedPacket) -> None:
         """Remembers a packet and where it was seen; in the order of time."""
         packet = entry.packet
         key = (packet.source, packet.seq)
@@ -95,14 +95,14 @@ class Causes:
         effects: list[Cause | None] = [*keys[1:], None]
         return Chain(tuple(self._step(key, effect) for key, effect in zip(keys, effects, strict=True)))
 
-    def _step(self, key: Cause, effect: Cause | None) -> Step:
+    def _step(self, key: Cause, effect: Cause | None) -> ChainStep:
         packet, seen_ns = self._packets[key], self._seen_ns[key]
         first_ns = min(seen_ns.values())
         sent = agent_of(key[0]) in seen_ns
         if effect is None:
-            return Step(packet, first_ns, 0.0, 0.0, sent)
+            return ChainStep(packet, first_ns, 0.0, 0.0, sent)
         next_ns = min(self._seen_ns[effect].values())
         # Who answered it had it, though whoever watches may have seen it there only later.
         arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
         travel_s, handling_s = (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS
-        return Step(packet, first_ns, travel_s, handling_s, sent)
+        return ChainStep(packet, first_ns, travel_s, handling_s, sent)

@@ -11,7 +11,7 @@ import msgspec
 from pancakes.control import Hold
 from pancakes.packet import CTRL, Packet, agent_of, field_names
 from pancakes.recording.chains import Causes, Chain
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 REMEMBERED: Final = 50_000
 """So many packets are remembered as causes of later ones."""
@@ -30,7 +30,7 @@ class ActuatorCommand(msgspec.Struct, frozen=True):
     """A command, and why it was given.
 
     Attributes:
-        time_ns: when it was recorded, see `Entry`.
+        time_ns: when it was recorded, see `RecordedPacket`.
         packet: the command; its type names the actuator, its stamp is the mission time.
         chain: what led to it; of one that answers nothing that is known, the command alone.
     """
@@ -64,11 +64,11 @@ class CommandChains:
         self._causes = Causes(limit)
         self._waiting: deque[tuple[int, Packet]] = deque()
 
-    def add(self, entry: Entry) -> list[ActuatorCommand]:
+    def add(self, entry: RecordedPacket) -> list[ActuatorCommand]:
         """Takes a packet, in the order of time; returns the commands of which all is known now, oldest first."""
         packet = entry.packet
         kept = packet if self._bodies else msgspec.structs.replace(packet, body=None)
-        self._causes.add(Entry(entry.time_ns, entry.agent, kept))
+        self._causes.add(RecordedPacket(entry.time_ns, entry.agent, kept))
         if is_command(entry.agent, packet):
             self._waiting.append((entry.time_ns, packet))
         return self._followed(entry.time_ns - HELD_NS)

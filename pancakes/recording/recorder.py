@@ -34,7 +34,7 @@ MOST_QUESTIONS: Final = 50
 """... so often at most."""
 
 
-class _Question(msgspec.Struct, frozen=True):
+class _TaskQuestion(msgspec.Struct, frozen=True):
     """What the recorder has asked its agent.
 
     Attributes:
@@ -71,7 +71,7 @@ class Recorder(Task):
         self._goes_on = goes_on
         self._recording: Recording | None = None
         self._ended = False
-        self._asked: dict[int, _Question] = {}
+        self._asked: dict[int, _TaskQuestion] = {}
         self.first = Path()
 
     def on_start(self) -> None:
@@ -83,7 +83,7 @@ class Recorder(Task):
         self._recording = recording
         self.first = recording.first
         self.event("recording_started", path=str(self.first))
-        self._ask(_Question(""))
+        self._ask(_TaskQuestion(""))
         self.after_host(DRAIN_S, self._write)
 
     def _write(self) -> None:
@@ -125,14 +125,14 @@ class Recorder(Task):
         elif event.kind == "task_stopped" and self._recording is not None:
             self._recording.ended(f"{self.agent}/{target}")
 
-    def _ask(self, question: _Question) -> None:
+    def _ask(self, question: _TaskQuestion) -> None:
         about = Describe(question.target, state=bool(question.target), began=question.seen)
         seq = self.publish(SYSCTRL, about).seq
-        self._asked[seq] = _Question(question.target, question.seen, question.again, self.kernel.host.now())
+        self._asked[seq] = _TaskQuestion(question.target, question.seen, question.again, self.kernel.host.now())
 
     def _ask_about(self, target: str, seen: bool) -> None:
         if is_described(target):
-            self._ask(_Question(target, seen))
+            self._ask(_TaskQuestion(target, seen))
 
     @on(SYSCTRL, Reply, addressed=True)
     def on_reply(self, packet: Packet) -> None:
@@ -144,7 +144,7 @@ class Recorder(Task):
         if not reply.ok:
             # Its service is only starting; or the task has ended meanwhile, and this is refused to the end.
             if question.again:
-                later = _Question(question.target, question.seen, question.again - 1)
+                later = _TaskQuestion(question.target, question.seen, question.again - 1)
                 self.after_host(ASK_AGAIN_S, lambda: self._ask(later))
             return
         if "tasks" in reply.result:

@@ -18,9 +18,9 @@ from pancakes.kernel.stream import Tap
 from pancakes.migration.record import TaskId
 from pancakes.packet import TO_TASK, Packet, type_name
 from pancakes.recording.description import CHANNEL, TaskDescription
-from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.recording.figures import figures_of
 from pancakes.recording.latenesses import Latenesses
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.recording.settings import RecordingSettings
 from pancakes.recording.viewing import SHOWN, Viewer
 
@@ -81,7 +81,7 @@ class Recording:
     ) -> None:
         # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
         try:
-            from pancakes.recording.parts import Parts
+            from pancakes.recording.parts import RecordingParts
         except ModuleNotFoundError as error:
             raise PancakesError(
                 f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
@@ -115,7 +115,7 @@ class Recording:
         path = goes_on or Path(settings.path.replace("{agent}", self._agent))
         drop_oldest = settings.at_limit == "drop_oldest"
         limits = (settings.split_mib, settings.limit_mib, drop_oldest, settings.free_mib)
-        self._parts = Parts(path, about, *limits, goes_on=goes_on is not None)
+        self._parts = RecordingParts(path, about, *limits, goes_on=goes_on is not None)
         self.first = self._parts.first
         self._flushed_s = self._synced_s = self._sampled_s = kernel.host.now()
         self._tap_channels()
@@ -213,12 +213,12 @@ class Recording:
             if seen is None:  # old ones fell out just now
                 return
             if self._everything or self._wanted(seen.packet):
-                self._put(Entry(self._time_ns(seen.host_s), self._agent, seen.packet))
+                self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
 
     def _time_ns(self, host_s: float) -> int:
         return self._epoch_ns + int(host_s * NANOSECONDS)
 
-    def _put(self, entry: Entry) -> None:
+    def _put(self, entry: RecordedPacket) -> None:
         try:
             self._parts.write(entry)
         except PancakesError as error:

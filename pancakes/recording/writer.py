@@ -14,8 +14,8 @@ from typing import Final
 from mcap.writer import CompressionType, Writer
 
 from pancakes import __version__
-from pancakes.recording.entry import Entry
 from pancakes.recording.message import data_of
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.recording.schemas import SCHEMAS, schema_for
 
 CHUNK_BYTES: Final = 128 * 1024
@@ -62,7 +62,7 @@ class RecordingWriter:
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
 
-    def write(self, entry: Entry) -> None:
+    def write(self, entry: RecordedPacket) -> None:
         """Adds a packet.
 
         Raises:
@@ -133,7 +133,7 @@ class RecordingWriter:
     def _add_schema(self, name: str, schema: Mapping[str, object]) -> int:
         return self._mcap.register_schema(name, "jsonschema", json.dumps(schema).encode())
 
-    def _channel(self, entry: Entry) -> int:
+    def _channel(self, entry: RecordedPacket) -> int:
         packet = entry.packet
         if packet.type not in self._schemas:
             self._schemas[packet.type] = self._add_schema(SCHEMAS + packet.type, schema_for(packet.type))

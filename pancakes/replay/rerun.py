@@ -17,7 +17,7 @@ from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.net.memory import MemoryNetwork
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.plugins import Plugins
-from pancakes.recording.entry import RecordingError
+from pancakes.recording.recorded_packet import RecordingError
 from pancakes.replay.comparison import StreamKey, key_of
 from pancakes.replay.late_timer import ROUNDING_S, LateTimer
 from pancakes.replay.script import Script

@@ -16,7 +16,7 @@ from pancakes.kernel.handlers import subscriptions_of
 from pancakes.migration.post import Letter
 from pancakes.packet import LOG, NEIGHBOURS, TO_TASK, Cause, Packet, agent_of, covers
 from pancakes.recording.description import CHANNEL, TaskDescription
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.replay.overtaken import Overtaken
 from pancakes.replay.stays import ENDS, Stay
 from pancakes.replay.steps import CHANGES, Change, Given
@@ -58,7 +58,7 @@ class Script:
 
 
 def read_script(
-    entries: Iterable[Entry], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
+    entries: Iterable[RecordedPacket], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
 ) -> Script:
     """Reads what a task got and gave.
 
@@ -69,7 +69,7 @@ def read_script(
         speed: mission seconds for each second of the recording.
         virtual: whether it was made in virtual time: there nothing takes time.
     """
-    reader = _Reader(stay, cls)
+    reader = _StayReader(stay, cls)
     seen = [entry for entry in entries if reader.take(entry)]
     times = _MissionTimes(stay, speed, seen)
     script = Script(channels=list(reader.channels), speed=speed)
@@ -105,7 +105,7 @@ def read_script(
     return script
 
 
-class _Reader:
+class _StayReader:
     """Tells what of a recording has to do with a stay."""
 
     def __init__(self, stay: Stay, cls: type[Task]) -> None:
@@ -122,7 +122,7 @@ class _Reader:
         self._lives = False
         self._over = False
 
-    def take(self, entry: Entry) -> bool:
+    def take(self, entry: RecordedPacket) -> bool:
         """Returns whether an entry is an input, an output or a change of the stay; in the order of time."""
         stay, packet = self._stay, entry.packet
         if not self._lives and isinstance(packet.body, TaskDescription):
@@ -138,7 +138,7 @@ class _Reader:
         self.channels[packet.channel] = None
         return self.is_output(packet) or self.is_change(packet) or self._is_input(packet)
 
-    def _begun(self, entry: Entry) -> bool:
+    def _begun(self, entry: RecordedPacket) -> bool:
         """Returns whether a stay has begun, at the very moment at which it does so.
 
         In virtual time much happens at one moment, before that and after: the task has said something, its service has
@@ -152,7 +152,7 @@ class _Reader:
         """Returns whether the task published it."""
         return packet.source == self._address
 
-    def lingers(self, entry: Entry) -> bool:
+    def lingers(self, entry: RecordedPacket) -> bool:
         """Returns whether a packet is the effect of one that came before the stay."""
         cause = entry.packet.cause
         return cause is not None and (cause[0], cause[1]) in self._before
@@ -212,7 +212,7 @@ class _Reader:
 class _MissionTimes:
     """Turns a recording's time into the mission time of a stay's agent."""
 
-    def __init__(self, stay: Stay, speed: float, entries: Iterable[Entry]) -> None:
+    def __init__(self, stay: Stay, speed: float, entries: Iterable[RecordedPacket]) -> None:
         self._stay = stay
         self._speed = speed
         own = [(entry.packet.stamp, entry.time_ns) for entry in entries if self._is_own(entry.packet)]
@@ -222,7 +222,7 @@ class _MissionTimes:
         self._offset_s = max(offsets, default=stay.begins_s)
         self.end_s = max(self._of_ns(stay.to_ns), stay.begins_s)
 
-    def of(self, entry: Entry) -> float:
+    def of(self, entry: RecordedPacket) -> float:
         """Returns the mission time at which a packet was seen."""
         return entry.packet.stamp if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
 

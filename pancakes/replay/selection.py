@@ -13,8 +13,8 @@ from msgspec.structs import replace
 from pancakes.errors import ControlRefused
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, SYSTEM, TO_TASK, Packet, agent_of, join
 from pancakes.recording.description import CHANNEL
-from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 _TWICE_NS: Final = 60 * NANOSECONDS
 """How far apart two recordings may show the same packet."""
@@ -111,7 +111,7 @@ class Selection:
     as_name: str = ""
     time: MissionTime = MissionTime()
 
-    def of(self, entries: Iterable[Entry]) -> Iterator[Fed]:
+    def of(self, entries: Iterable[RecordedPacket]) -> Iterator[Fed]:
         """Yields what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
 
         Args:
@@ -131,7 +131,7 @@ class Selection:
                 topic = Topic(entry.agent, channel, kind, source, name, self._left_out(packet, name))
                 yield Fed(entry.time_ns, topic, packet)
 
-    def _wanted(self, entry: Entry) -> bool:
+    def _wanted(self, entry: RecordedPacket) -> bool:
         packet = entry.packet
         if not self.only:
             return packet.channel == SYSTEM or packet.channel not in CORE_CHANNELS
@@ -147,7 +147,7 @@ class Selection:
         return "its source runs" if publisher is not None and packet.source in publisher.speaking else ""
 
 
-def _was_for(entry: Entry) -> bool:
+def _was_for(entry: RecordedPacket) -> bool:
     """Returns whether a packet was for somebody on the agent on which it was seen: there it may be on its way out."""
     packet = entry.packet
     destination = packet.destination
@@ -176,7 +176,7 @@ class _Once:
         self._known: set[tuple[str, str, int, float]] = set()
         self._order: deque[tuple[int, tuple[str, str, int, float]]] = deque()
 
-    def is_new(self, entry: Entry, name: str) -> bool:
+    def is_new(self, entry: RecordedPacket, name: str) -> bool:
         while self._order and self._order[0][0] < entry.time_ns - _TWICE_NS:
             self._known.discard(self._order.popleft()[1])
         packet = entry.packet
@@ -214,7 +214,7 @@ class Tally:
         return sum(count for topic, count in self.packets.items() if not topic.left_out)
 
 
-def tally_of(selection: Selection, entries: Iterable[Entry]) -> Tally:
+def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
     """Counts what would be fed, before anything is.
 
     Raises:

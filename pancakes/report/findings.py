@@ -9,16 +9,16 @@ from typing import Any, Final
 
 from pancakes.packet import Packet
 from pancakes.recording.description import CHANNEL
-from pancakes.recording.entry import Entry
 from pancakes.recording.figures import TaskFigures
 from pancakes.recording.mission_time import MissionTime
-from pancakes.report.course import Course
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.happenings import Happenings
 from pancakes.report.moves import Moves
-from pancakes.report.paths import Paths
+from pancakes.report.paths import BodyPaths
 from pancakes.report.picked import PickedCommands
-from pancakes.report.rates import Rates
+from pancakes.report.rate_figures import Rates
 from pancakes.report.reactions import Reactions
+from pancakes.report.task_timeline import TaskTimeline
 from pancakes.report.traffic import Traffic
 
 MOST_TOPICS: Final = 2000
@@ -31,7 +31,7 @@ class Findings:
     Attributes:
         task_id: the only task that it is about; empty: all.
         packets: how many packets were looked at.
-        first_ns: when the first was recorded; see `Entry`.
+        first_ns: when the first was recorded; see `RecordedPacket`.
         last_ns: when the last was.
         topics: how many packets there were, by agent, channel and type.
         strange: how many packets could not be made sense of: their types were other ones when they were recorded.
@@ -45,8 +45,8 @@ class Findings:
     topics: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     strange: int = 0
     time: MissionTime = MissionTime()
-    paths: Paths = field(default_factory=Paths)
-    course: Course = field(default_factory=Course)
+    paths: BodyPaths = field(default_factory=BodyPaths)
+    course: TaskTimeline = field(default_factory=TaskTimeline)
     rates: Rates = field(default_factory=Rates)
     traffic: Traffic = field(default_factory=Traffic)
     moves: Moves = field(default_factory=Moves)
@@ -54,7 +54,7 @@ class Findings:
     happenings: Happenings = field(default_factory=Happenings)
 
     @classmethod
-    def of(cls, entries: Iterable[Entry], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
+    def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
         """Looks at packets in the order of time.
 
         Args:
@@ -94,7 +94,7 @@ class Findings:
         """The agents that were recorded, by name."""
         return sorted(self.course.seen_s)
 
-    def _add(self, entry: Entry) -> None:
+    def _add(self, entry: RecordedPacket) -> None:
         packet = entry.packet
         if not self.packets:
             self.first_ns = entry.time_ns
@@ -109,7 +109,7 @@ class Findings:
             # rest is better than none.
             self.strange += 1
 
-    def _look(self, entry: Entry, packet: Packet, t_s: float) -> None:
+    def _look(self, entry: RecordedPacket, packet: Packet, t_s: float) -> None:
         agent = entry.agent
         self.course.add(agent, packet, t_s)
         if packet.channel == CHANNEL:

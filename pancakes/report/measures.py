@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pancakes.report.findings import Findings
-from pancakes.report.rates import Timer
+from pancakes.report.rate_figures import TimerRates
 from pancakes.report.reactions import Reaction
 from pancakes.report.series import Counts
 from pancakes.report.style import (
@@ -68,7 +68,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         return save(made, out, "rates", "Rates of time-driven tasks: asked for, and achieved.")
 
 
-def _timer_name(timer: Timer) -> str:
+def _timer_name(timer: TimerRates) -> str:
     return f"{timer.agent} {timer.task.rpartition('/')[2]}"
 
 

@@ -15,7 +15,7 @@ AWAIT_S: Final = 30.0
 
 
 @dataclass
-class Answer:
+class NeighbourAnswer:
     """What one neighbour said: see `pancakes.migration.ledger.Line`."""
 
     peer: str
@@ -26,7 +26,7 @@ class Answer:
 
 
 @dataclass
-class Move:
+class TaskMove:
     """One move, or one that came to nothing; see `pancakes.migration.ledger.Ledger`.
 
     Attributes:
@@ -53,7 +53,7 @@ class Move:
     outcome: str
     winner: str
     duration_s: float
-    answers: list[Answer]
+    answers: list[NeighbourAnswer]
     to: str = ""
     frozen_s: float | None = None
     started_s: float | None = None
@@ -74,7 +74,7 @@ class Moves:
         left_out: how many there were beyond those that are kept.
     """
 
-    moves: list[Move] = field(default_factory=list)
+    moves: list[TaskMove] = field(default_factory=list)
     left_out: int = 0
     _frozen_s: dict[tuple[str, str], float] = field(default_factory=dict)
     _arrived_s: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -123,10 +123,10 @@ class Moves:
             self.left_out += 1
             return
         lines = [
-            Answer(line["peer"], line["answer"], line["fate"], line.get("cost"), line.get("reason", ""))
+            NeighbourAnswer(line["peer"], line["answer"], line["fate"], line.get("cost"), line.get("reason", ""))
             for line in fields.get("lines", ())
         ]
-        move = Move(
+        move = TaskMove(
             t_s,
             str(fields["task_id"]),
             str(fields["source"]),

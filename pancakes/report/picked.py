@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any, Final
 
 from pancakes.packet import agent_of
-from pancakes.recording.chains import Step
+from pancakes.recording.chains import ChainStep
 from pancakes.recording.commands import ActuatorCommand, body_text
 from pancakes.recording.mission_time import MissionTime
 
@@ -37,7 +37,7 @@ class PickedCommand:
 
     mission_s: float
     text: str
-    steps: tuple[Step, ...]
+    steps: tuple[ChainStep, ...]
     latency_s: float
 
     @classmethod
@@ -48,7 +48,7 @@ class PickedCommand:
 
 
 @dataclass
-class Actuator:
+class ActuatorCommands:
     """The commands to one actuator.
 
     Attributes:
@@ -105,7 +105,7 @@ class PickedCommands:
 
     time: MissionTime = MissionTime()
     left_out: int = 0
-    _by_actuator: dict[tuple[str, str], Actuator] = field(default_factory=dict)
+    _by_actuator: dict[tuple[str, str], ActuatorCommands] = field(default_factory=dict)
 
     def add(self, command: ActuatorCommand) -> None:
         """Takes a command, in the order of time."""
@@ -115,10 +115,10 @@ class PickedCommands:
             if len(self._by_actuator) >= MOST_ACTUATORS:
                 self.left_out += 1
                 return
-            actuator = self._by_actuator[key] = Actuator(*key)
+            actuator = self._by_actuator[key] = ActuatorCommands(*key)
         actuator.add(command, min(MOST_EVEN_EACH, MOST_EVEN // len(self._by_actuator)), self.time)
 
-    def actuators(self) -> list[Actuator]:
+    def actuators(self) -> list[ActuatorCommands]:
         """Returns the actuators that were commanded, by name."""
         return [actuator for _, actuator in sorted(self._by_actuator.items())]
 

@@ -7,9 +7,9 @@ from typing import Final
 
 from pancakes.recording.chains import Chain
 from pancakes.recording.commands import ActuatorCommand, CommandChains
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.picked import PickedCommands
-from pancakes.report.series import Sample
+from pancakes.report.series import Distribution
 
 MOST_SHAPES: Final = 200
 """So many kinds of chains are told apart."""
@@ -27,7 +27,7 @@ class Reaction:
     """
 
     steps: tuple[str, ...]
-    latency_s: Sample = field(default_factory=Sample)
+    latency_s: Distribution = field(default_factory=Distribution)
     step_sums_s: list[float] = field(default_factory=list)
     travel_sums_s: list[float] = field(default_factory=list)
 
@@ -78,7 +78,7 @@ class Reactions:
     # Of causes only the names and times count; what they said may be large.
     _chains: CommandChains = field(default_factory=lambda: CommandChains(bodies=False))
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RecordedPacket) -> None:
         """Takes a packet, in the order of time."""
         self._take(self._chains.add(entry))
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pancakes.report.course import Lane
 from pancakes.report.findings import Findings
-from pancakes.report.moves import Move
-from pancakes.report.paths import Body, Command
+from pancakes.report.moves import TaskMove
+from pancakes.report.paths import Body, CommandSpan
 from pancakes.report.style import (
     COLOURS,
     COLUMN_IN,
@@ -25,6 +24,7 @@ from pancakes.report.style import (
     save,
     time_axis,
 )
+from pancakes.report.task_timeline import TaskLane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,7 +74,7 @@ def _how_known(findings: Findings, tasks: Sequence[str]) -> str:
     return f"{told}; line styles: the task that commanded the wheels" if tasks else told
 
 
-def _body(axes: Axes, body: Body, commands: Sequence[Command], tasks: Sequence[str], palette: Palette) -> None:
+def _body(axes: Axes, body: Body, commands: Sequence[CommandSpan], tasks: Sequence[str], palette: Palette) -> None:
     points = body.path.whole()
     x_m, y_m = [point[1] for point in points], [point[2] for point in points]
     if body.kind == "sensor":
@@ -140,7 +140,7 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
         return save(made, out, "tasks", f"Who ran what. Crosses: failures.{moved}")
 
 
-def _arrow(axes: Axes, move: Move, lanes: Sequence[Lane]) -> None:
+def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
     places = {(lane.agent, lane.task): place for place, lane in enumerate(lanes)}
     begin, end = places.get((move.source, move.task)), places.get((move.winner, move.task))
     if move.outcome == "moved" and begin is not None and end is not None:

@@ -13,7 +13,7 @@ MOST_SAMPLES: Final = 5000
 
 
 @dataclass
-class Series:
+class TimeSeries:
     """Points in the order of time. Where they become too many, every other one is left out, and of those to come.
 
     Attributes:
@@ -90,7 +90,7 @@ def _halved(counts: dict[int, float]) -> dict[int, float]:
 
 
 @dataclass
-class Sample:
+class Distribution:
     """Values of which a distribution is wanted. Where they become too many, every other one is left out.
 
     Attributes:

@@ -116,7 +116,7 @@ class Robot:
 
 
 @dataclass
-class Sensor:
+class SensorNode:
     """A sensor node: a body that stands, with a motion sensor."""
 
     disc: Disc

@@ -95,7 +95,7 @@ class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, fr
     value: Any
 
 
-class Answer(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
     """A `Reading` as it arrives: its value is still packed, so that it is made into its class at once."""
 
     device: str
@@ -123,7 +123,7 @@ class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, fr
 
 Request: TypeAlias = Attach | Drive | Halt | Sample
 Reply: TypeAlias = Attached | Reading | Refused
-Replied: TypeAlias = Attached | Answer | Refused
+Replied: TypeAlias = Attached | RawReading | Refused
 
 _REQUESTS: Final[Callable[[Any], list[Request]]] = codecs.decoder(list[Request])
 _REPLIES: Final[Callable[[Any], list[Replied]]] = codecs.decoder(list[Replied])

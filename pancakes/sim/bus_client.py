@@ -8,7 +8,7 @@ from threading import Lock
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.net.transport import Connection, Scheduled, Transport
-from pancakes.sim.bus import Answer, Attach, Refused, Replied, ReplyReader, Request, encode
+from pancakes.sim.bus import Attach, RawReading, Refused, Replied, ReplyReader, Request, encode
 
 _FIRST_RETRY_S = 0.1
 _LONGEST_RETRY_S = 1.0
@@ -29,7 +29,7 @@ class Attachment:
     """
 
     attach: Attach
-    reading: Callable[[Answer], None]
+    reading: Callable[[RawReading], None]
     refused: Callable[[str], None]
     lost: Callable[[], None]
 
@@ -58,7 +58,7 @@ class BusClient:
         self._retry_s = _FIRST_RETRY_S
         self._waited_s = 0.0
         self._warned = False
-        self._transport.dial(address, _Line(self))
+        self._transport.dial(address, _DialedConnection(self))
 
     def attach(self, attachment: Attachment) -> None:
         """Lets a device use a body, from now on and after each reconnection."""
@@ -108,7 +108,7 @@ class BusClient:
         attachment = self._attachments.get(reply.device)
         if attachment is None:
             return  # its device was closed meanwhile
-        if isinstance(reply, Answer):
+        if isinstance(reply, RawReading):
             attachment.reading(reply)
         elif isinstance(reply, Refused):
             attachment.refused(reply.reason)
@@ -133,10 +133,10 @@ class BusClient:
 
     def _dial(self) -> None:
         if not self._closed:
-            self._transport.dial(self._address, _Line(self))
+            self._transport.dial(self._address, _DialedConnection(self))
 
 
-class _Line:
+class _DialedConnection:
     """One attempt at a connection, and the connection if it stands."""
 
     def __init__(self, client: BusClient) -> None:

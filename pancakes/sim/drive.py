@@ -22,7 +22,7 @@ STILL = Wheels(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class DifferentialDrive:
+class DriveKinematics:
     """Two wheels on one axle.
 
     Attributes:

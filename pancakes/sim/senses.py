@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from pancakes.devices.types import Battery, Infrared, Motion, Sonar
 from pancakes.sim.arena import Arena
-from pancakes.sim.body import Robot, Sensor
+from pancakes.sim.body import Robot, SensorNode
 from pancakes.sim.disc import Disc
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot import IrRing, SonarRing
@@ -77,7 +77,7 @@ class Senses:
         fan = self._fans[robot.model.name, rays] = Fan(ring.sensors, ring.cone_rad, rays, limit_m)
         return fan
 
-    def motion(self, sensor: Sensor, discs: Sequence[Disc]) -> Motion:
+    def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
         """Asks a motion sensor which of some discs move where it looks.
 
         Returns:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from pancakes import codecs
-from pancakes.web.history import History
-from pancakes.web.model import FleetModel
+from pancakes.web.fleet_model import FleetModel
+from pancakes.web.history import FrameHistory
 
 FRAMES_HZ: Final = 10.0
 """So often pages get news, and the history a frame."""
@@ -45,7 +45,7 @@ class Feed:
         self._gap_s = 0.0
         self.lock = threading.Lock()
         self.model = FleetModel()
-        self._history = History()
+        self._history = FrameHistory()
         self._recorded = 0
         self._recorded_s = -1.0
         self._waiting = ""
@@ -91,7 +91,7 @@ class Feed:
             self._history.add(t, frame)
 
     def chunk(self, t: float) -> bytes:
-        """Returns the piece of the history that holds `t`, see `History.at`."""
+        """Returns the piece of the history that holds `t`, see `FrameHistory.at`."""
         with self.lock:
             return self._history.at(t)
 

@@ -8,7 +8,7 @@ from pancakes.errors import PancakesError
 from pancakes.web.shown import Shown
 
 if TYPE_CHECKING:
-    from pancakes.web.server import PageServer
+    from pancakes.web.page_server import PageServer
 
 
 def open_page(shown: Shown, port: int | None) -> PageServer:
@@ -22,7 +22,7 @@ def open_page(shown: Shown, port: int | None) -> PageServer:
         PancakesError: the port is taken, or the library is missing.
     """
     try:
-        from pancakes.web.server import PageServer
+        from pancakes.web.page_server import PageServer
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != "websockets":
             raise

@@ -19,7 +19,7 @@ from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
 from pancakes.web.causes import Explaining
 from pancakes.web.feed import FRAMES_HZ, Feed
-from pancakes.web.traces import FleetTraces
+from pancakes.web.fleet_traces import FleetTraces
 
 TURN_S: Final = 0.04
 """So often it looks what came."""
@@ -43,7 +43,7 @@ POSES: Final = ("pose",)
 
 
 @dataclass
-class _Asked:
+class _PendingRequest:
     """A request on its way to an agent."""
 
     door: Door
@@ -56,7 +56,7 @@ class _Asked:
 
 
 @dataclass
-class _Met:
+class _MetAgent:
     """What is known of an agent that is connected."""
 
     asked_s: float = -1e9
@@ -113,8 +113,8 @@ class Watch:
         self._stopping = threading.Event()
         self._orders: SimpleQueue[tuple[str, Any, float, Future[Reply]]] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
-        self._asked: list[_Asked] = []
-        self._met: dict[str, _Met] = {}
+        self._asked: list[_PendingRequest] = []
+        self._met: dict[str, _MetAgent] = {}
         self._looks = Looks()
         self._silent: set[str] = set()
         self._traces = FleetTraces()
@@ -233,7 +233,7 @@ class Watch:
         doors = [door for door in client.doors() if door.fleet == self._fleet]
         for door in doors:
             for hello in door.agents():
-                met = self._met.setdefault(hello.name, _Met())
+                met = self._met.setdefault(hello.name, _MetAgent())
                 if now_s - met.asked_s >= LOOK_S:
                     met.asked_s = now_s
                     self._ask(door, hello.name, Describe(), "look", now_s + SILENT_S)
@@ -272,7 +272,7 @@ class Watch:
             for agent in self._explaining.add(settled):
                 self._feed.model.commanded(agent, self._explaining.actuators(agent))
 
-    def _ask_details(self, door: Door, agent: str, met: _Met, now_s: float) -> None:
+    def _ask_details(self, door: Door, agent: str, met: _MetAgent, now_s: float) -> None:
         with self._feed.lock:
             running = [f"{service}/{task}" for name, service, task in self._feed.model.running() if name == agent]
         for target in running:
@@ -281,8 +281,8 @@ class Watch:
                 self._ask(door, agent, Describe(target, state=True), "detail", now_s + SILENT_S)
         met.stale.clear()
 
-    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _Asked:
-        asked = _Asked(door, door.request(agent, body), until_s, agent, about)
+    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _PendingRequest:
+        asked = _PendingRequest(door, door.request(agent, body), until_s, agent, about)
         self._asked.append(asked)
         return asked
 
@@ -324,14 +324,14 @@ class Watch:
             if asked.about == "recall" and result:
                 self._recall(asked.door, asked.agent, result[-1]["entry"], now_s)
 
-    def _settle(self, asked: _Asked, answer: Reply | str | None) -> None:
+    def _settle(self, asked: _PendingRequest, answer: Reply | str | None) -> None:
         assert asked.answer is not None
         if isinstance(answer, Reply):
             asked.answer.set_result(answer)
         else:
             asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'nothing came in time'}"))
 
-    def _take_looks(self, answers: Sequence[tuple[_Asked, Mapping[str, Any]]], now_s: float) -> None:
+    def _take_looks(self, answers: Sequence[tuple[_PendingRequest, Mapping[str, Any]]], now_s: float) -> None:
         described = [result for _, result in answers]
         for it in described:
             self._met[it["agent"]].answered_s = now_s

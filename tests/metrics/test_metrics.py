@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from pancakes.control import Reschedule, Restart, Stop
 from pancakes.devices.types import Battery, Load, Pose
-from pancakes.metrics.server import MOST_REQUESTS
+from pancakes.metrics.metrics_server import MOST_REQUESTS
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
 

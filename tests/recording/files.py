@@ -2,8 +2,8 @@
 
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet
-from pancakes.recording.entry import Entry
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recorded_packet import RecordedPacket
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.recording.writer import RecordingWriter
 
 S = 1_000_000_000
@@ -11,7 +11,9 @@ S = 1_000_000_000
 
 def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
     body = body or Pose(float(number), 0.5, -0.25)
-    return Entry(number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence))
+    return RecordedPacket(
+        number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence)
+    )
 
 
 def written(path, entries):

@@ -5,14 +5,14 @@ import pytest
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Packet
 from pancakes.recording.chains import Causes
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.reactions import Reactions
 
 MS = 1_000_000
 
 
 def entry(time_ms, agent, source, seq, body, cause=None, channel="system", kind="pose"):
-    return Entry(time_ms * MS, agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause))
+    return RecordedPacket(time_ms * MS, agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause))
 
 
 def mocap_to_wheels(start_ms, seq, travel_ms=4):

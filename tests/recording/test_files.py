@@ -13,10 +13,10 @@ from recording.files import S, pose, read, written
 from pancakes.devices.types import Motion
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence
-from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.message import packet_from_data
-from pancakes.recording.parts import Parts, part_path, parts_of
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.parts import RecordingParts, part_path, parts_of
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.recording.repair import repair
 from pancakes.recording.schemas import schema_for
 from pancakes.recording.viewing import TRAIL_NS, Viewer
@@ -341,7 +341,7 @@ def filled(parts, count):
 
 
 def make_parts(path, split_mib=0.02, limit_mib=0.0, drop_oldest=False, free_mib=0.0):
-    return Parts(path, {"agent": "a"}, split_mib, limit_mib, drop_oldest, free_mib)
+    return RecordingParts(path, {"agent": "a"}, split_mib, limit_mib, drop_oldest, free_mib)
 
 
 def test_a_recording_is_split_and_read_as_one(tmp_path):
@@ -408,7 +408,7 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
         monkeypatch.setattr("pancakes.recording.parts.SYNC_BYTES", 20_000)
     parts = make_parts(tmp_path / "r.mcap", split_mib)
     synced = []
-    monkeypatch.setattr(Parts, "sync", lambda parts: synced.append(parts._writer.path) or "")
+    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced.append(parts._writer.path) or "")
     monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
     for number in range(200):  # of 300 bytes each
         parts.write(pose(number))
@@ -466,6 +466,6 @@ def test_of_nothing_else_viewers_are_shown_anything(kind, others):
 
 def test_viewers_are_shown_no_more_than_they_can_show():
     viewer = Viewer()
-    fast = [Entry(number * S // 50, "a", pose(number).packet) for number in range(100)]
+    fast = [RecordedPacket(number * S // 50, "a", pose(number).packet) for number in range(100)]
     shown = [message for entry in fast for message in viewer.messages(entry) if message.topic == "/viewer/a/pose"]
     assert len(shown) == 20

@@ -6,8 +6,8 @@ import pytest
 
 from pancakes.control import Start, Stop
 from pancakes.recording.latenesses import LEAST_S, STEP, Latenesses, bucket_of, quantile_s
-from pancakes.recording.reader import RecordingReader
-from pancakes.report.rates import Rates
+from pancakes.recording.recording_reader import RecordingReader
+from pancakes.report.rate_figures import Rates
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

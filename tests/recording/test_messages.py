@@ -17,7 +17,7 @@ from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError
 from pancakes.packet import packet_type
 from pancakes.recording.message import data_of, packet_from_data
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recording_reader import RecordingReader
 
 
 @packet_type("test.scan")

@@ -10,10 +10,10 @@ from pancakes.devices.types import Load, Pose
 from pancakes.kernel.backlog import MOST_BYTES
 from pancakes.packet import packet_type
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.parts import Parts, parts_of
-from pancakes.recording.reader import RecordingReader
-from pancakes.recording.recorder import _Question
-from pancakes.recording.summary import Summary, Topic
+from pancakes.recording.parts import RecordingParts, parts_of
+from pancakes.recording.recorder import _TaskQuestion
+from pancakes.recording.recording_reader import RecordingReader
+from pancakes.recording.summary import Summary, TopicCount
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -181,7 +181,7 @@ def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):
 
 def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_then(fleet, tmp_path, monkeypatch):
     synced_s = []
-    monkeypatch.setattr(Parts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
+    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
     agent = fleet.start("a", tasks={"Count": Count})
     begun_s = agent.kernel.mission.now()
     record(agent, tmp_path / "r.mcap")
@@ -200,7 +200,7 @@ def test_what_one_task_reads_waits_until_the_agent_has_said_what_it_is(fleet, tm
     agent = fleet.start("a", tasks={"Count": Count})
     record(agent, tmp_path / "r.mcap", task="a/Count")
     recorder = agent.task("Recorder", "log")
-    recorder._asked = {0: _Question("client/Count", asked_s=agent.kernel.host.now())}
+    recorder._asked = {0: _TaskQuestion("client/Count", asked_s=agent.kernel.host.now())}
     fleet.run_for(0.7)
     assert list(RecordingReader(tmp_path / "r.mcap").entries()) == []
     fleet.run_for(0.1)
@@ -216,7 +216,7 @@ def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet
     def full(self):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Parts, "flush", full)
+    monkeypatch.setattr(RecordingParts, "flush", full)
     agent.wait_for_event("recording_stopped")
     fleet.run_for(1.0)
     (warning,) = [line for line in agent.lines("warning") if "recording" in line]
@@ -357,7 +357,7 @@ def test_a_place_that_cannot_be_written_is_refused_with_the_reason(fleet, tmp_pa
 
 def test_packets_that_came_at_once_have_no_rate():
     def topic(last_s):
-        return Topic("a", "sysctrl", "command", packets=3, first_ns=0, last_ns=round(last_s * 1e9)).row()
+        return TopicCount("a", "sysctrl", "command", packets=3, first_ns=0, last_ns=round(last_s * 1e9)).row()
 
     assert topic(0.001)["rate_hz"] is None
     assert topic(1.0)["rate_hz"] == 2.0

@@ -11,8 +11,8 @@ from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Re
 from pancakes.devices.types import Load, Pose, Temperature
 from pancakes.errors import PancakesError
 from pancakes.packet import task_address
-from pancakes.recording.entry import RecordingError
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recorded_packet import RecordingError
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.replay.rerun import class_of
 from pancakes.replay.stays import choose_stays, find_stays
 from pancakes.task import Task, every, on

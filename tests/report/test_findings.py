@@ -9,11 +9,11 @@ from pancakes.control import Hold
 from pancakes.devices.types import Battery, Pose, Twist
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
-from pancakes.recording.entry import Entry
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.findings import Findings
-from pancakes.report.series import MOST_POINTS, MOST_SLOTS, Counts, Sample, Series
+from pancakes.report.series import MOST_POINTS, MOST_SLOTS, Counts, Distribution, TimeSeries
 from pancakes.sim.state import BodyState, WorldState
 
 S = 1_000_000_000
@@ -30,11 +30,11 @@ class Book:
     def see(self, t_s, agent, source, body, kind, channel="system", to="", cause=None, fence=None):
         seq = self._seqs[source] = self._seqs.get(source, 0) + 1
         packet = Packet(channel, kind, source, to, t_s, seq, body, cause, fence)
-        self.entries.append(Entry(round(t_s * S), agent, packet))
+        self.entries.append(RecordedPacket(round(t_s * S), agent, packet))
         return packet
 
     def arrive(self, t_s, agent, packet):
-        self.entries.append(Entry(round(t_s * S), agent, packet))
+        self.entries.append(RecordedPacket(round(t_s * S), agent, packet))
 
     def event(self, t_s, agent, kind, **fields):
         self.see(t_s, agent, f"{agent}/client", Event(kind, fields), "event", "log")
@@ -283,7 +283,7 @@ def test_nothing_is_drawn_and_no_matplotlib_is_needed_to_find_all_this(book, mon
 
 
 def test_long_series_keep_their_course_in_bounded_memory():
-    series = Series()
+    series = TimeSeries()
     for number in range(50_000):
         series.add(float(number), number)
     assert MOST_POINTS / 2 <= len(series.points) <= MOST_POINTS
@@ -302,7 +302,7 @@ def test_counts_keep_their_sum_when_their_slots_grow():
 
 
 def test_a_large_sample_keeps_its_distribution():
-    sample = Sample()
+    sample = Distribution()
     for number in range(100_000):
         sample.add(float(number % 1000))
     assert sample.count == 100_000

@@ -9,7 +9,7 @@ import pytest
 from commanded import command
 
 from pancakes.report.findings import Findings
-from pancakes.report.page import make_page
+from pancakes.report.report_page import make_page
 from pancakes.report.style import Picture
 
 PHONE = {"width": 360, "height": 740}

@@ -17,7 +17,7 @@ from pancakes.control import Reschedule, Stop
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.fleet import VirtualFleet
 from pancakes.web.feed import Feed
-from pancakes.web.virtual import VirtualWatch
+from pancakes.web.virtual_watch import VirtualWatch
 from pancakes.web.watch import Watch, fleet_among
 
 PATIENCE_S = 20.0

@@ -14,8 +14,8 @@ from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import join
 from pancakes.plugins import Plugins
-from pancakes.recording.entry import NANOSECONDS, Entry
-from pancakes.recording.virtual import VirtualRecorder
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
+from pancakes.recording.virtual_recorder import VirtualRecorder
 from pancakes.replay.selection import Live, Selection, Tally
 from pancakes.services.root import Root
 
@@ -86,7 +86,7 @@ class VirtualReplay:
         roots = [agent.kernel.registry.get(join(agent.name, "kernel")) for agent in agents]
         return {root.agent: Live.of(root.describe()) for root in roots if isinstance(root, Root)}
 
-    def feed(self, selection: Selection, entries: Iterable[Entry], first_ns: int, scale: float) -> None:
+    def feed(self, selection: Selection, entries: Iterable[RecordedPacket], first_ns: int, scale: float) -> None:
         """Feeds all packets, and lets the agents work on for a moment.
 
         Args:

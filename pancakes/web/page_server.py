@@ -27,7 +27,7 @@ from pancakes.web.connection import PageConnection
 from pancakes.web.feed import FRAMES_HZ, Cursor
 from pancakes.web.files import static_files
 from pancakes.web.http import refused, response
-from pancakes.web.orders import order_from
+from pancakes.web.page_orders import order_from
 from pancakes.web.shown import Shown
 
 ADDRESS: Final = "127.0.0.1"
@@ -316,7 +316,7 @@ def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | 
     Raises:
         msgspec.ValidationError: it says so in another way.
     """
-    it = codecs.convert(asked, _Asked)
+    it = codecs.convert(asked, _ExplainRequest)
     return it.agent, it.type, it.t, it.command, it.step
 
 
@@ -324,7 +324,7 @@ _ENCODE: Final = codecs.json_encoder(as_list)
 _ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dict[str, Any])
 
 
-class _Asked(msgspec.Struct):
+class _ExplainRequest(msgspec.Struct):
     """What a page says of the command that it asks about."""
 
     agent: str

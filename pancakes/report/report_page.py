@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from pancakes.report.findings import Findings
 from pancakes.report.happenings import Happening
-from pancakes.report.moves import Move
+from pancakes.report.moves import TaskMove
 from pancakes.report.picker import picker_html
 from pancakes.report.static_text import static_text
 from pancakes.report.style import Picture
@@ -107,7 +107,7 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     return html + (_faint(f"{moves.left_out} more are left out.") if moves.left_out else "")
 
 
-def _move(move: Move) -> str:
+def _move(move: TaskMove) -> str:
     to = f" to {move.winner}" if move.winner else ""
     who = "a rule of its own" if move.asked_by == "rule" else move.asked_by
     only = f"Only {move.to} was asked. " if move.to else ""

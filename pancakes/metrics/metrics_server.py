@@ -42,7 +42,7 @@ class MetricsServer:
     """
 
     def __init__(self, port: int, registry: CollectorRegistry) -> None:
-        self._server = _Server((HOST, port), _Handler)
+        self._server = _Server((HOST, port), _MetricsRequestHandler)
         self._server.set_app(_guarded(make_wsgi_app(registry)))
         self.port = self._server.server_port
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
@@ -84,7 +84,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         """A request that breaks off, or never comes, is nothing to tell anybody."""
 
 
-class _Handler(WSGIRequestHandler):
+class _MetricsRequestHandler(WSGIRequestHandler):
     """Reads one request, and logs nothing."""
 
     timeout = REQUEST_S

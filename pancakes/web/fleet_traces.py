@@ -10,7 +10,7 @@ from pancakes.control import Traces
 from pancakes.packet import Cause, Packet, agent_of
 from pancakes.recording.chains import Causes
 from pancakes.recording.commands import ActuatorCommand, is_command
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 REMEMBERED: Final = 30_000
 """So many packets are remembered until all of their chains are known."""
@@ -102,7 +102,7 @@ class FleetTraces:
             self._missing.discard(key)
         for time_ns, channel, type_, source, seq, stamp, cause, number, said in result["rows"]:
             packet = Packet(channel, type_, source, "", stamp, seq, said, (cause, number) if cause else None)
-            self._causes.add(Entry(time_ns, agent, packet))
+            self._causes.add(RecordedPacket(time_ns, agent, packet))
             key = (source, seq)
             other = agent_of(source)
             if other != agent:

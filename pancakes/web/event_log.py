@@ -27,7 +27,7 @@ SHOWN: Final = (
 """What a page gets of an event's own fields, besides its sentence."""
 
 
-class Happenings:
+class EventLog:
     """Events and lines of the agents' logs, as a page shows them.
 
     Args:

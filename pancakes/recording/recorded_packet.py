@@ -16,7 +16,7 @@ class RecordingError(PancakesError):
     """A recording cannot be written or read; the message names the file."""
 
 
-class Entry(msgspec.Struct, frozen=True, gc=False):
+class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
     """One packet as it was seen.
 
     Attributes:

@@ -34,7 +34,7 @@ from pancakes.services.log_record import record_of
 from pancakes.sim.models import robot_model
 from pancakes.sim.state import WorldState
 from pancakes.web.board import Board
-from pancakes.web.happenings import Happenings
+from pancakes.web.event_log import EventLog
 
 TRAIL: Final = 400
 """So many points has a trail."""
@@ -59,7 +59,7 @@ class FleetModel:
 
     def __init__(self, fleet: str = "") -> None:
         self.board = Board()
-        self.happenings = Happenings()
+        self.happenings = EventLog()
         self.trails: dict[str, deque[Point]] = {}
         self._fleet = fleet
         self._step_m = TRAIL_STEP_M

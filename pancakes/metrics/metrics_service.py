@@ -51,7 +51,7 @@ class MetricsService(Service):
             raise PancakesError(f"{self.address} serves nobody in virtual time, where no second is a second")
         try:
             from pancakes.metrics.collector import AgentMetrics
-            from pancakes.metrics.server import HOST, MetricsServer
+            from pancakes.metrics.metrics_server import HOST, MetricsServer
         except ModuleNotFoundError as error:
             raise PancakesError(
                 f"there are no metrics without {error.name}: pip install 'pancakes-agents[metrics]'"

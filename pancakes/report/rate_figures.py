@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
 from pancakes.recording.latenesses import quantile_s
-from pancakes.report.series import Series
+from pancakes.report.series import TimeSeries
 
 
 @dataclass
@@ -24,7 +24,7 @@ class AtRate:
 
 
 @dataclass
-class Timer:
+class TimerRates:
     """A time-driven method of a task on one agent.
 
     Attributes:
@@ -51,7 +51,7 @@ class Timer:
     missed: int = 0
     lateness_sum_s: float = 0.0
     lateness_max_s: float = 0.0
-    lateness: Series = field(default_factory=Series)
+    lateness: TimeSeries = field(default_factory=TimeSeries)
     lateness_counts: dict[int, int] = field(default_factory=dict)
     _before: tuple[float, int, TimerFigures] | None = None
 
@@ -97,7 +97,7 @@ class Drops:
     agent: str
     task: str
     total: int = 0
-    over_time: Series = field(default_factory=Series)
+    over_time: TimeSeries = field(default_factory=TimeSeries)
     _before: int | None = None
 
     def add(self, t_s: float, dropped: int) -> None:
@@ -109,7 +109,7 @@ class Drops:
 
 
 @dataclass
-class Link:
+class LinkFigures:
     """A link between two agents as one of them counts it, since it stands.
 
     Attributes:
@@ -135,9 +135,9 @@ class Rates:
     """
 
     samples: int = 0
-    timers: dict[tuple[str, str, str], Timer] = field(default_factory=dict)
+    timers: dict[tuple[str, str, str], TimerRates] = field(default_factory=dict)
     drops: dict[tuple[str, str], Drops] = field(default_factory=dict)
-    links: dict[tuple[str, str], Link] = field(default_factory=dict)
+    links: dict[tuple[str, str], LinkFigures] = field(default_factory=dict)
     undelivered: dict[str, int] = field(default_factory=dict)
     dead_letters: dict[str, int] = field(default_factory=dict)
 
@@ -147,7 +147,7 @@ class Rates:
         for task in figures.tasks:
             self._add_task(agent, task, figures.mission_s, t_s)
         for link in figures.links:
-            known = self.links.setdefault((agent, link.peer), Link(agent, link))
+            known = self.links.setdefault((agent, link.peer), LinkFigures(agent, link))
             known.last = link
         self.undelivered[agent], self.dead_letters[agent] = figures.undelivered, figures.dead_letters
 
@@ -158,7 +158,7 @@ class Rates:
             if figures.rate_hz <= 0 and not figures.ticks:
                 continue  # a driver that reads nothing by itself
             key = (agent, task.task, figures.timer)
-            timer = self.timers.setdefault(key, Timer(agent, task.task, task.task_id, figures.timer))
+            timer = self.timers.setdefault(key, TimerRates(agent, task.task, task.task_id, figures.timer))
             timer.add(t_s, mission_s, task.incarnation, figures)
 
     def only(self, task_id: str) -> None:

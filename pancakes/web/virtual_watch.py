@@ -14,7 +14,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.kernel.component import Component
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.commands import ActuatorCommand, CommandChains
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.service import Service
 from pancakes.services.root import Root
 from pancakes.web.causes import Explaining
@@ -95,7 +95,9 @@ class VirtualWatch:
 
         def trace(packet: Packet) -> None:
             if packet.channel not in (LOG, SYSCTRL):
-                self._explain(self._chains.add(Entry(int(agent.kernel.host.now() * NANOSECONDS), name, packet)))
+                self._explain(
+                    self._chains.add(RecordedPacket(int(agent.kernel.host.now() * NANOSECONDS), name, packet))
+                )
 
         def leaves(packet: Packet) -> None:
             if not self._over:
