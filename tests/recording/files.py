@@ -1,5 +1,7 @@
 """What tests of recordings write, and how they read it."""
 
+from pathlib import Path
+
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet
 from pancakes.recording.recorded_packet import RecordedPacket
@@ -28,3 +30,18 @@ def written(path, entries):
 def read(path):
     reader = RecordingReader(path)
     return list(reader.entries()), reader
+
+
+def made_files(monkeypatch):
+    """Returns the files that recordings make from now on, as they are open."""
+    made = []
+    real = Path.open
+
+    def noted(path, mode="r", *others, **options):
+        file = real(path, mode, *others, **options)
+        if mode == "xb":
+            made.append(file)
+        return file
+
+    monkeypatch.setattr(Path, "open", noted)
+    return made

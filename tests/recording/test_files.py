@@ -408,7 +408,7 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
         monkeypatch.setattr("pancakes.recording.parts.SYNC_BYTES", 20_000)
     parts = make_parts(tmp_path / "r.mcap", split_mib)
     synced = []
-    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced.append(parts._writer.path) or "")
+    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced.append(parts) or "")
     monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
     for number in range(200):  # of 300 bytes each
         parts.write(pose(number))
