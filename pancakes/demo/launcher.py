@@ -208,7 +208,7 @@ def run_virtual(
         mission: what is filled in while it runs.
         interrupted: ends it early.
         faults: what goes wrong with the network.
-        onlooker: who watches.
+        onlooker: watches the fleet; None: nothing does.
         say: takes a sentence on a recording that is not as it should be.
 
     Returns:

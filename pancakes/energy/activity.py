@@ -101,7 +101,7 @@ def number_of(value: Any) -> float | None:
 
 
 class Activity:
-    """Whether something happens, by one rule. It does at first: who does not know had better look.
+    """Whether something happens, by one rule. At first it does: the tasks are fast until the rule knows better.
 
     Args:
         rule: the rule.

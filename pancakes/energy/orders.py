@@ -17,7 +17,7 @@ from pancakes.control import Configure, Describe, Reschedule
 from pancakes.energy.knobs import Knob
 
 ANSWER_S: Final = 10.0
-"""An order that has not been answered in this time is given again: whoever should have answered has failed."""
+"""An order that has not been answered in this time is given again: the task that it is for has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class OrderBook:
     """What is wanted of the knobs, and what holds.
 
     Args:
-        normal: where each knob stands while nobody has turned it.
+        normal: where each knob stands before any order.
     """
 
     def __init__(self, normal: Mapping[Knob, float]) -> None:
@@ -60,7 +60,7 @@ class OrderBook:
         return any(knob.target.rpartition("/")[0] == service for knob in self._turned)
 
     def doubt(self) -> None:
-        """Takes nothing for granted any more: whoever kept a book before this one may have turned every knob."""
+        """Takes nothing for granted any more: an earlier book may have turned every knob."""
         for knob in self._wanted:
             self._turned[knob] = None
             self._doubted[knob] = None
@@ -96,7 +96,7 @@ class OrderBook:
         return [*orders, *(Order(Describe(target), knobs) for target, knobs in doubts.items())]
 
     def restore(self, values: Mapping[Knob, float], now_s: float) -> list[Order]:
-        """Returns all that it takes to bring knobs back, for somebody who has no time to hear any answers.
+        """Returns all orders that bring knobs back, for a task that ends before the answers arrive.
 
         Whatever is in doubt, or not answered yet, is ordered at once.
 

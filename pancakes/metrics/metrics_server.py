@@ -81,7 +81,7 @@ class _Server(ThreadingMixIn, WSGIServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A request that breaks off, or never comes, is nothing to tell anybody."""
+        """Says nothing of a request that breaks off, or never comes."""
 
 
 class _MetricsRequestHandler(WSGIRequestHandler):

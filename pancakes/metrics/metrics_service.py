@@ -48,7 +48,7 @@ class MetricsService(Service):
 
     def on_start(self) -> None:
         if self.kernel.virtual is not None:
-            raise PancakesError(f"{self.address} serves nobody in virtual time, where no second is a second")
+            raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
         try:
             from pancakes.metrics.collector import AgentMetrics
             from pancakes.metrics.metrics_server import HOST, MetricsServer

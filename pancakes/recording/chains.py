@@ -34,7 +34,7 @@ class ChainStep(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """What stays the same from one such step to the next: who said what."""
+        """The publisher and the packet type, which are the same for all steps of this kind."""
         return f"{self.packet.source} {self.packet.type}"
 
 
@@ -54,7 +54,7 @@ class Chain(msgspec.Struct, frozen=True):
 
     @property
     def shape(self) -> tuple[str, ...]:
-        """What chains of the same kind have in common: who said what, in order."""
+        """The publishers and packet types in order, which all chains of this kind have in common."""
         return tuple(step.name for step in self.steps)
 
 
@@ -102,7 +102,7 @@ class Causes:
         if effect is None:
             return ChainStep(packet, first_ns, 0.0, 0.0, sent)
         next_ns = min(self._seen_ns[effect].values())
-        # Who answered it had it, though whoever watches may have seen it there only later.
+        # The publisher of the effect had the packet by then, even if the recorder there saw it only later.
         arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
         travel_s, handling_s = (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS
         return ChainStep(packet, first_ns, travel_s, handling_s, sent)

@@ -86,7 +86,7 @@ class TaskFigures(msgspec.Struct, frozen=True):
         mission_s: mission time.
         tasks: each task that runs and has a timer, or has lost a packet.
         links: each link that stands.
-        undelivered: packets that nobody took.
+        undelivered: packets that no subscriber took.
         dead_letters: packets whose handler failed.
     """
 
@@ -107,7 +107,7 @@ class HasLinks(Protocol):
 
 
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
-    """Returns the figures of an agent as they stand. Any thread: nobody is asked and nobody waits.
+    """Returns the figures of an agent as they stand. Any thread: it reads them, and waits for no actor.
 
     Args:
         kernel: the agent's kernel.

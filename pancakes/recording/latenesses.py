@@ -10,11 +10,11 @@ from typing import Final
 from pancakes.kernel.task_timer import TaskTimer
 
 STEP: Final = 2.0**0.25
-"""Each bucket reaches up to so many times the one below: a quantile is found to within 10 %."""
+"""The upper edge of a bucket is this many times that of the bucket below: a quantile is right to within 10 %."""
 LEAST_S: Final = 1e-6
 """The lowest bucket, number 0, reaches up to here."""
 MOST: Final = 100_000
-"""So many ticks wait to be counted; a second of a thousand tasks at 100 Hz."""
+"""At most so many ticks wait to be counted: a second of a thousand tasks at 100 Hz."""
 
 
 def bucket_of(lateness_s: float) -> int:
@@ -41,7 +41,7 @@ def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
 
 
 class Latenesses:
-    """Counts ticks by their lateness, in the thread of who records.
+    """Counts ticks by their lateness, in the recorder's thread.
 
     Attributes:
         heard: takes a timer and how late it was, in the task's turn. It is the append of a list: where the processor

@@ -11,9 +11,9 @@ from pancakes.packet import agent_of
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 AGREE_NS: Final = NANOSECONDS
-"""So far apart, in host time, the missions of agents may have begun that were let begin together."""
+"""Missions of agents that were begun together may have begun this far apart, in host time."""
 ENOUGH: Final = 20
-"""So many packets tell when a mission began: each is seen a moment after its stamp, the quickest the least."""
+"""So many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
 """So many packets are looked at."""
 
@@ -44,7 +44,7 @@ class MissionTime:
 
     @classmethod
     def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[RecordedPacket]]]) -> MissionTime:
-        """Finds out.
+        """Finds the mission time of a recording.
 
         Where an agent was started again its clock began anew; what counts is its first life.
 

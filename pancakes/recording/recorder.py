@@ -95,7 +95,7 @@ class Recorder(Task):
         soon = self._recording.waits() > MANY or bool(self._asked)
         reason = self._recording.write()
         if not reason:
-            # A disk that took its time does not put off the next turn: what comes meanwhile is soon safe as well.
+            # A slow disk does not delay the next turn: the packets that arrive meanwhile are soon safe as well.
             rest_s = DRAIN_S - (host.now() - now_s)
             self.after_host(DRAIN_SOON_S if soon else max(rest_s, DRAIN_SOON_S), self._write)
         elif not self._ended:

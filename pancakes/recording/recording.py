@@ -25,12 +25,12 @@ from pancakes.recording.settings import RecordingSettings
 from pancakes.recording.viewing import SHOWN, Viewer
 
 WAITING: Final = 20_000
-"""So many packets wait for the disk, of large ones fewer; then the oldest are left out and counted."""
+"""At most so many packets wait for the disk, fewer where they are large; then the oldest are left out and counted."""
 FLUSH_S: Final = 0.49
 """How often, in host time, all that has come is given to the operating system: that is not lost where the agent is
 killed, and half of the second is left that this may cost."""
 LATEST_S: Final = 0.75
-"""So long after that, in host time, no answer is waited for any more."""
+"""After so long without a flush, in host time, the recording waits for no answer any more."""
 SYNC_S: Final = 4.9
 """How often, in host time, it is brought to the disk, which takes long: what a power cut may cost depends on it."""
 SAMPLE_S: Final = 0.99
@@ -57,8 +57,8 @@ class Recording:
         kernel: the agent's kernel.
         settings: what is recorded, and where to.
         say: takes a level and a sentence on what is not as it should be.
-        take_seq: numbers what the recording adds itself, in the name of `source`.
-        source: whose name that is.
+        take_seq: numbers the packets that the recording itself adds, under the address `source`.
+        source: the address that these packets bear.
         goes_on: the first file of an earlier recording, which goes on in a new file; None: a new one begins.
 
     Attributes:
@@ -87,7 +87,7 @@ class Recording:
                 f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
             ) from None
         if settings.task:
-            TaskId.parse(settings.task)  # a bare name would fit nothing, and nobody would be told
+            TaskId.parse(settings.task)  # a bare name fits no task, and the recording would stay empty
         self._kernel = kernel
         self._agent = kernel.agent
         self._settings = settings
@@ -138,7 +138,7 @@ class Recording:
                 stream.tap(channel, self._take)
 
     def _note(self, body: Any) -> None:
-        """Takes something that nobody published."""
+        """Adds a packet that the recording itself makes."""
         kernel = self._kernel
         self._take(Packet(CHANNEL, type_name(body), self._source, "", kernel.mission.now(), self._take_seq(), body))
 

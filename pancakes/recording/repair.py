@@ -19,7 +19,7 @@ from pancakes.recording.writer import CHUNK_BYTES, LIBRARY, METADATA
 
 @dataclass(frozen=True, slots=True)
 class Repaired:
-    """What came of a repair.
+    """The result of a repair.
 
     Attributes:
         path: the file.
@@ -47,7 +47,7 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
     reading = FileReading(path)
     with opened(path) as file:
         if into is None and is_being_written(file):
-            # Its recorder would write on into a file that nobody finds any more.
+            # Its recorder would write on into a file that has no name any more.
             raise RecordingError(f"{path} is being recorded: end that first (pancakes record stop), or name --out")
         count = sum(1 for _ in messages(reading, file))
     if reading.whole:

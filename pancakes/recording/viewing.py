@@ -18,7 +18,7 @@ TRAIL: Final = 300
 TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 SHOWN_NS: Final = NANOSECONDS // 10
-"""How often anything is shown at most: nobody sees more, and the packets themselves are all in the recording."""
+"""How often anything is shown at most: an eye sees no more, and the packets themselves are all in the recording."""
 COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
 GREY: Final = (0.5, 0.5, 0.5)
 
@@ -54,7 +54,7 @@ class Viewer:
 
     def _is_due(self, entry: RecordedPacket) -> bool:
         source, time_ns = entry.packet.source, entry.time_ns
-        # A tenth of tolerance: what comes ten times a second comes a little early now and then.
+        # A tenth of tolerance: a packet of ten a second is a little early now and then.
         if time_ns - self._shown_ns.get(source, -SHOWN_NS) < SHOWN_NS * 9 // 10:
             return False
         self._shown_ns[source] = time_ns

@@ -1,4 +1,4 @@
-"""Records an agent in virtual time from outside of it: it asks nothing of anybody, so the run stays the same."""
+"""Records an agent in virtual time from outside: it sends no packets to the agent, so the run stays the same."""
 
 from __future__ import annotations
 

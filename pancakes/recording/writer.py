@@ -1,4 +1,4 @@
-"""Writes one MCAP file of a recording; a process that is killed costs it what came after the last flush, no more."""
+"""Writes one MCAP file of a recording; a killed process loses only the packets since its last flush."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Feeder:
 
     Args:
         client: reaches the agents.
-        selection: what is fed, and to whom.
+        selection: which packets are fed, and into which agent.
         say: takes a sentence about an agent that is too slow.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""A timer whose ticks come as late as they came once."""
+"""A timer whose ticks are as late as they were in the recording."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class LateTimer(VirtualTimer):
 
 
 class _Held:
-    """Stands before whom the timer ticks."""
+    """Takes the ticks of the timer in place of a task's timer, and passes them on later."""
 
     def __init__(self, timer: LateTimer, target: Ticking, most_s: float) -> None:
         self._timer = timer

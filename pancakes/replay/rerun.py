@@ -45,7 +45,7 @@ class Outcome:
 
 
 _Said = tuple[StreamKey, str]
-"""What a packet says, and to whom."""
+"""The body of a packet, and what it is compared by."""
 
 
 def _said(packet: Packet) -> _Said:
@@ -91,7 +91,7 @@ class Rerun:
         self._kernel.timer = LateTimer(
             stay.agent, self._kernel.mission, self._dispatcher, script.spoken_s, script.speed
         )
-        # One that listens or dials finds a network with nobody on it.
+        # A task that listens or dials finds a network without other agents.
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))
         self._kernel.transport = network.transport(stay.agent)
         self._tapped: dict[str, None] = {}

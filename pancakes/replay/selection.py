@@ -1,4 +1,4 @@
-"""Which packets of a recording are fed into a fleet, and to whom. Pure."""
+"""Which packets of a recording are fed into a fleet, and into which agent. Pure."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Topic(NamedTuple):
         recorded_on: the agent that they were seen on.
         channel: the channel.
         type: their type.
-        source: who published them.
+        source: the address of their publisher.
         agent: the agent that they are for.
         left_out: why they are not fed; empty where they are.
     """
@@ -88,9 +88,9 @@ class Fed:
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a recording is fed, and to whom.
+    """Which packets of a recording are fed, and into which agent.
 
-    Packets go to the agent on which they were seen, if they were for somebody there. Without `only`, these are what
+    Packets go to the agent on which they were seen, if they were for a component there. Without `only`, these are what
     was said on `system` and on channels of one's own, but for what the fleet says by itself: that of components that
     run.
 
@@ -148,7 +148,7 @@ class Selection:
 
 
 def _was_for(entry: RecordedPacket) -> bool:
-    """Returns whether a packet was for somebody on the agent on which it was seen: there it may be on its way out."""
+    """Returns whether a packet was for the agent on which it was seen, and not only on its way out there."""
     packet = entry.packet
     destination = packet.destination
     if packet.channel == CHANNEL or destination.startswith(TO_TASK):
@@ -165,7 +165,7 @@ def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
         return name + address[len(seen_on) :] if agent_of(address) == seen_on else address
 
     destination = name if packet.destination in ("", NEIGHBOURS) else renamed(packet.destination)
-    # Nobody speaks under a right that a task once had.
+    # No packet of a replay bears a right that a task once had.
     return replace(packet, source=renamed(packet.source), destination=destination, fence=None)
 
 

@@ -36,7 +36,7 @@ class VirtualReplay:
 
     Attributes:
         tally: what was fed so far.
-        refused: sentences on packets that nobody had room for, and on what could not be recorded.
+        refused: sentences on packets for which no mailbox had room, and on packets that could not be recorded.
 
     Raises:
         ConfigError: two of them have the same name.
@@ -90,7 +90,7 @@ class VirtualReplay:
         """Feeds all packets, and lets the agents work on for a moment.
 
         Args:
-            selection: what is fed, and to whom.
+            selection: which packets are fed, and into which agent.
             entries: the recording, in the order of time.
             first_ns: when the first packet was seen that is fed; it goes in at once.
             scale: seconds of virtual time for each of the recording.

@@ -59,7 +59,7 @@ class Findings:
 
         Args:
             entries: the packets.
-            task_id: tell only of this task: who ran it, its rates, moves, commands and what it sent; empty: of all.
+            task_id: tell only of this task: which agents ran it, its rates, moves, commands and packets; empty: of all.
             time: turns the recording's time into mission time.
         """
         findings = cls(task_id, time=time, reactions=Reactions(task_id, picked=PickedCommands(time)))

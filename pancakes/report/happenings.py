@@ -50,7 +50,7 @@ class Happening:
 
     Attributes:
         t_s: when it was said first.
-        agent: by whom.
+        agent: the agent that said it.
         kind: `warning`, `error`, or the event's kind.
         text: what.
         count: how often.

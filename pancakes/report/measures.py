@@ -35,7 +35,7 @@ MOST_ROWS = 40
 MOST_LINES = 7
 MOST_SHAPES = 4
 NEGLIGIBLE_S = 1e-9
-"""Lateness below this is rounding: in virtual time nobody is late."""
+"""Lateness below this is rounding: in virtual time no tick is late."""
 
 
 def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | None:

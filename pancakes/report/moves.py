@@ -33,10 +33,10 @@ class TaskMove:
         at_s: when it was over.
         task_id: the task.
         source: where it was.
-        asked_by: who wanted it.
+        asked_by: `rule`, or the address that asked for it.
         cost: the cost function.
         outcome: `moved`, `stayed`, `undecided` or `dry run`.
-        winner: who has it; empty where it stayed.
+        winner: the agent that has the task now; empty where it stayed.
         duration_s: host time from the first asking to the outcome.
         answers: what the neighbours said.
         to: the only neighbour that was asked; empty: all were.

@@ -1,4 +1,4 @@
-"""Where everybody was: what agents believed, what the world knew, and who commanded the wheels. Pure."""
+"""Where all bodies were, as agents believed and as the world knew, and which task commanded the wheels. Pure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Body:
 
 @dataclass(frozen=True)
 class CommandSpan:
-    """Who commanded an agent's actuators for a time; `task` is the task's name."""
+    """A time in which one task commanded an agent's actuators; `task` is the task's name."""
 
     task: str
     from_s: float
@@ -39,12 +39,12 @@ class CommandSpan:
 
 @dataclass
 class BodyPaths:
-    """What there is to see of where everybody was.
+    """The paths, commands and batteries of a recording.
 
     Attributes:
         truth: the bodies of the world, by name.
         poses: what each agent took for its own pose.
-        commands: who commanded the actuators of each agent.
+        commands: which task commanded the actuators of each agent, and when.
         batteries: the level of each agent's battery, from 0 to 1, over time.
     """
 
@@ -83,6 +83,6 @@ class BodyPaths:
             commands.append(CommandSpan(task, t_s, t_s))
 
     def bodies(self) -> list[Body]:
-        """Returns the bodies to draw: those of the world, and agents whose poses are all there is."""
+        """Returns the bodies to draw: those of the world, and agents of which only their own poses are known."""
         shown = [body for body in self.truth.values() if body.path.points]
         return shown + [body for name, body in self.poses.items() if name not in self.truth]

@@ -125,10 +125,10 @@ class PickedCommands:
     def plain(self) -> dict[str, Any]:
         """Returns all of it as plain values, each name once.
 
-        `names`: who said what. `kinds`: the shapes of chains, each a list of places in `names`. `texts`: what commands
-        said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a list: mission time in ms, place in
-        `texts`, place in `kinds`, the number of each step's packet, and of each step but the last the microseconds on
-        its way, and until the next.
+        `names`: publishers with the types of their packets. `kinds`: the shapes of chains, each a list of places in
+        `names`. `texts`: what commands said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a
+        list: mission time in ms, place in `texts`, place in `kinds`, the number of each step's packet, and of each step
+        but the last the microseconds on its way, and until the next.
         """
         names, kinds, texts = _Numbered(), _Numbered(), _Numbered()
         actuators = []

@@ -61,7 +61,7 @@ class TimerRates:
         return self.lateness_sum_s / self.ticks if self.ticks else 0.0
 
     def lateness_quantile_s(self, share: float) -> float | None:
-        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None where nobody counted."""
+        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None: no tick was counted."""
         return quantile_s(self.lateness_counts, share)
 
     def add(self, t_s: float, mission_s: float, incarnation: int, now: TimerFigures) -> None:
@@ -69,7 +69,7 @@ class TimerRates:
         for bucket, count in now.lateness_counts:
             self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
-        # What was counted before the recording began is no part of it, but for the largest, which nobody can tell.
+        # Ticks before the recording began are no part of it; of the largest lateness the time is not known.
         # Where mission time has gone back the agent was started again, and counts all anew.
         if before is not None and (mission_s < before[0] or before[1] != incarnation or now.ticks < before[2].ticks):
             before = (mission_s, incarnation, TimerFigures(now.timer, now.rate_hz, 0, 0, 0.0, 0.0))
@@ -113,7 +113,7 @@ class LinkFigures:
     """A link between two agents as one of them counts it, since it stands.
 
     Attributes:
-        agent: who counts.
+        agent: the agent that counts.
         last: the newest figures.
     """
 
@@ -130,7 +130,7 @@ class Rates:
         timers: by agent, task and timer.
         drops: by agent and task.
         links: by agent and peer.
-        undelivered: packets that nobody took, by agent.
+        undelivered: packets that no subscriber took, by agent.
         dead_letters: packets whose handlers failed, by agent.
     """
 

@@ -20,7 +20,7 @@ class Reaction:
     """All chains of one shape: the same packet types of the same sources, in the same order.
 
     Attributes:
-        steps: who said what, the first cause first.
+        steps: publisher and packet type of each step, the first cause first.
         latency_s: from the first cause to the command.
         step_sums_s: of each step but the last, the time to the next one: summed, travel included.
         travel_sums_s: of that, the time between agents.

@@ -30,7 +30,7 @@ def make_page(
     """
     sections = [
         ("paths", "Paths", _shown(pictures, "paths", "Nothing in the recording has a place.")),
-        ("tasks", "Who ran what", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
+        ("tasks", "Which agent ran which task", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
         ("moves", "Moves of tasks", _moves(findings, pictures)),
         ("batteries", "Batteries", _shown(pictures, "batteries", "No battery is in the recording.")),
         ("rates", "Rates", _rates(findings, pictures)),
@@ -109,9 +109,9 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
 
 def _move(move: TaskMove) -> str:
     to = f" to {move.winner}" if move.winner else ""
-    who = "a rule of its own" if move.asked_by == "rule" else move.asked_by
+    asker = "a rule of its own" if move.asked_by == "rule" else move.asked_by
     only = f"Only {move.to} was asked. " if move.to else ""
-    parts = [f"Asked for by {who}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
+    parts = [f"Asked for by {asker}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
         parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
     if move.silence_s is not None:
@@ -119,7 +119,7 @@ def _move(move: TaskMove) -> str:
             f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
         )
     rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in move.answers]
-    asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("Nobody was asked.")
+    asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("No neighbour was asked.")
     head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome} from {move.source}{to}"
     if move.outcome != "moved":
         head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome}{f', best: {move.winner}' if to else ''}"
@@ -190,7 +190,7 @@ def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         for agent in sorted(rates.undelivered)
         if rates.undelivered[agent] or rates.dead_letters[agent]
     ]
-    return html + (_table(("agent", "for nobody", "handler failed"), odd) if odd else "")
+    return html + (_table(("agent", "without a reader", "handler failed"), odd) if odd else "")
 
 
 def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of the mission: paths, who ran what, batteries, moves."""
+"""Pictures of the mission: paths, tasks by agent, batteries, moves."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_MOVES = 12
 
 
 def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws where everybody went, and which task drove it. None where nothing has a place."""
+    """Draws where all bodies went, and which task drove them. None where nothing has a place."""
     bodies = findings.paths.bodies()
     if not bodies:
         return None
@@ -119,7 +119,7 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
 
 
 def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
-    """Draws who ran what. None where no task of a mission ran."""
+    """Draws which agent ran which task. None where no task of a mission ran."""
     lanes = [lane for _, lane in sorted(findings.course.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
@@ -137,7 +137,7 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
         label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings.begin_s, findings.end_s, clock)
         moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
-        return save(made, out, "tasks", f"Who ran what. Crosses: failures.{moved}")
+        return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
 
 
 def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
@@ -154,7 +154,7 @@ def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
 
 
 def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
-    """Draws what was left in the batteries. None where nobody has one."""
+    """Draws what was left in the batteries. None where no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
         return None
@@ -174,7 +174,7 @@ def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) 
 
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws what the neighbours asked for in each move. None where nobody was asked."""
+    """Draws what the neighbours asked for in each move. None where no neighbour was asked."""
     moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.answers)][:MOST_MOVES]
     if not moves:
         return None
@@ -195,4 +195,6 @@ def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         label_rows(axes, labels)
         axes.set_xlim(-0.04 * largest, 1.35 * largest)
         axes.set_xlabel("cost asked for")
-        return save(made, out, "moves", "What neighbours asked for when a task was to move; filled: who got it.")
+        return save(
+            made, out, "moves", "What neighbours asked for when a task was to move; filled: the agent that got it."
+        )

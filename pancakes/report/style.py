@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#8c6d31", "#7f7f7f")
-"""Okabe and Ito's, without the yellow that nobody sees on white, and two more."""
+"""Okabe and Ito's, without the yellow, which is hardly seen on white, and two more."""
 DASHES: Final = ((0, ()), (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 MARKERS: Final = ("^", "s", "D", "v", "o", "P", "X", "*")
 INK, FAINT = "#333333", "#9a9a9a"
@@ -47,21 +47,21 @@ class Picture:
 
 
 class Palette:
-    """Gives everybody one colour and one marker throughout a report.
+    """Gives each name one colour and one marker throughout a report.
 
     Args:
-        names: who there is; those that come first get what is easiest to tell apart.
+        names: the names; the first ones get the colours that are easiest to tell apart.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._places = {name: place for place, name in enumerate(dict.fromkeys(names))}
 
     def colour(self, name: str) -> str:
-        """Returns somebody's colour."""
+        """Returns the colour of a name."""
         return COLOURS[self._place(name) % len(COLOURS)]
 
     def marker(self, name: str) -> str:
-        """Returns somebody's marker."""
+        """Returns the marker of a name."""
         return MARKERS[self._place(name) % len(MARKERS)]
 
     def _place(self, name: str) -> int:

@@ -1,4 +1,4 @@
-"""Who ran what: from what services say of their tasks, and from what tasks publish. Pure."""
+"""Which agent ran which task and when: from the events of services, and from the packets of tasks. Pure."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class TaskLane:
 
 @dataclass
 class TaskTimeline:
-    """Who ran what.
+    """Which agent ran which task, and when.
 
     Attributes:
         lanes: the tasks on agents, by agent, service and task.

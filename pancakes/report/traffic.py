@@ -37,7 +37,7 @@ class Traffic:
     """What travelled between agents.
 
     A packet that travels may be seen twice, where it leaves and where it arrives. It counts where it arrives; where
-    nobody recorded there, where it leaves.
+    the receiver was not recorded, where it leaves.
 
     Attributes:
         links: by link, as `FROM → TO`.

@@ -1,11 +1,10 @@
-"""The solid things of the simulated world: walls, robots, a sensor node, somebody who walks.
+"""The solid things of the simulated world: walls, robots, sensor nodes, walking persons.
 
 One actor owns an arena; nothing here is safe to call from several threads. The arena's frame has its origin in
 the middle, x to the right and y up.
 
-While nothing is near enough to touch anything else, discs coast: each goes on by itself, step by step as pymunk would
-move it, at a quarter of the cost (measured: 4 against 16 microseconds a step in the encirclement, all included). Where
-something may touch, pymunk moves them all.
+While no disc is near enough to touch anything, discs coast: each moves by itself, step by step as pymunk would move it,
+at a quarter of the cost. Where a disc may touch something, pymunk moves them all.
 """
 
 from __future__ import annotations

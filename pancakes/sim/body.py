@@ -1,4 +1,4 @@
-"""The bodies of a simulated world: a robot with its wheels and battery, a sensor node, somebody who walks."""
+"""The bodies of a simulated world: a robot with its wheels and battery, a sensor node, a walking person."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class SensorNode:
 
 @dataclass
 class Walker:
-    """Somebody who walks.
+    """A walking person.
 
     Attributes:
         disc: the body.

@@ -22,7 +22,7 @@ class Attachment:
     The functions are called in the transport's thread.
 
     Attributes:
-        attach: says who uses what.
+        attach: says which device uses which body.
         reading: takes a reading.
         refused: takes the reason why a request was refused.
         lost: told that the world is gone: what was asked for will not come.

@@ -28,14 +28,14 @@ def measured(body: BodyState, noise_m: float, noise_rad: float, normal: Callable
 
 
 class MotionCapture(Task):
-    """Sends the poses of bodies to whom they belong.
+    """Sends the poses of bodies to the agents that they belong to.
 
     Needs the task `sim.world` on the same agent, and can send no more often than that publishes its state.
     """
 
     @dataclass
     class Settings:
-        """Who gets which pose.
+        """Which address gets which pose.
 
         Attributes:
             targets: the address that gets a body's pose, by the body's name: `agent1 = "agent1/device/pose"`.

@@ -1,4 +1,4 @@
-"""Somebody who walks through the arena, so that a motion sensor has something to sense, and gives way to robots.
+"""A person that walks through the arena, so that a motion sensor has something to sense, and gives way to robots.
 
 The way is decided ten times a second, from positions and speeds alone: straight on to the next waypoint where
 that keeps clear of everything for the next two seconds, else the least turn that does, else standing still, else
@@ -29,7 +29,7 @@ _TRIES = 50
 
 @dataclass
 class MoverSettings:
-    """How somebody walks.
+    """How a person walks.
 
     Attributes:
         x_m: where it stands at first.
@@ -82,7 +82,7 @@ class Obstacle(msgspec.Struct, frozen=True, gc=False):
 
 
 class Mover:
-    """Decides where somebody walks.
+    """Decides where a person walks.
 
     Args:
         settings: how it walks.

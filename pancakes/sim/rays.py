@@ -1,7 +1,6 @@
 """What a ring of range sensors sees: rays against discs and the walls of a rectangle, in closed form.
 
-A reading of 27 rays takes a few microseconds where nothing is near, and some 20 beside a wall; asking pymunk for each
-ray takes 2.5 microseconds a ray, most of them for the call.
+This is several times quicker than asking pymunk for each ray.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class Incident:
     Attributes:
         kind: `collision` or `out_of_bounds`.
         time_s: mission time.
-        names: who was part of it, sorted; a wall is called `wall`.
+        names: the bodies that were part of it, sorted; a wall is called `wall`.
         x_m: where.
         y_m: where.
     """
@@ -118,7 +118,7 @@ class Simulation:
             self._go(last_step)
 
     def _go(self, last_step: int) -> None:
-        """Goes on by as many steps as nobody changes anything in, up to `last_step`."""
+        """Goes on by as many steps as no command begins or ends in, up to `last_step`."""
         steps = self._steps
         time_s = steps * STEP_S
         if steps % _LOOK_STEPS == 0:

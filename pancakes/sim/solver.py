@@ -51,7 +51,6 @@ class Solver:
         self._space.on_collision(None, None, begin=self._begin, separate=self._separate)
         self._began, self._ended = began, ended
         self._names: dict[pymunk.Shape, str] = {}
-        self._fixed: dict[str, tuple[float, float]] = {}
         self._discs: list[Disc] = []
         self._bodies: list[pymunk.Body] = []
         self._read = Buffer()
@@ -71,7 +70,6 @@ class Solver:
         if math.isinf(disc.mass_kg):
             shape = pymunk.Circle(self._space.static_body, disc.radius_m, disc.position)
             self._space.add(shape)
-            self._fixed[disc.name] = disc.position
         else:
             body = pymunk.Body(disc.mass_kg, pymunk.moment_for_circle(disc.mass_kg, 0.0, disc.radius_m))
             _place(disc, body)
@@ -130,16 +128,14 @@ class Solver:
         return first, second
 
     def _begin(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
-        places = {}
-        for shape in arbiter.shapes:
-            name = self._names[shape]
-            if name in self._fixed:
-                places[name] = self._fixed[name]
-            elif shape.body is not None and name != WALL:
-                places[name] = shape.body.position.x, shape.body.position.y
+        places = {
+            self._names[shape]: shape.body.local_to_world(shape.offset)
+            for shape in arbiter.shapes
+            if isinstance(shape, pymunk.Circle) and shape.body is not None
+        }
         pair = self._pair(arbiter)
-        x_m, y_m = next(places[name] for name in pair if name in places)
-        self._began(pair, (x_m, y_m))
+        place = next(places[name] for name in pair if name in places)
+        self._began(pair, (place.x, place.y))
 
     def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         self._ended(self._pair(arbiter))

@@ -1,4 +1,4 @@
-"""Where whoever watches a fleet and whoever shows it meet: one model, its history, and frames for pages."""
+"""What a watch fills and what pages read: one model of a fleet, its history, and frames for pages."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", None)
 
     def commanded(self, agent: str, types: Sequence[str]) -> None:
-        """Shows which actuators of an agent were commanded, so that somebody may ask why."""
+        """Shows which actuators of an agent were commanded, so that the page offers to explain them."""
         self.board.set(f"commands/{agent}", list(types))
 
     # What was asked --------------------------------------------------------------------------------------------
@@ -316,7 +316,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _short(value: float | None, digits: int = 3) -> float | None:
-    """Returns a figure as it is shown: it need not be sent again because of a digit that nobody sees."""
+    """Returns a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
     return float(f"{value:.{digits}g}") if value is not None else None
 
 

@@ -86,7 +86,7 @@ class FleetTraces:
         """Takes an answer.
 
         Args:
-            agent: who gave it.
+            agent: the agent that answered.
             asked: the packets that it was asked about.
             result: its result, see `Traces`.
             t: when it came.
@@ -137,7 +137,7 @@ class FleetTraces:
 
     def _want(self, agent: str, key: Cause) -> None:
         told = self._told.get(agent)
-        # Of an agent that nobody can ask, nothing is waited for.
+        # No answer is awaited of an agent that cannot be asked.
         if told is not None and told.answers and key not in told.wanted:
             told.wanted[key] = None
             self._missing.add(key)

@@ -32,7 +32,7 @@ from pancakes.web.shown import Shown
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
-"""Where the page is where nothing else is said and nobody else is there."""
+"""The port of the page where no other is named and this one is free."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
 """So many pages may be open."""
@@ -60,7 +60,7 @@ class PageServer:
     """Shows a fleet to any number of pages, in a thread of its own.
 
     A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
-    and holds up nobody. It is answered only where it came from this server, under a name of the loopback interface:
+    and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
     a foreign site that a browser shows at the same time can neither look nor ask. What changes something needs the
     token as well, which is in the address that a person was given.
 

@@ -1,4 +1,4 @@
-"""Watches a fleet in virtual time from outside of it: it asks nothing of anybody, so the run stays the same."""
+"""Watches a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HOST = MonotonicClock()
 LOOK_S: Final = 1.0
 """So often, in mission time, it looks what the agents are and run."""
 SLICE_S: Final = 0.05
-"""So often, as time passes for whoever watches, it waits until that time has come."""
+"""So often, in the viewer's time, it waits until that time has come."""
 
 
 class VirtualWatch:
@@ -37,7 +37,7 @@ class VirtualWatch:
     called in the thread in which the fleet runs, unless they say otherwise.
 
     Args:
-        speed: mission seconds for each second that passes for whoever watches.
+        speed: mission seconds for each second of the viewer.
         stopping: ends the waiting.
     """
 
@@ -140,7 +140,7 @@ class VirtualWatch:
             root = agent.kernel.registry.get(f"{agent.name}/kernel")
             if isinstance(root, Root) and agent.config.agent.role != "client":
                 description = root.describe()
-                # As fast as mission time goes for whoever watches.
+                # As fast as mission time goes for the viewer.
                 described.append({**description, "speed": description["speed"] * self.speed})
         with self.feed.lock:
             self.feed.model.describe(self._looks.look(described), described, self._now())

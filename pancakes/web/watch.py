@@ -1,4 +1,4 @@
-"""Watches a fleet of processes, as a client of its mesh: a thread of its own, in which nobody else waits."""
+"""Watches a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from pancakes.web.feed import FRAMES_HZ, Feed
 from pancakes.web.fleet_traces import FleetTraces
 
 TURN_S: Final = 0.04
-"""So often it looks what came."""
+"""So often it takes the packets that have arrived."""
 LOOK_S: Final = 1.0
 """So often agents are asked what they are and run."""
 SILENT_S: Final = 2.5
-"""Who has not answered for so long is shown as silent."""
+"""An agent that has not answered for so long is shown as silent."""
 DETAIL_S: Final = 10.0
 """So often a task is asked for its settings and state where nothing was said about it; else, at most each `LOOK_S`."""
 RETRY_S: Final = 0.5
@@ -36,7 +36,7 @@ RECALL_S: Final = 600.0
 MOST_ANSWERS: Final = 20
 """So many replies full of what was said before are asked of one agent."""
 ENDED_S: Final = 1.0
-"""After so long without anybody the fleet is shown as ended."""
+"""After so long without any agent the fleet is shown as ended."""
 ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
 FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
 POSES: Final = ("pose",)
@@ -145,7 +145,7 @@ class Watch:
         """
         answer: Future[Reply] = Future()
         if self._closed:
-            answer.set_exception(Unreachable("the mission is over: nobody can be asked any more"))
+            answer.set_exception(Unreachable("the mission is over: no agent can be asked any more"))
             return answer
         self._orders.put((agent, body, timeout_s, answer))
         return answer
@@ -173,7 +173,7 @@ class Watch:
                 self._feed.wait_for(f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {error}")
                 raise
         self._closed = True
-        self._refuse_all("nobody can be asked any more")
+        self._refuse_all("no agent can be asked any more")
 
     def _watch(self, client: Client) -> None:
         found = client.survey().agents
@@ -244,7 +244,7 @@ class Watch:
         self._take_commands()
 
     def _look_who_is_there(self, client: Client) -> None:
-        """Says that the fleet has ended where it has: until somebody comes back."""
+        """Says that the fleet has ended where it has: until an agent comes back."""
         now_s = client.now()
         doors = [door for door in client.doors() if door.fleet == self._fleet]
         if any(door.agents() or door.asleep() for door in doors):

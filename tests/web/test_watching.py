@@ -185,7 +185,7 @@ def test_nobody_is_asked_any_more_once_the_watch_has_ended(rig: Rig, seen: Seen,
     seen.wait(lambda it: "agent/a" in it["set"])
     watch.close()
 
-    with pytest.raises(Unreachable, match="nobody can be asked any more"):
+    with pytest.raises(Unreachable, match="no agent can be asked any more"):
         watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)
 
 
