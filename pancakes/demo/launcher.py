@@ -68,7 +68,8 @@ class Launcher(Agent):
             [task.Conductor]
             type = "pancakes.conductor"
         """
-        super().__init__(parse(text, where="the launcher"), _conducting(), virtual)
+        plugins = Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
+        super().__init__(parse(text, where="the launcher"), plugins, virtual)
 
     def end(self, reason: str) -> None:
         """Ends the mission before its time. Any thread."""
@@ -80,10 +81,6 @@ class Launcher(Agent):
         spec = super()._task(config)
         assert spec is not None
         return replace(spec, arguments={"mission": self._mission, "events": self._plan.out / "events.jsonl"})
-
-
-def _conducting() -> Plugins:
-    return Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
 
 
 class Processes:
@@ -148,8 +145,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
             if mission.phase == "running" and running_s is None:
                 running_s = HOST.now()
             if mission.phase == "connecting" and HOST.now() - began_s > READY_S:
-                waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
-                raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+                raise _cannot_begin(mission)
         _settle(mission)
         ended_s = HOST.now()
     finally:
@@ -167,6 +163,11 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         "behind_end_s": mission.behind_s,
         "late_tasks": late_ones(it for agent in mission.agents for it in mission.ticks.get(agent, ())),
     }
+
+
+def _cannot_begin(mission: Mission) -> PancakesError:
+    waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
+    return PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
 
 
 def _settle(mission: Mission) -> None:
@@ -233,8 +234,7 @@ def run_virtual(
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
         if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker):
-            waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
-            raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+            raise _cannot_begin(mission)
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)

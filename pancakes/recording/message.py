@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, Final
 
-import msgpack
 import msgspec
 
 from pancakes import codecs
@@ -93,6 +92,7 @@ _CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, Mem
 _LISTS: Final = codecs.json_encoder(as_list)
 _READ: Final = codecs.json_decoder()
 _WIRE: Final = Encoder()
+_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 _FENCE: Final[Callable[[Any], Fence | None]] = codecs.converter(Fence | None)
 
 
@@ -106,8 +106,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         row: Any = _READ(data)
         exact = row.get("exact")
         if exact is not None:
-            packed = base64.b64decode(exact, validate=True)
-            return packet_from_row(rows_from_payload(msgpack.packb([msgpack.unpackb(packed, ext_hook=_keep)]))[0])
+            return packet_from_bytes(base64.b64decode(exact, validate=True))
         cause = row["cause"]
         return Packet(
             channel,
@@ -126,5 +125,10 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {error}") from None
 
 
-def _keep(code: int, data: bytes) -> msgpack.ExtType:
-    return msgpack.ExtType(code, data)
+def packet_from_bytes(data: bytes) -> Packet:
+    """Makes a packet of the bytes in which it travels alone, as `Encoder.packet` makes them.
+
+    Raises:
+        RemoteProtocolError: it is no packet, or the body does not fit its type.
+    """
+    return packet_from_row(rows_from_payload(_ONE_MESSAGE + data)[0])

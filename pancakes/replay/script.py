@@ -16,14 +16,13 @@ from pancakes.kernel.handlers import subscriptions_of
 from pancakes.migration.post import Letter
 from pancakes.packet import LOG, NEIGHBOURS, TO_TASK, Cause, Packet, agent_of, covers
 from pancakes.recording.description import CHANNEL, TaskDescription
+from pancakes.recording.message import packet_from_bytes
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.replay.overtaken import Overtaken
 from pancakes.replay.stays import ENDS, Stay
 from pancakes.replay.steps import CHANGES, Change, Given
 from pancakes.task import Task
-from pancakes.wire.codec import packet_from_row, rows_from_payload
 
-_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 CLOSE_S: Final = 0.005
 """In less host time than this a task is not surely given a turn."""
 END_S: Final = 0.05
@@ -193,7 +192,7 @@ class _StayReader:
         body = packet.body
         if isinstance(body, Letter) and body.task_id == self._stay.task.task_id and packet.source != self._address:
             try:
-                inner = packet_from_row(rows_from_payload(_ONE_MESSAGE + body.packet)[0])
+                inner = packet_from_bytes(body.packet)
             except RemoteProtocolError:
                 return None
             return inner if agent_of(packet.destination) == self._stay.agent else None

@@ -213,7 +213,7 @@ def _step_name(step: str) -> str:
 
 
 def _times(axes: Axes, it: Reaction) -> None:
-    values = sorted(1e3 * value for value in it.latency_s.values)
+    values = sorted(1e3 * value for value in it.latency_s.kept)
     low, high = values[0], values[min(len(values) - 1, int(0.995 * len(values)))]
     # One value throughout, as in virtual time, still wants a bar of some width.
     margin = max(0.05 * (high - low), 0.02 * high, 1e-3)

@@ -84,5 +84,5 @@ class BodyPaths:
 
     def bodies(self) -> list[Body]:
         """Returns the bodies to draw: those of the world, and agents of which only their own poses are known."""
-        shown = [body for body in self.truth.values() if body.path.points]
+        shown = [body for body in self.truth.values() if body.path.kept]
         return shown + [body for name, body in self.poses.items() if name not in self.truth]

@@ -26,8 +26,6 @@ _ROOM_M: Final = 0.01
 """Discs that have less room than this do not coast."""
 _LOOK_AGAIN_S: Final = 0.1
 """So long discs do not coast once they could not: to look whether they can takes longer than a step."""
-_FEW: Final = 8
-"""Among so few discs those that are near need not be looked up."""
 _BY_X = attrgetter("x_m")
 
 
@@ -60,7 +58,6 @@ class Arena:
         self.half_width_m = 0.5 * width_m
         self.half_height_m = 0.5 * height_m
         self._solver = Solver(self.half_width_m, self.half_height_m, self._begin, self._separate)
-        self._discs: list[Disc] = []
         self._moving: list[Disc] = []
         self._by_x: list[Disc] = []
         self._sorted = False
@@ -78,7 +75,6 @@ class Arena:
         """Puts a disc into the arena; without a mass it stands there for good."""
         disc = Disc(name, radius_m, x_m, y_m, theta_rad, mass_kg)
         self._solver.add(disc)
-        self._discs.append(disc)
         if not math.isinf(mass_kg):
             self._moving.append(disc)
         self._by_x.append(disc)
@@ -161,8 +157,6 @@ class Arena:
         Returns:
             For each sensor the distance to the nearest thing in its cone, infinity where there is none.
         """
-        if len(self._discs) <= _FEW:
-            return fan.ranges(disc, self._discs, self.half_width_m, self.half_height_m)
         by_x = self._discs_by_x()
         reach_m = fan.reach_m + self._widest_m
         first = bisect_left(by_x, disc.x_m - reach_m, key=_BY_X)

@@ -143,11 +143,11 @@ def _steps(chain: Chain) -> list[dict[str, Any]]:
 
 
 def _spread(sample: Distribution) -> dict[str, Any]:
-    low_s = min(sample.values)
+    low_s = min(sample.kept)
     # A few that took very long would leave the others one bar: they are all in the last one.
     high_s = max(sample.quantile(0.97), low_s + 1e-6)
     bars = [0] * BINS
-    for value in sample.values:
+    for value in sample.kept:
         bars[min(BINS - 1, int(BINS * (value - low_s) / (high_s - low_s)))] += 1
     return {
         "count": sample.count,

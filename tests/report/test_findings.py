@@ -181,7 +181,7 @@ def test_rates_lateness_and_drops_come_from_what_the_recorder_sampled(book):
     assert timer.at[0].asked_hz == 10.0
     assert timer.at[0].achieved_hz == pytest.approx(9.5)
     assert timer.lateness_mean_s == pytest.approx(1.4 / 95)
-    assert [point[1] for point in timer.lateness.points] == [pytest.approx(0.02), pytest.approx(0.01)]
+    assert [point[1] for point in timer.lateness.kept] == [pytest.approx(0.02), pytest.approx(0.01)]
     assert rates.drops["a", "client/T"].total == 4
     assert rates.links["a", "b"].last.bytes_out == 700
     assert (rates.undelivered["a"], rates.dead_letters["a"]) == (4, 5)
@@ -286,9 +286,9 @@ def test_long_series_keep_their_course_in_bounded_memory():
     series = TimeSeries()
     for number in range(50_000):
         series.add(float(number), number)
-    assert MOST_POINTS / 2 <= len(series.points) <= MOST_POINTS
+    assert MOST_POINTS / 2 <= len(series.kept) <= MOST_POINTS
     assert series.whole()[-1] == (49_999.0, 49_999)
-    gaps = {later[0] - earlier[0] for earlier, later in pairwise(series.points)}
+    gaps = {later[0] - earlier[0] for earlier, later in pairwise(series.kept)}
     assert len(gaps) == 1  # thinned out evenly
 
 
