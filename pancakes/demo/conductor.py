@@ -21,11 +21,11 @@ ASK_S = 0.25
 COUNTDOWN_S = 0.25
 """How long, in host time, before the mission begins all agents are told."""
 OVERLAP_S = 1.0
-"""So much more is asked of what an agent said while it could not be heard: its clock may be a little off."""
+"""The log is asked for this much more than the time without the agent: its clock may be a little off."""
 RECENT = 500
-"""Among so many of the newest events it is looked whether one has been heard already."""
+"""The number of newest events among which a repeated one is looked for."""
 LOOK_S = 1.0
-"""How often, in host time, it looks how the ticks of a live mission come."""
+"""How often, in host time, it reads how late the ticks of a live mission are."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
 
 

@@ -38,7 +38,7 @@ STOP_S = 1.2
 """How long a process has to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
 SLICE_S = 1.0
-"""So much virtual time runs without a look whether the mission was interrupted: some milliseconds."""
+"""The virtual time between two checks whether the mission was interrupted: some milliseconds of host time."""
 NEWS_HZ = 1.0
 """In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
 RECORDING = "recording"

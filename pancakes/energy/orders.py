@@ -223,5 +223,5 @@ def _number(value: Any) -> float | None:
 
 
 def _same(held: float | None, wanted: float) -> bool:
-    # A rate is kept as a period, and comes back a little off.
+    # A rate is kept as a period, and its value returns with a rounding error.
     return held is not None and math.isclose(held, wanted, rel_tol=1e-6)

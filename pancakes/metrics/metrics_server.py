@@ -18,11 +18,11 @@ from pancakes.loopback import names_loopback
 HOST: Final = "127.0.0.1"
 """Metrics tell much about an agent, and any program may ask for them: they are served to this machine only."""
 REQUEST_S: Final = 5.0
-"""So long a request may take to come, in host time; then its connection is closed."""
+"""The time that a request may take to arrive, in host time; then its connection is closed."""
 MOST_REQUESTS: Final = 16
-"""So many are answered at a time."""
+"""The most requests that are answered at a time."""
 LONGEST_BODY: Final = 64 * 1024
-"""So much of a body that no request here needs is read, so that its sender gets to read the answer."""
+"""The most that is read of a body, which no request here needs, so that its sender gets to read the answer."""
 
 _Respond = Callable[[str, list[tuple[str, str]]], object]
 

@@ -14,9 +14,9 @@ from pancakes.recording.chains import Causes, Chain
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 REMEMBERED: Final = 50_000
-"""So many packets are remembered as causes of later ones."""
+"""The number of packets that are remembered as causes of later ones."""
 HELD_NS: Final = NANOSECONDS
-"""So much later a chain is followed: where the clocks of two machines disagree, a cause may seem later."""
+"""A chain is followed this much later: where the clocks of two machines disagree, a cause may seem later."""
 BODY_CHARACTERS: Final = 160
 """A packet's body is shown in so many characters."""
 

@@ -1,4 +1,4 @@
-"""How an agent's tasks and links fare, sampled once a second for a recording: what no packet of theirs tells."""
+"""Figures of an agent's tasks and links that no packet tells, sampled once a second for a recording."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class OneLink(msgspec.Struct, frozen=True):
 
 @packet_type("task_figures")
 class TaskFigures(msgspec.Struct, frozen=True):
-    """What an agent's tasks and links have come to.
+    """The figures of an agent's tasks and links.
 
     Attributes:
         mission_s: mission time.

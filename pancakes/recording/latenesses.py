@@ -44,8 +44,8 @@ class Latenesses:
     """Counts ticks by their lateness, in the recorder's thread.
 
     Attributes:
-        heard: takes a timer and how late it was, in the task's turn. It is the append of a list: where the processor
-            wakes for a tick, one more function of Python costs it several µs.
+        heard: takes a timer and its lateness, in the task's turn. It is the append of a list: each further call would
+            delay the tick.
     """
 
     def __init__(self) -> None:

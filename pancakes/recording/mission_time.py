@@ -15,7 +15,7 @@ AGREE_NS: Final = NANOSECONDS
 ENOUGH: Final = 20
 """So many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
-"""So many packets are looked at."""
+"""At most so many packets are looked at."""
 
 
 @dataclass(frozen=True)

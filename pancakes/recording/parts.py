@@ -13,7 +13,7 @@ from pancakes.recording.writer import RecordingWriter
 
 MIB: Final = 1 << 20
 SYNC_BYTES: Final = 8 * MIB
-"""So much is given to the operating system at most before it is brought to the disk."""
+"""The most that is given to the operating system before it is brought to the disk."""
 SUFFIX: Final = ".mcap"
 
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from pancakes.recording.recording import Recording
 
 DRAIN_S: Final = 0.5
-"""How often, in host time, what waits is written: each time wakes a thread, which costs as much as many packets, ..."""
+"""How often, in host time, the packets that wait are written: each time wakes a thread, which costs as much as many
+packets, ..."""
 DRAIN_SOON_S: Final = 0.02
 """... and how often where an answer is waited for, or much comes, so that no turn is long: a control task may want the
 interpreter, ..."""
@@ -115,7 +116,7 @@ class Recorder(Task):
 
     @on(LOG, Event)
     def on_event(self, packet: Packet) -> None:
-        """A task has come to run, with settings and a state that a later run may need."""
+        """A task has started, with settings and a state that a later run may need."""
         event: Event = packet.body
         if agent_of(packet.source) != self.agent:
             return

@@ -27,14 +27,14 @@ from pancakes.recording.viewing import SHOWN, Viewer
 WAITING: Final = 20_000
 """At most so many packets wait for the disk, fewer where they are large; then the oldest are left out and counted."""
 FLUSH_S: Final = 0.49
-"""How often, in host time, all that has come is given to the operating system: that is not lost where the agent is
+"""How often, in host time, all packets are given to the operating system: that is not lost where the agent is
 killed, and half of the second is left that this may cost."""
 LATEST_S: Final = 0.75
 """After so long without a flush, in host time, the recording waits for no answer any more."""
 SYNC_S: Final = 4.9
-"""How often, in host time, it is brought to the disk, which takes long: what a power cut may cost depends on it."""
+"""How often, in host time, they are brought to the disk, which takes long: a power cut costs the packets since then."""
 SAMPLE_S: Final = 0.99
-"""How often, in host time, it is noted how tasks and links fare: once a second."""
+"""How often, in host time, the figures of tasks and links are sampled: once a second."""
 
 
 class _Seen(msgspec.Struct, frozen=True, gc=False):

@@ -1,4 +1,4 @@
-"""What is in a recording, at a glance."""
+"""A summary of a recording: its packets by topic, and where its tasks were."""
 
 from __future__ import annotations
 

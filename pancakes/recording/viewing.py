@@ -11,10 +11,10 @@ from pancakes import codecs
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 SHOWN: Final = ("pose", "world_state")
-"""Of packets of these types something is shown."""
+"""The packet types of which something is shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
-"""So many poses make up a path."""
+"""The number of poses in a path."""
 TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 SHOWN_NS: Final = NANOSECONDS // 10

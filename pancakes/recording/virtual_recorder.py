@@ -18,7 +18,7 @@ from pancakes.service import Service, with_state
 from pancakes.slot import Slot, TaskState
 
 WRITE_S: Final = 0.25
-"""How often, in virtual time, what has come is written."""
+"""How often, in virtual time, the packets that wait are written."""
 
 
 class VirtualRecorder:
@@ -60,7 +60,7 @@ class VirtualRecorder:
             self._recording.end()
 
     def _hear(self, packet: Packet) -> None:
-        """A task has come to run or has ended. In its service's turn, so that the task itself is in none."""
+        """A task has started or ended. In its service's turn, so that the task itself has none."""
         event = packet.body
         if not isinstance(event, Event) or agent_of(packet.source) != self._kernel.agent:
             return

@@ -13,7 +13,7 @@ from pancakes.kernel.virtual import VirtualDispatcher
 LATEST_S: Final = 0.5
 """No tick is held back longer, in mission time."""
 TURN_S: Final = 0.0002
-"""How long before it says something a task has begun with a tick, about, in host time."""
+"""The time from the begin of a tick to the first packet of the task, about, in host time."""
 ROUNDING_S: Final = 1e-9
 
 

@@ -9,7 +9,7 @@ from pancakes.replay.steps import Change, Given
 
 
 class Overtaken:
-    """Tells which packets fell out of the task's mailbox before it came to them. No recording says so by itself.
+    """Tells which packets fell out of the task's mailbox before the task handled them. No recording says so by itself.
 
     Args:
         steps: the packets that arrived, and the changes.

@@ -26,9 +26,9 @@ from pancakes.task import Task
 CLOSE_S: Final = 0.005
 """In less host time than this a task is not surely given a turn."""
 END_S: Final = 0.05
-"""So much earlier than its service says so a task may have ended, in host time."""
+"""A task may have ended this much earlier than its service says, in host time."""
 _LINGERING_NS: Final = 5 * NANOSECONDS
-"""How long before a stay a packet may have come whose effect is seen only in it."""
+"""A packet may have arrived this long before a stay, and have its effect only in the stay."""
 
 
 @dataclass

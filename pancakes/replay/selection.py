@@ -17,7 +17,7 @@ from pancakes.recording.mission_time import MissionTime
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 _TWICE_NS: Final = 60 * NANOSECONDS
-"""How far apart two recordings may show the same packet."""
+"""Two recordings may show the same packet this far apart."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, Packet, agent_of
 
 MOST: Final = 300
-"""So many different ones are kept of each sort."""
+"""The most different ones that are kept of each sort."""
 LONGEST: Final = 300
 GRAVE: Final = (
     "task_failed",

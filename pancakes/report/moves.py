@@ -11,7 +11,7 @@ from pancakes.packet import LOG, Packet, agent_of
 
 MOST_MOVES: Final = 500
 AWAIT_S: Final = 30.0
-"""So long after a hand-over a task may begin to speak on its new agent and still count as having moved there."""
+"""A task that publishes on its new agent within this time after a hand-over counts as having moved there."""
 
 
 @dataclass

@@ -14,13 +14,13 @@ from pancakes.recording.commands import ActuatorCommand, body_text
 from pancakes.recording.mission_time import MissionTime
 
 MOST_EVEN: Final = 24_000
-"""So many commands are kept, as many of each actuator; where there were more, each second one is left out, ..."""
+"""The most commands that are kept, as many of each actuator; where there were more, each second one is left out, ..."""
 MOST_EVEN_EACH: Final = 4000
-"""... and so many of one actuator at most."""
+"""... and the most of one actuator."""
 MOST_SLOW: Final = 50
-"""So many more of the slowest to each actuator are kept, whatever lies between them."""
+"""The number of the slowest to each actuator that are kept as well."""
 MOST_ACTUATORS: Final = 100
-"""So many actuators are told apart."""
+"""The most actuators that are told apart."""
 BODY_CHARACTERS: Final = 60
 
 

@@ -12,7 +12,7 @@ from pancakes.report.reactions import Reaction, Reactions
 from pancakes.report.static_text import static_text
 
 SLOWEST: Final = 5
-"""So many of the slowest commands to each actuator are shown where scripts do not run, too."""
+"""The number of the slowest commands to each actuator that are shown where scripts do not run, too."""
 
 
 def picker_html(found: Reactions) -> str:

@@ -12,7 +12,7 @@ from pancakes.report.picked import PickedCommands
 from pancakes.report.series import Distribution
 
 MOST_SHAPES: Final = 200
-"""So many kinds of chains are told apart."""
+"""The most kinds of chains that are told apart."""
 
 
 @dataclass

@@ -4,7 +4,7 @@ One actor owns an arena; nothing here is safe to call from several threads. The 
 the middle, x to the right and y up.
 
 While no disc is near enough to touch anything, discs coast: each moves by itself, step by step as pymunk would move it,
-at a quarter of the cost. Where a disc may touch something, pymunk moves them all.
+at a fraction of the cost. Where a disc may touch something, pymunk moves them all.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TOUCH_AGAIN_S = 0.5
 _ROOM_M: Final = 0.01
 """Discs that have less room than this do not coast."""
 _LOOK_AGAIN_S: Final = 0.1
-"""So long discs do not coast once they could not: to look whether they can takes longer than a step."""
+"""The time for which discs do not coast once they could not: checking it takes longer than a step."""
 _BY_X = attrgetter("x_m")
 
 
@@ -72,7 +72,7 @@ class Arena:
     def add(
         self, name: str, x_m: float, y_m: float, theta_rad: float, radius_m: float, mass_kg: float = math.inf
     ) -> Disc:
-        """Puts a disc into the arena; without a mass it stands there for good."""
+        """Puts a disc into the arena; without a mass it never moves."""
         disc = Disc(name, radius_m, x_m, y_m, theta_rad, mass_kg)
         self._solver.add(disc)
         if not math.isinf(mass_kg):

@@ -131,7 +131,7 @@ class Walker:
         disc: the body.
         mover: what decides where it goes.
         settings: how it walks.
-        standing: what it must keep off that stands there for good.
+        standing: the obstacles that never move.
     """
 
     disc: Disc

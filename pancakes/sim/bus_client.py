@@ -114,7 +114,7 @@ class BusClient:
             attachment.refused(reply.reason)
 
     def lost(self, reason: str) -> None:
-        """The connection is gone, or never came to stand."""
+        """The connection is gone, or could not be made."""
         was_reached, self._reached = self._reached, False
         self._connection = None
         if self._closed:

@@ -17,7 +17,7 @@ class Disc:
         x_m: where its centre is.
         y_m: where its centre is.
         angle_rad: its heading.
-        mass_kg: its mass; infinity: it stands there for good.
+        mass_kg: its mass; infinity: it never moves.
 
     Attributes:
         angle_rad: its heading as its turns add up.

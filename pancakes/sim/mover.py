@@ -18,7 +18,7 @@ import msgspec
 from pancakes.sim.quantities import NotNegative, Positive
 
 DECIDE_EVERY_S: Final = 0.1
-"""How often a mover looks round."""
+"""How often a mover decides where to go."""
 
 _HORIZON_S = 2.0
 _TURNS = 16
@@ -116,7 +116,7 @@ class Mover:
             x_m: where it stands.
             y_m: where it stands.
             robots: what it gives way to.
-            fixed: what stands in the arena for good.
+            fixed: the obstacles that never move.
         """
         obstacles = (*robots, *fixed)
         self._follow_plan(time_s, x_m, y_m, fixed)

@@ -71,7 +71,7 @@ class Simulation:
         self._senses = Senses(self._arena, settings.noise, _branch(random))
         self._robots: dict[str, Robot] = {}
         self._sensors: dict[str, SensorNode] = {}
-        self._standing: list[BodyState] = []  # of the sensors, which stand there for good
+        self._standing: list[BodyState] = []  # of the sensors, which never move
         self._walkers: dict[str, Walker] = {}
         self._outside: dict[str, bool] = {}
         self._happenings: list[Incident] = []

@@ -1,7 +1,7 @@
-"""What happens to discs that may touch something, worked out by pymunk, all bodies at a time.
+"""Moves discs that may touch something with pymunk, all bodies at a time.
 
 `pymunk.batch` sets and reads all bodies with one call each; one by one, through pymunk's properties and its callback
-for velocities, a step of 100 robots takes ten times as long. All that is known of that module is in this file.
+for velocities, a step of many robots takes far longer. No other file uses that module.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Solver:
     ) -> None:
         self._space = pymunk.Space()
         # Defaults are made for pixels: these say how far bodies sink into each other, in metres, and how fast
-        # they come out again.
+        # they are pushed apart again.
         self._space.collision_slop = 0.0002
         self._space.collision_bias = 0.5**100
         # Nothing is left of a velocity after a step, so that what a body is pushed with is its velocity: the one that

@@ -14,9 +14,9 @@ from pancakes.recording.recorded_packet import NANOSECONDS
 from pancakes.report.series import Distribution
 
 MOST_COMMANDS: Final = 20_000
-"""So many commands are kept, as many of each actuator; then the oldest are forgotten."""
+"""The most commands that are kept, as many of each actuator; then the oldest are forgotten."""
 FEW: Final = 100
-"""So many of each actuator are kept at least."""
+"""The least that are kept of each actuator."""
 BINS: Final = 30
 """A distribution is shown in so many bars."""
 

@@ -12,7 +12,7 @@ from pancakes.web.fleet_model import FleetModel
 from pancakes.web.history import FrameHistory
 
 FRAMES_HZ: Final = 10.0
-"""So often pages get news, and the history a frame."""
+"""How often, each second, pages get news and the history gets a frame."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,7 +37,7 @@ from pancakes.web.board import Board
 from pancakes.web.event_log import EventLog
 
 TRAIL: Final = 400
-"""So many points has a trail."""
+"""The most points of a trail."""
 TRAIL_STEPS: Final = 200
 """The points of a trail are at least the arena's width divided by this apart."""
 TRAIL_STEP_M: Final = 0.02

@@ -35,15 +35,15 @@ PORT: Final = 7480
 """The port of the page where no other is named and this one is free."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
-"""So many pages may be open."""
+"""The most pages that may be open."""
 KEPT_PAGES: Final = 8
-"""So many more for pages that show the token: a person who was given it gets in."""
+"""The places beyond these for pages that show the token."""
 MOST_ASIDE: Final = 32
-"""So many may be about to show it; one more takes the place of the first."""
+"""The most pages that may be about to show it; one more takes the place of the first."""
 TOKEN_S: Final = 2.0
 """How long a page may take to show the token where it is let in for that alone."""
 MOST_ASKED: Final = 16
-"""So much may one page ask for at a time."""
+"""The most questions of one page at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
 ORDER_S: Final = 30.0
 """How long an agent may take for what it is asked for: a task may be busy before it moves."""

@@ -25,9 +25,9 @@ HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
 
 LOOK_S: Final = 1.0
-"""So often, in mission time, it looks what the agents are and run."""
+"""How often, in mission time, it reads the descriptions of the agents."""
 SLICE_S: Final = 0.05
-"""So often, in the viewer's time, it waits until that time has come."""
+"""How often, in the viewer's time, it waits for the viewer's clock."""
 
 
 class VirtualWatch:

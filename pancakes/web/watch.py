@@ -22,19 +22,19 @@ from pancakes.web.feed import FRAMES_HZ, Feed
 from pancakes.web.fleet_traces import FleetTraces
 
 TURN_S: Final = 0.04
-"""So often it takes the packets that have arrived."""
+"""How often it takes the packets that have arrived."""
 LOOK_S: Final = 1.0
-"""So often agents are asked what they are and run."""
+"""How often agents are asked to describe themselves."""
 SILENT_S: Final = 2.5
 """An agent that has not answered for so long is shown as silent."""
 DETAIL_S: Final = 10.0
-"""So often a task is asked for its settings and state where nothing was said about it; else, at most each `LOOK_S`."""
+"""How often a task is asked for its settings and state; after an event about it at the next `LOOK_S`."""
 RETRY_S: Final = 0.5
 """How long to wait before agents are looked for again where there are none."""
 RECALL_S: Final = 600.0
-"""So much of what was said before, in mission time, is asked of an agent that is met."""
+"""How far back, in mission time, a newly met agent is asked for its log."""
 MOST_ANSWERS: Final = 20
-"""So many replies full of what was said before are asked of one agent."""
+"""The most replies with earlier log records that one agent is asked for."""
 ENDED_S: Final = 1.0
 """After so long without any agent the fleet is shown as ended."""
 ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
