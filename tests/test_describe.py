@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.devices.host import HostLoad
+from pancakes.devices.host import HostProcessorLoad
 from pancakes.errors import LONGEST_TRACEBACK, PancakesError, describe, traceback_of
 from pancakes.task import Task
 
@@ -155,12 +155,12 @@ def test_of_a_class_that_adds_nothing_the_line_of_the_class_that_it_inherits_fro
     sys.modules.pop("asks")
     (Path(asks.__file__)).unlink()
     mine = module("asks", ASKS, installed=False)
-    assert describe(raised(mine.ask), HostLoad) == "ValueError: bad colour red at asks.py:8 in ask"
+    assert describe(raised(mine.ask), HostProcessorLoad) == "ValueError: bad colour red at asks.py:8 in ask"
 
 
 def test_where_no_line_is_the_users_the_innermost_that_is_not_pythons_is_shown(module):
     library = module("plainlib", LIBRARY.replace("raise", "import json; json.loads('{') #"), installed=True)
-    assert describe(raised(library.parse, "red"), HostLoad).endswith(" at plainlib.py:3 in parse")
+    assert describe(raised(library.parse, "red"), HostProcessorLoad).endswith(" at plainlib.py:3 in parse")
 
 
 def test_an_error_that_came_by_no_line_has_none():

@@ -12,7 +12,7 @@ import pytest
 
 from pancakes.cli.bodies import BadBody, body_of
 from pancakes.control import Stop
-from pancakes.demo.record import read_events
+from pancakes.demo.mission_record import read_events
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.journal.entry import Entry, Unbelievable, seal, unseal
 from pancakes.migration.record import Record

@@ -1,4 +1,4 @@
-"""The launcher's own task: it waits for everybody, lets the mission begin, keeps its events, and ends it."""
+"""The launcher's own task: it waits for all agents, lets the mission begin, keeps its events, and ends it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from pancakes.control import Begin, Describe, Follow, History, Reply
-from pancakes.demo.pace import Ticks, ticks_of
+from pancakes.demo.timeliness import Ticks, ticks_of
 from pancakes.events import Event
 from pancakes.kernel.keep import queue
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
@@ -19,13 +19,13 @@ from pancakes.task import Task, Tick, every, on
 ASK_S = 0.25
 """How often, in host time, an agent that is not ready is asked again."""
 COUNTDOWN_S = 0.25
-"""How long, in host time, before the mission begins everybody is told."""
+"""How long, in host time, before the mission begins all agents are told."""
 OVERLAP_S = 1.0
-"""So much more is asked of what an agent said while it could not be heard: its clock may be a little off."""
+"""The log is asked for this much more than the time without the agent: its clock may be a little off."""
 RECENT = 500
-"""Among so many of the newest events it is looked whether one has been heard already."""
+"""The number of newest events among which a repeated one is looked for."""
 LOOK_S = 1.0
-"""How often, in host time, it looks how the ticks of a live mission come."""
+"""How often, in host time, it reads how late the ticks of a live mission are."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
 
 
@@ -45,7 +45,7 @@ class Mission:
         bodies: the newest true state of each body.
         events: all events so far, as records.
         phase: `connecting`, `running`, `over` or `interrupted`.
-        waiting_for: who is not ready yet, and why.
+        waiting_for: the agents that are not ready yet, and why.
         ended_because: why it ended early; empty where it did not.
         ticks: how the ticks of each task came as far as that is known, by agent (live only).
     """
@@ -77,7 +77,7 @@ class Mission:
 class Conductor(Task):
     """Conducts one mission from the launcher's agent.
 
-    It talks to the agents only by the packets that anybody could send: `Describe`, `Follow`, `Begin`.
+    It talks to the agents only by packets that any agent may send: `Describe`, `Follow`, `Begin`.
 
     Args:
         mission: what it fills in.
@@ -172,7 +172,7 @@ class Conductor(Task):
     # While it runs ---------------------------------------------------------------------------------------------
 
     def initial_period_s(self, method: str, period_s: float) -> float:
-        # Where nobody watches there is no need to look more often than there is news.
+        # Without a viewer there is no need to look more often than there is news.
         return super().initial_period_s(method, max(period_s, 1.0 / self._mission.news_hz))
 
     @every(hz=10)
@@ -265,7 +265,7 @@ class Conductor(Task):
         self._mission.told(record)
 
     def end(self, reason: str) -> None:
-        """Ends the mission; the launcher then stops everybody."""
+        """Ends the mission; the launcher then stops all agents."""
         mission = self._mission
         if mission.ended:
             return

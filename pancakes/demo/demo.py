@@ -31,7 +31,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """A mission that anybody can run.
+    """A mission that is installed, ready to run.
 
     Attributes:
         name: its name, as in `pancakes demo NAME`.

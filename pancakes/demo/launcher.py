@@ -19,15 +19,15 @@ from pancakes.clock import MonotonicClock
 from pancakes.config import Config, parse
 from pancakes.demo.conductor import Conductor, Mission
 from pancakes.demo.demo import Run
-from pancakes.demo.pace import late_ones
-from pancakes.demo.plan import LAUNCHER, Plan
+from pancakes.demo.demo_plan import LAUNCHER, DemoPlan
+from pancakes.demo.timeliness import late_ones
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.launch.afresh import check_alone, empty_state
 from pancakes.launch.process import end_all, start_agent
 from pancakes.net.memory import Quality
 from pancakes.plugins import Plugins
-from pancakes.recording.virtual import VirtualRecorder
+from pancakes.recording.virtual_recorder import VirtualRecorder
 
 HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
@@ -38,7 +38,7 @@ STOP_S = 1.2
 """How long a process has to end after SIGTERM before it is killed."""
 LOOK_S = 0.05
 SLICE_S = 1.0
-"""So much virtual time runs without a look whether the mission was interrupted: some milliseconds."""
+"""The virtual time between two checks whether the mission was interrupted: some milliseconds of host time."""
 NEWS_HZ = 1.0
 """In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
 RECORDING = "recording"
@@ -48,7 +48,7 @@ RECORDING = "recording"
 class Launcher(Agent):
     """The launcher's own agent: a client of the mesh with one task, the conductor."""
 
-    def __init__(self, plan: Plan, mission: Mission, virtual: Any = None) -> None:
+    def __init__(self, plan: DemoPlan, mission: Mission, virtual: Any = None) -> None:
         self._plan = plan
         self._mission = mission
         peers = ", ".join(f'"{address}"' for address in plan.peers())
@@ -68,7 +68,8 @@ class Launcher(Agent):
             [task.Conductor]
             type = "pancakes.conductor"
         """
-        super().__init__(parse(text, where="the launcher"), _conducting(), virtual)
+        plugins = Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
+        super().__init__(parse(text, where="the launcher"), plugins, virtual)
 
     def end(self, reason: str) -> None:
         """Ends the mission before its time. Any thread."""
@@ -82,17 +83,13 @@ class Launcher(Agent):
         return replace(spec, arguments={"mission": self._mission, "events": self._plan.out / "events.jsonl"})
 
 
-def _conducting() -> Plugins:
-    return Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
-
-
 class Processes:
     """The agents of a live demo, each a process of its own.
 
     They end with the launcher, whatever becomes of it.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: DemoPlan) -> None:
         self._plan = plan
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
@@ -118,7 +115,7 @@ class Processes:
         end_all(self._processes.values(), STOP_S)
 
 
-def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
+def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
     """Runs the agents as processes until the mission is over, or `interrupted` is set.
 
     Returns:
@@ -148,8 +145,7 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
             if mission.phase == "running" and running_s is None:
                 running_s = HOST.now()
             if mission.phase == "connecting" and HOST.now() - began_s > READY_S:
-                waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
-                raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+                raise _cannot_begin(mission)
         _settle(mission)
         ended_s = HOST.now()
     finally:
@@ -167,6 +163,11 @@ def run_live(plan: Plan, mission: Mission, interrupted: threading.Event) -> dict
         "behind_end_s": mission.behind_s,
         "late_tasks": late_ones(it for agent in mission.agents for it in mission.ticks.get(agent, ())),
     }
+
+
+def _cannot_begin(mission: Mission) -> PancakesError:
+    waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
+    return PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
 
 
 def _settle(mission: Mission) -> None:
@@ -192,10 +193,10 @@ class Onlooker(Protocol):
 
 
 def run_virtual(
-    plan: Plan,
+    plan: DemoPlan,
     mission: Mission,
     interrupted: threading.Event,
-    faults: Faults | None = None,
+    faults: NetworkFaults | None = None,
     onlooker: Onlooker | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
@@ -208,7 +209,7 @@ def run_virtual(
         mission: what is filled in while it runs.
         interrupted: ends it early.
         faults: what goes wrong with the network.
-        onlooker: who watches.
+        onlooker: watches the fleet; None: nothing does.
         say: takes a sentence on a recording that is not as it should be.
 
     Returns:
@@ -233,8 +234,7 @@ def run_virtual(
             onlooker.begin(fleet)
         launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
         if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker):
-            waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
-            raise PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+            raise _cannot_begin(mission)
         running_s = HOST.now()
         if faults is not None:
             faults.arrange(fleet, launcher)
@@ -281,7 +281,7 @@ def _run_while(
     return interrupted.is_set()
 
 
-class Faults:
+class NetworkFaults:
     """What goes wrong with the network of a virtual run, drawn from a seed.
 
     Latency and jitter all the time; and now and then a link between two agents breaks and is made anew.
@@ -307,12 +307,12 @@ class Faults:
             fleet.dispatcher.call_at(at_s, lambda one=one, other=other: fleet.network.break_links(one, other))  # type: ignore[misc]
 
 
-def run_of(plan: Plan, mission: Mission) -> Run:
+def run_of(plan: DemoPlan, mission: Mission) -> Run:
     """Returns what a mission that is over was, for its judge."""
     return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
 
 
-def judge(plan: Plan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
+def judge(plan: DemoPlan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
     """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
     summary = plan.demo.judge(run)
     write_results(plan.out, summary, timing)
@@ -325,7 +325,7 @@ def write_results(out: Path, summary: Mapping[str, Any], timing: Mapping[str, An
         (out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def configs_of(plan: Plan) -> Mapping[str, Mapping[str, Any]]:
+def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
     """Returns the agents' configurations as plain mappings, for a demo's judge."""
 
     def plain(config: Config) -> dict[str, Any]:

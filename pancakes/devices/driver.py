@@ -142,7 +142,7 @@ class Actuator(Driver):
 
     @abstractmethod
     def hold(self) -> None:
-        """Goes to the safe hold: whatever harms nobody and needs no attention (wheels: stand still)."""
+        """Goes to the safe hold: the state that is harmless and needs no attention (wheels: stand still)."""
 
     def tick(self) -> None:
         """Called at the device's rate, if it has one."""

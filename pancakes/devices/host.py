@@ -18,7 +18,7 @@ POWER_SUPPLIES: Final = Path("/sys/class/power_supply")
 """Where Linux tells the voltage of batteries, which psutil does not."""
 
 
-class HostLoad(Sensor):
+class HostProcessorLoad(Sensor):
     """The share of all processor time in use since the reading before (`host.load`)."""
 
     type = "load"

@@ -1,4 +1,4 @@
-"""How often something is let through, of what comes more often."""
+"""Lets fewer things through than arrive, at an even rate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _EARLY = 0.25
 class Pace:
     """Lets through at most so many of the things that come, evenly.
 
-    What comes a quarter of a period early counts as being in time, so that a source of the same rate that is not
+    A thing that is a quarter of a period early counts as being in time, so that a source of the same rate that is not
     quite regular does not lose every other one; in the long run the rate holds all the same.
 
     Args:
@@ -23,7 +23,7 @@ class Pace:
         """Something comes at `time_s`; returns whether it may pass."""
         if time_s < self._next_s - _EARLY * self._period_s:
             return False
-        # A gap in what comes is not made up for afterwards.
+        # A gap is not made up for afterwards.
         next_s, gap_s = self._next_s + self._period_s, time_s + (1.0 - _EARLY) * self._period_s
         self._next_s = next_s if next_s > gap_s else gap_s
         return True

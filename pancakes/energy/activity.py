@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from msgspec import Meta
 
 from pancakes.energy.knobs import Duration, Knob, Rate
-from pancakes.energy.orders import Order, OrderBook
+from pancakes.energy.orders import Decider, Order
 
 
 @dataclass
-class Pace:
+class RatePair:
     """The two rates of a task.
 
     Attributes:
@@ -49,7 +48,7 @@ class Rule:
 
     when: str
     field: str
-    rates: dict[str, Pace]
+    rates: dict[str, RatePair]
     above: float | None = None
     below: float | None = None
     changes_by: Annotated[float, Meta(gt=0)] | None = None
@@ -102,7 +101,7 @@ def number_of(value: Any) -> float | None:
 
 
 class Activity:
-    """Whether something happens, by one rule. It does at first: who does not know had better look.
+    """Whether something happens, by one rule. At first it does: the tasks are fast until the rule knows better.
 
     Args:
         rule: the rule.
@@ -133,7 +132,7 @@ class Activity:
         return now_s - self._last_s < self._rule.quiet_after_s
 
 
-class Supervision:
+class RateSupervision(Decider):
     """The decisions of a supervisor.
 
     Args:
@@ -142,7 +141,6 @@ class Supervision:
         doubt: whether there was a supervisor before this one, so that nothing is known of the rates that hold.
 
     Attributes:
-        book: what was asked of whom.
         busy: whether something happens, by the name of the rule.
     """
 
@@ -154,9 +152,7 @@ class Supervision:
             for rule in settings.rules.values()
             for target, pace in rule.rates.items()
         }
-        self.book = OrderBook({knob: pace.fast for knob, pace in self._paces.items()})
-        if doubt:
-            self.book.doubt()
+        super().__init__({knob: pace.fast for knob, pace in self._paces.items()}, doubt)
         self.busy = dict.fromkeys(settings.rules, True)
 
     def read(self, rule: str, body: Any, now_s: float) -> None:
@@ -185,20 +181,3 @@ class Supervision:
         if not self.book.turned:
             return []
         return self.book.restore({knob: pace.fast for knob, pace in self._paces.items()}, now_s)
-
-    def asked(self, seq: int, order: Order, now_s: float) -> None:
-        """An order has been given; see `OrderBook.asked`."""
-        self.book.asked(seq, order, now_s)
-
-    def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
-        """An order has been answered. Returns sentences for people; see `OrderBook.answered`."""
-        return self.book.answered(seq, ok, reason, result)
-
-    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Takes an event of this agent: tasks and services that start and stop."""
-        if kind == "task_started":
-            self.book.started(str(fields.get("service", "")), str(fields.get("task", "")))
-        elif kind == "service_stopped":
-            self.book.closed(str(fields.get("service", "")))
-        elif kind == "service_started":
-            self.book.opened(str(fields.get("service", "")))

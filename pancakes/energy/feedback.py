@@ -60,7 +60,6 @@ class Feedback:
 
     Attributes:
         effort: what was decided last.
-        consumption_per_s: what the battery lost each second, before the last decision; None: not known yet.
     """
 
     def __init__(self, settings: FeedbackSettings, now_s: float, effort: float = 1.0) -> None:
@@ -71,7 +70,6 @@ class Feedback:
         self._readings: list[tuple[float, float]] = []
         self._load: float | None = None
         self.effort = effort
-        self.consumption_per_s: float | None = None
 
     def battery(self, now_s: float, level: float) -> None:
         """Takes a reading of the battery's level."""
@@ -100,7 +98,7 @@ class Feedback:
 
     def _regulate_consumption(self, readings: Sequence[tuple[float, float]], now_s: float) -> None:
         settings = self._settings
-        consumed = self.consumption_per_s = -slope(readings)
+        consumed = -slope(readings)
         left_s = max(settings.until_s - now_s, settings.period_s)
         allowed = (readings[-1][1] - settings.reserve) / left_s
         if allowed <= 0.0:

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 from pancakes.control import Restart, Start, Stop
 from pancakes.energy.feedback import Feedback, FeedbackSettings
 from pancakes.energy.knobs import Knob, Range, RateRange, Share, Sleep
-from pancakes.energy.orders import ANSWER_S, Order, OrderBook
+from pancakes.energy.orders import ANSWER_S, Decider, Order
 from pancakes.energy.thresholds import Step, Thresholds, faults_of
 
 NETWORK: Final = "network"
@@ -50,17 +50,15 @@ class GovernorSettings:
         if not self.rates and not any(self.values.values()) and self.sleep is None:
             raise ValueError("there is nothing to govern: name rates, values or sleep")
 
-    def knobs(self) -> dict[Knob, RateRange | Range]:
+    def knobs(self) -> dict[Knob, Range]:
         """Returns all knobs with their ranges."""
-        knobs: dict[Knob, RateRange | Range] = {
-            Knob(target, timer=rate.timer): rate for target, rate in self.rates.items()
-        }
+        knobs: dict[Knob, Range] = {Knob(target, timer=rate.timer): rate for target, rate in self.rates.items()}
         for target, values in self.values.items():
             knobs.update({Knob(target, key): value for key, value in values.items()})
         return knobs
 
 
-class Governing:
+class Governing(Decider):
     """The decisions of a governor.
 
     Args:
@@ -70,7 +68,6 @@ class Governing:
         doubt: whether there was one, so that nothing is known of where the knobs stand.
 
     Attributes:
-        book: what was asked of whom.
         effort: what the robot may do now, from 0 to 1.
         level: the battery's level, as last told; NaN before that.
     """
@@ -83,9 +80,7 @@ class Governing:
         self._feedback: Feedback | None = None
         if settings.policy == "feedback" and settings.feedback is not None:
             self._feedback = Feedback(settings.feedback, now_s, effort)
-        self.book = OrderBook(self._values(1.0))
-        if doubt:
-            self.book.doubt()
+        super().__init__(self._values(1.0), doubt)
         self.effort = effort
         self.level = math.nan
         self._asleep = False
@@ -144,16 +139,14 @@ class Governing:
         return [Order(Stop(NETWORK, for_s=for_s), {})]
 
     def asked(self, seq: int, order: Order, now_s: float) -> None:
-        """An order has been given; see `OrderBook.asked`."""
         if isinstance(order.body, (Start, Stop, Restart)):
             self._sleep_asked, self._sleep_asked_s = seq, now_s
         else:
-            self.book.asked(seq, order, now_s)
+            super().asked(seq, order, now_s)
 
     def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
-        """An order has been answered. Returns sentences for people; see `OrderBook.answered`."""
         if seq != self._sleep_asked:
-            return self.book.answered(seq, ok, reason, result)
+            return super().answered(seq, ok, reason, result)
         self._sleep_asked = None
         if ok:
             self._sleep_refusal = ""
@@ -163,13 +156,6 @@ class Governing:
         return []
 
     def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Takes an event of this agent: tasks and services that start and stop."""
-        service = str(fields.get("service", ""))
-        if kind == "task_started":
-            self.book.started(service, str(fields.get("task", "")))
-        elif kind == "service_stopped":
-            self.book.closed(service)
-            self._asleep = self._asleep or service == NETWORK
-        elif kind == "service_started":
-            self.book.opened(service)
-            self._asleep = self._asleep and service != NETWORK
+        super().happened(kind, fields)
+        if fields.get("service") == NETWORK and kind in ("service_stopped", "service_started"):
+            self._asleep = kind == "service_stopped"

@@ -47,10 +47,6 @@ class EnergyGovernor(AdjustingTask):
         self.give_last(self.decider.give_back(self.now()))
         self.decider = Governing(self.settings, self.now(), self.state.effort, True)
 
-    def on_stop(self) -> None:
-        if not self.kernel.stopping:  # where all tasks end there is nobody to give anything back to
-            self.give_last(self.decider.give_back(self.now()))
-
     @on(SYSTEM, Battery, keep="latest")
     def measured(self, packet: Packet) -> None:
         """Takes a reading of the battery."""

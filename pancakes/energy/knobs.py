@@ -62,7 +62,7 @@ class Range:
 
 
 @dataclass
-class RateRange:
+class RateRange(Range):
     """The range of a task's rate.
 
     Attributes:
@@ -74,16 +74,11 @@ class RateRange:
 
     full: Rate
     least: Rate
-    from_effort: PositiveShare = 1.0
     timer: str = ""
 
     def __post_init__(self) -> None:
         if self.least > self.full:
             raise ValueError(f"least = {self.least:g} Hz lies above full = {self.full:g} Hz")
-
-    def at(self, effort: float) -> float:
-        """Returns the rate at an effort, in Hz."""
-        return Range(self.full, self.least, self.from_effort).at(effort)
 
 
 @dataclass

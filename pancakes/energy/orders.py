@@ -8,6 +8,7 @@ reason to: another value, or a task that has started anew.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -16,7 +17,7 @@ from pancakes.control import Configure, Describe, Reschedule
 from pancakes.energy.knobs import Knob
 
 ANSWER_S: Final = 10.0
-"""An order that has not been answered in this time is given again: whoever should have answered has failed."""
+"""An order that has not been answered in this time is given again: the task that it is for has failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class OrderBook:
     """What is wanted of the knobs, and what holds.
 
     Args:
-        normal: where each knob stands while nobody has turned it.
+        normal: where each knob stands before any order.
     """
 
     def __init__(self, normal: Mapping[Knob, float]) -> None:
@@ -59,7 +60,7 @@ class OrderBook:
         return any(knob.target.rpartition("/")[0] == service for knob in self._turned)
 
     def doubt(self) -> None:
-        """Takes nothing for granted any more: whoever kept a book before this one may have turned every knob."""
+        """Takes nothing for granted any more: an earlier book may have turned every knob."""
         for knob in self._wanted:
             self._turned[knob] = None
             self._doubted[knob] = None
@@ -95,7 +96,7 @@ class OrderBook:
         return [*orders, *(Order(Describe(target), knobs) for target, knobs in doubts.items())]
 
     def restore(self, values: Mapping[Knob, float], now_s: float) -> list[Order]:
-        """Returns all that it takes to bring knobs back, for somebody who has no time to hear any answers.
+        """Returns all orders that bring knobs back, for a task that ends before the answers arrive.
 
         Whatever is in doubt, or not answered yet, is ordered at once.
 
@@ -166,6 +167,45 @@ class OrderBook:
         self._closed.pop(service, None)
 
 
+class Decider(ABC):
+    """What decides for a task that adjusts others, and keeps the book of its orders.
+
+    Args:
+        normal: where each knob stands before any order.
+        doubt: whether another one decided before this one, so that nothing is known of where the knobs stand.
+
+    Attributes:
+        book: what was asked of which task.
+    """
+
+    def __init__(self, normal: Mapping[Knob, float], doubt: bool) -> None:
+        self.book = OrderBook(normal)
+        if doubt:
+            self.book.doubt()
+
+    @abstractmethod
+    def give_back(self, now_s: float) -> list[Order]:
+        """Returns what restores everything: the task is about to stop, and will hear no answers."""
+
+    def asked(self, seq: int, order: Order, now_s: float) -> None:
+        """An order has been given; see `OrderBook.asked`."""
+        self.book.asked(seq, order, now_s)
+
+    def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
+        """An order has been answered. Returns sentences for people; see `OrderBook.answered`."""
+        return self.book.answered(seq, ok, reason, result)
+
+    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Takes an event of this agent: tasks and services that start and stop."""
+        service = str(fields.get("service", ""))
+        if kind == "task_started":
+            self.book.started(service, str(fields.get("task", "")))
+        elif kind == "service_stopped":
+            self.book.closed(service)
+        elif kind == "service_started":
+            self.book.opened(service)
+
+
 def _found(knob: Knob, description: Any) -> float | None:
     """Returns where a knob stands, by its task's description; None where that does not say."""
     if not isinstance(description, Mapping):
@@ -183,5 +223,5 @@ def _number(value: Any) -> float | None:
 
 
 def _same(held: float | None, wanted: float) -> bool:
-    # A rate is kept as a period, and comes back a little off.
+    # A rate is kept as a period, and its value returns with a rounding error.
     return held is not None and math.isclose(held, wanted, rel_tol=1e-6)

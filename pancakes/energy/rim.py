@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
 
 from pancakes.control import Reply
-from pancakes.energy.orders import Order
+from pancakes.energy.orders import Decider, Order
 from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
 from pancakes.task import Task, on
 
 
-class Decider(Protocol):
-    """What decides for such a task."""
-
-    def asked(self, seq: int, order: Order, now_s: float) -> None:
-        """An order has been given."""
-
-    def answered(self, seq: int, ok: bool, reason: str, result: Any = None) -> list[str]:
-        """It has been answered; returns sentences for people."""
-
-    def happened(self, kind: str, fields: Mapping[str, Any]) -> None:
-        """Something has happened on this agent."""
-
-
 class AdjustingTask(Task):
     """A task that adjusts others; a subclass sets `decider` in `on_start`."""
 
     decider: Decider
+
+    def on_stop(self) -> None:
+        if not self.kernel.stopping:  # where all tasks end, no task is left that could take an order
+            self.give_last(self.decider.give_back(self.now()))
 
     def give(self, orders: Sequence[Order]) -> None:
         """Publishes orders."""
@@ -38,7 +28,7 @@ class AdjustingTask(Task):
             self.decider.asked(packet.seq, order, self.now())
 
     def give_last(self, orders: Sequence[Order]) -> None:
-        """Publishes the orders of a task that ends: whoever cannot take them any more ends as well."""
+        """Publishes the orders of a task that ends. A mailbox that refuses one is told in the log."""
         try:
             self.give(orders)
         except PancakesError as error:

@@ -1,4 +1,4 @@
-"""The metrics of an agent: some are counted as things happen, the others are read when somebody asks."""
+"""The metrics of an agent: some are counted as things happen, the others are read at each request."""
 
 from __future__ import annotations
 
@@ -184,7 +184,9 @@ class AgentMetrics(Collector):
 
     def _agent(self) -> Iterator[Metric]:
         kernel = self._kernel
-        undelivered = CounterMetricFamily("pancakes_undelivered_packets", "Packets that nobody took.", labels=["agent"])
+        undelivered = CounterMetricFamily(
+            "pancakes_undelivered_packets", "Packets that no subscriber took.", labels=["agent"]
+        )
         undelivered.add_metric([kernel.agent], kernel.stream.undelivered)
         dead = CounterMetricFamily("pancakes_dead_letters", "Packets whose handler failed.", labels=["agent"])
         dead.add_metric([kernel.agent], kernel.letters.count)

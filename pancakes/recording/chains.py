@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
 from typing import Final
 
 import msgspec
 
 from pancakes.packet import Cause, Packet, agent_of
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 LONGEST: Final = 64
 """No chain is followed further: a task that answers itself for ever would make one without an end."""
 
 
-class Step(msgspec.Struct, frozen=True):
+class ChainStep(msgspec.Struct, frozen=True):
     """One packet of a chain.
 
     Attributes:
@@ -35,7 +34,7 @@ class Step(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """What stays the same from one such step to the next: who said what."""
+        """The publisher and the packet type, which are the same for all steps of this kind."""
         return f"{self.packet.source} {self.packet.type}"
 
 
@@ -46,7 +45,7 @@ class Chain(msgspec.Struct, frozen=True):
         steps: the packets.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[ChainStep, ...]
 
     @property
     def latency_s(self) -> float:
@@ -55,7 +54,7 @@ class Chain(msgspec.Struct, frozen=True):
 
     @property
     def shape(self) -> tuple[str, ...]:
-        """What chains of the same kind have in common: who said what, in order."""
+        """The publishers and packet types in order, which all chains of this kind have in common."""
         return tuple(step.name for step in self.steps)
 
 
@@ -71,7 +70,7 @@ class Causes:
         self._packets: OrderedDict[Cause, Packet] = OrderedDict()
         self._seen_ns: dict[Cause, dict[str, int]] = {}
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RecordedPacket) -> None:
         """Remembers a packet and where it was seen; in the order of time."""
         packet = entry.packet
         key = (packet.source, packet.seq)
@@ -96,47 +95,14 @@ class Causes:
         effects: list[Cause | None] = [*keys[1:], None]
         return Chain(tuple(self._step(key, effect) for key, effect in zip(keys, effects, strict=True)))
 
-    def _step(self, key: Cause, effect: Cause | None) -> Step:
+    def _step(self, key: Cause, effect: Cause | None) -> ChainStep:
         packet, seen_ns = self._packets[key], self._seen_ns[key]
         first_ns = min(seen_ns.values())
         sent = agent_of(key[0]) in seen_ns
         if effect is None:
-            return Step(packet, first_ns, 0.0, 0.0, sent)
+            return ChainStep(packet, first_ns, 0.0, 0.0, sent)
         next_ns = min(self._seen_ns[effect].values())
-        # Who answered it had it, though whoever watches may have seen it there only later.
+        # The publisher of the effect had the packet by then, even if the recorder there saw it only later.
         arrived_ns = max(first_ns, min(seen_ns.get(agent_of(effect[0]), first_ns), next_ns))
         travel_s, handling_s = (arrived_ns - first_ns) / NANOSECONDS, (next_ns - arrived_ns) / NANOSECONDS
-        return Step(packet, first_ns, travel_s, handling_s, sent)
-
-
-class Latencies(msgspec.Struct, frozen=True):
-    """How long chains of one shape took.
-
-    Attributes:
-        shape: see `Chain.shape`.
-        seconds: from the first cause to the last effect, sorted.
-        handling_s: the mean of each step's time to the next, travel included.
-    """
-
-    shape: tuple[str, ...]
-    seconds: tuple[float, ...]
-    handling_s: tuple[float, ...]
-
-    def quantile_s(self, share: float) -> float:
-        """Returns the time that this share of the chains stayed below, from 0 to 1."""
-        return self.seconds[min(len(self.seconds) - 1, int(share * len(self.seconds)))]
-
-
-def latencies(chains: Iterable[Chain]) -> list[Latencies]:
-    """Sorts chains by their shape; the most frequent shape comes first."""
-    by_shape: dict[tuple[str, ...], list[Chain]] = {}
-    for chain in chains:
-        by_shape.setdefault(chain.shape, []).append(chain)
-    found = [_latencies(shape, alike) for shape, alike in by_shape.items()]
-    return sorted(found, key=lambda it: (-len(it.seconds), it.shape))
-
-
-def _latencies(shape: tuple[str, ...], chains: Sequence[Chain]) -> Latencies:
-    steps = zip(*(chain.steps for chain in chains), strict=True)
-    means = tuple(sum(step.travel_s + step.handling_s for step in alike) / len(alike) for alike in steps)
-    return Latencies(shape, tuple(sorted(chain.latency_s for chain in chains)), means)
+        return ChainStep(packet, first_ns, travel_s, handling_s, sent)

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from functools import cache
-from operator import attrgetter
-from typing import Any, Final, get_type_hints
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
 import msgspec
 
 from pancakes.control import Hold
 from pancakes.packet import CTRL, Packet, agent_of, field_names
 from pancakes.recording.chains import Causes, Chain
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 REMEMBERED: Final = 50_000
-"""So many packets are remembered as causes of later ones."""
+"""The number of packets that are remembered as causes of later ones."""
 HELD_NS: Final = NANOSECONDS
-"""So much later a chain is followed: where the clocks of two machines disagree, a cause may seem later."""
+"""A chain is followed this much later: where the clocks of two machines disagree, a cause may seem later."""
 BODY_CHARACTERS: Final = 160
 """A packet's body is shown in so many characters."""
 
@@ -32,7 +30,7 @@ class ActuatorCommand(msgspec.Struct, frozen=True):
     """A command, and why it was given.
 
     Attributes:
-        time_ns: when it was recorded, see `Entry`.
+        time_ns: when it was recorded, see `RecordedPacket`.
         packet: the command; its type names the actuator, its stamp is the mission time.
         chain: what led to it; of one that answers nothing that is known, the command alone.
     """
@@ -66,11 +64,11 @@ class CommandChains:
         self._causes = Causes(limit)
         self._waiting: deque[tuple[int, Packet]] = deque()
 
-    def add(self, entry: Entry) -> list[ActuatorCommand]:
+    def add(self, entry: RecordedPacket) -> list[ActuatorCommand]:
         """Takes a packet, in the order of time; returns the commands of which all is known now, oldest first."""
         packet = entry.packet
         kept = packet if self._bodies else msgspec.structs.replace(packet, body=None)
-        self._causes.add(Entry(entry.time_ns, entry.agent, kept))
+        self._causes.add(RecordedPacket(entry.time_ns, entry.agent, kept))
         if is_command(entry.agent, packet):
             self._waiting.append((entry.time_ns, packet))
         return self._followed(entry.time_ns - HELD_NS)
@@ -91,47 +89,16 @@ class CommandChains:
 
 def body_text(body: Any, longest: int = BODY_CHARACTERS) -> str:
     """Returns what a packet says in one short line."""
-    text = _numbers_text(body)
-    if text is None:
-        items = _items(body)
-        text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
+    items = _items(body)
+    text = _value(body) if items is None else ", ".join(f"{name} {_value(value)}" for name, value in items)
     return text if len(text) <= longest else text[: longest - 1] + "…"
-
-
-def _numbers_text(body: Any) -> str | None:
-    """Returns what a packet says that holds floating-point numbers and nothing else; None: it is not such a one.
-
-    Most readings and commands are, and while a page is open agents say thousands of them in a minute: this takes a
-    third of the time.
-    """
-    cls: type = type(body)
-    numbers = _numbers(cls)
-    if numbers is None:
-        return None
-    template, values = numbers
-    try:
-        return template % values(body)
-    except TypeError:  # whoever made it put something else into a field
-        return None
-
-
-@cache
-def _numbers(cls: type) -> tuple[str, Callable[[Any], Any]] | None:
-    names = field_names(cls)
-    try:
-        hints = get_type_hints(cls)
-    except Exception:  # a class may name a type that is imported for checks only
-        return None
-    if not names or any(hints.get(name) is not float for name in names):
-        return None
-    return ", ".join(f"{name} %.4g" for name in names), attrgetter(*names)
 
 
 def _items(value: Any) -> Iterable[tuple[Any, Any]] | None:
     """Returns the fields of a body, or of what is in one; None where it has none.
 
-    It looks at them where they are: to make plain values of a body first takes four times as long, and agents do this
-    for each command while a page is open.
+    It reads the fields themselves: making plain values of a body first is slower, and agents do this for each command
+    while a page is open.
     """
     if isinstance(value, Mapping):
         return value.items()

@@ -10,7 +10,7 @@ import msgspec
 from pancakes.packet import packet_type
 
 CHANNEL: Final = "recording"
-"""What stands in a topic in place of a channel: nobody published it."""
+"""What stands in a topic in place of a channel: the recorder itself writes these messages."""
 
 
 @packet_type("task_description")

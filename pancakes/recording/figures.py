@@ -1,4 +1,4 @@
-"""How an agent's tasks and links fare, sampled once a second for a recording: what no packet of theirs tells."""
+"""Figures of an agent's tasks and links that no packet tells, sampled once a second for a recording."""
 
 from __future__ import annotations
 
@@ -80,13 +80,13 @@ class OneLink(msgspec.Struct, frozen=True):
 
 @packet_type("task_figures")
 class TaskFigures(msgspec.Struct, frozen=True):
-    """What an agent's tasks and links have come to.
+    """The figures of an agent's tasks and links.
 
     Attributes:
         mission_s: mission time.
         tasks: each task that runs and has a timer, or has lost a packet.
         links: each link that stands.
-        undelivered: packets that nobody took.
+        undelivered: packets that no subscriber took.
         dead_letters: packets whose handler failed.
     """
 
@@ -107,7 +107,7 @@ class HasLinks(Protocol):
 
 
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
-    """Returns the figures of an agent as they stand. Any thread: nobody is asked and nobody waits.
+    """Returns the figures of an agent as they stand. Any thread: it reads them, and waits for no actor.
 
     Args:
         kernel: the agent's kernel.

@@ -3,38 +3,23 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Final
 
 from pancakes.kernel.task_timer import TaskTimer
 
 STEP: Final = 2.0**0.25
-"""Each bucket reaches up to so many times the one below: a quantile is found to within 10 %."""
+"""The upper edge of a bucket is this many times that of the bucket below: a quantile is right to within 10 %."""
 LEAST_S: Final = 1e-6
 """The lowest bucket, number 0, reaches up to here."""
 MOST: Final = 100_000
-"""So many ticks wait to be counted; a second of a thousand tasks at 100 Hz."""
+"""At most so many ticks wait to be counted: a second of a thousand tasks at 100 Hz."""
 
 
 def bucket_of(lateness_s: float) -> int:
     """Returns the number of the bucket that a lateness belongs to."""
     return max(0, math.ceil(4.0 * math.log2(lateness_s / LEAST_S))) if lateness_s > LEAST_S else 0
-
-
-def counts_of(latenesses_s: list[float]) -> dict[int, int]:
-    """Returns how many of some ticks there were in each bucket; sorts them."""
-    latenesses_s.sort()
-    counts: dict[int, int] = {}
-    at = 0
-    while at < len(latenesses_s):  # a step for each bucket, and not for each tick
-        bucket = bucket_of(latenesses_s[at])
-        end = bisect_right(latenesses_s, LEAST_S * STEP**bucket, at + 1)
-        # At the very edge of a bucket the two may differ by a rounding, and the same bucket comes again.
-        counts[bucket] = counts.get(bucket, 0) + end - at
-        at = end
-    return counts
 
 
 def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
@@ -56,24 +41,24 @@ def quantile_s(counts: Mapping[int, int], share: float) -> float | None:
 
 
 class Latenesses:
-    """Counts ticks by their lateness, in the thread of who records.
+    """Counts ticks by their lateness, in the recorder's thread.
 
     Attributes:
-        heard: takes a timer and how late it was, in the task's turn. It is the append of a list: where the processor
-            wakes for a tick, one more function of Python costs it several µs.
+        heard: takes a timer and its lateness, in the task's turn. It is the append of a list: each further call would
+            delay the tick.
     """
 
     def __init__(self) -> None:
         self._heard: deque[tuple[TaskTimer, float]] = deque(maxlen=MOST)
         self.heard: Callable[[tuple[TaskTimer, float]], None] = self._heard.append
 
-    def take(self) -> Mapping[TaskTimer, dict[int, int]]:
+    def take(self) -> Mapping[TaskTimer, Mapping[int, int]]:
         """Returns how many ticks there were in each bucket since the last time, by timer."""
-        ticks: dict[TaskTimer, list[float]] = {}
+        counts: dict[TaskTimer, Counter[int]] = {}
         for _ in range(len(self._heard)):
             try:
                 timer, lateness_s = self._heard.popleft()
             except IndexError:  # an old one fell out just now
                 break
-            ticks.setdefault(timer, []).append(lateness_s)
-        return {timer: counts_of(its) for timer, its in ticks.items()}
+            counts.setdefault(timer, Counter())[bucket_of(lateness_s)] += 1
+        return counts

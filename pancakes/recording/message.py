@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import base64
-import types
 from collections.abc import Callable
-from enum import Enum
 from functools import cache
-from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final
 
-import msgpack
 import msgspec
 
 from pancakes import codecs
 from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.packet import Cause, Fence, Packet, body_from_plain, field_names, has_fields
+from pancakes.packet import Cause, Fence, Packet, body_from_plain, has_fields
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 
 
@@ -42,15 +39,11 @@ def data_of(packet: Packet) -> bytes:
     Raises:
         LocalProtocolError: its body cannot be recorded.
     """
-    cls: type = type(packet.body)
     row = _Row(packet.source, packet.destination, packet.stamp, packet.seq, packet.cause, packet.fence, packet.body)
     try:
         data = codecs.encode_json(row)
     except _CANNOT_ENCODE:
         return _exact_data(row, packet)
-    # JSON says null for what is no number: most nulls are a None.
-    if _is_told(cls) and data.count(b"null") == (packet.cause is None) + (packet.fence is None):
-        return data
     return data if _holds_body(data, packet.body) else _exact_data(row, packet)
 
 
@@ -67,49 +60,12 @@ def _holds_body(data: bytes, body: Any) -> bool:
 
 
 @cache
-def _is_told(cls: type) -> bool:
-    """Returns whether JSON says all about each body of a class, but for numbers that are none.
-
-    To look at what was written costs as much as writing it, which of a long list is much.
-    """
-    return has_fields(cls) and _comes_back(cls, ())
-
-
-def _comes_back(hint: Any, inside: tuple[type, ...]) -> bool:
-    if hint in _TOLD:
-        return True
-    origin, parts = get_origin(hint), [part for part in get_args(hint) if part is not Ellipsis]
-    if origin is Annotated:
-        return _comes_back(parts[0], inside)
-    if origin is Literal:
-        return True
-    if origin is dict:
-        return parts[0] is str and _comes_back(parts[1], inside)
-    if origin in (list, tuple):
-        return all(_comes_back(part, inside) for part in parts)
-    if origin in (Union, types.UnionType):
-        there = [part for part in parts if part is not type(None)]
-        return len(there) == 1 and _comes_back(there[0], inside)
-    if not isinstance(hint, type) or hint in inside:
-        return False
-    if issubclass(hint, Enum):
-        return True
-    if not has_fields(hint):
-        return False
-    try:
-        hints = get_type_hints(hint)
-    except Exception:  # a class may name a type that is imported for checks only: nothing is known of its fields
-        return False
-    return all(_comes_back(hints.get(name, Any), (*inside, hint)) for name in field_names(hint))
-
-
-@cache
 def _decode_of(cls: type) -> Callable[[bytes], Any] | None:
     """Returns what makes something with the body of a class of a message's data; None where that cannot be."""
     try:
         alone: Any = msgspec.defstruct("_BodyAlone", [("body", cls if has_fields(cls) else Any)])
         decode: Callable[[bytes], Any] = codecs.json_decoder(alone)
-    except Exception:  # as above, and there are classes that msgspec makes of nothing
+    except Exception:  # a class may name a type that is imported for checks only, or be one that msgspec cannot make
         return None
     return decode
 
@@ -131,12 +87,12 @@ def _exact_data(row: _Row, packet: Packet) -> bytes:
         ) from None
 
 
-_TOLD: Final = (str, bytes, int, float, bool, type(None))
 # RuntimeError: too deep, or a mapping that its owner changes meanwhile, which no publisher should.
 _CANNOT_ENCODE: Final = (TypeError, ValueError, OverflowError, RuntimeError, MemoryError, msgspec.MsgspecError)
 _LISTS: Final = codecs.json_encoder(as_list)
 _READ: Final = codecs.json_decoder()
 _WIRE: Final = Encoder()
+_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 _FENCE: Final[Callable[[Any], Fence | None]] = codecs.converter(Fence | None)
 
 
@@ -150,8 +106,7 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         row: Any = _READ(data)
         exact = row.get("exact")
         if exact is not None:
-            packed = base64.b64decode(exact, validate=True)
-            return packet_from_row(rows_from_payload(msgpack.packb([msgpack.unpackb(packed, ext_hook=_keep)]))[0])
+            return packet_from_bytes(base64.b64decode(exact, validate=True))
         cause = row["cause"]
         return Packet(
             channel,
@@ -170,5 +125,10 @@ def packet_from_data(channel: str, type_name: str, data: bytes) -> Packet:
         raise RemoteProtocolError(f"a recorded packet of the type {type_name!r} is malformed: {error}") from None
 
 
-def _keep(code: int, data: bytes) -> msgpack.ExtType:
-    return msgpack.ExtType(code, data)
+def packet_from_bytes(data: bytes) -> Packet:
+    """Makes a packet of the bytes in which it travels alone, as `Encoder.packet` makes them.
+
+    Raises:
+        RemoteProtocolError: it is no packet, or the body does not fit its type.
+    """
+    return packet_from_row(rows_from_payload(_ONE_MESSAGE + data)[0])

@@ -8,14 +8,14 @@ from itertools import chain, islice
 from typing import Final
 
 from pancakes.packet import agent_of
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 AGREE_NS: Final = NANOSECONDS
-"""So far apart, in host time, the missions of agents may have begun that were let begin together."""
+"""Missions of agents that were begun together may have begun this far apart, in host time."""
 ENOUGH: Final = 20
-"""So many packets tell when a mission began: each is seen a moment after its stamp, the quickest the least."""
+"""So many packets are compared: each is seen a moment after its stamp, and the shortest delay counts."""
 MOST: Final = 20_000
-"""So many packets are looked at."""
+"""At most so many packets are looked at."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class MissionTime:
         return "mission time" if self.known else "time since the recording began"
 
     @classmethod
-    def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[Entry]]]) -> MissionTime:
-        """Finds out.
+    def of(cls, files: Iterable[tuple[Mapping[str, str], Iterable[RecordedPacket]]]) -> MissionTime:
+        """Finds the mission time of a recording.
 
         Where an agent was started again its clock began anew; what counts is its first life.
 
@@ -69,7 +69,7 @@ class MissionTime:
         return cls(*agreed) if agreed is not None else cls(first_ns or 0, 1.0, False)
 
 
-def _zero_ns(entries: Iterable[Entry], speed: float) -> int | None:
+def _zero_ns(entries: Iterable[RecordedPacket], speed: float) -> int | None:
     own = (entry for entry in islice(entries, MOST) if agent_of(entry.packet.source) == entry.agent)
     begun = (entry for entry in own if entry.packet.stamp > 0.0)
     zeros = (entry.time_ns - round(entry.packet.stamp / speed * NANOSECONDS) for entry in begun)

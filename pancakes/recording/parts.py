@@ -8,16 +8,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from pancakes.recording.entry import Entry, RecordingError
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
 from pancakes.recording.writer import RecordingWriter
 
 MIB: Final = 1 << 20
 SYNC_BYTES: Final = 8 * MIB
-"""So much is given to the operating system at most before it is brought to the disk."""
+"""The most that is given to the operating system before it is brought to the disk."""
 SUFFIX: Final = ".mcap"
 
 
-class Parts:
+class RecordingParts:
     """Writes a recording into one file after the other: `NAME.mcap`, `NAME.002.mcap`, ...
 
     Args:
@@ -68,7 +68,7 @@ class Parts:
         if lacking:
             raise RecordingError(f"the recording {self.first} does not begin: {lacking}")
 
-    def write(self, entry: Entry) -> None:
+    def write(self, entry: RecordedPacket) -> None:
         """Adds a packet; see `RecordingWriter.write`."""
         self._writer.write(entry)
 

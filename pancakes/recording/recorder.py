@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from pancakes.recording.recording import Recording
 
 DRAIN_S: Final = 0.5
-"""How often, in host time, what waits is written: each time wakes a thread, which costs as much as many packets, ..."""
+"""How often, in host time, the packets that wait are written: each time wakes a thread, which costs as much as many
+packets, ..."""
 DRAIN_SOON_S: Final = 0.02
 """... and how often where an answer is waited for, or much comes, so that no turn is long: a control task may want the
 interpreter, ..."""
@@ -34,7 +35,7 @@ MOST_QUESTIONS: Final = 50
 """... so often at most."""
 
 
-class _Question(msgspec.Struct, frozen=True):
+class _TaskQuestion(msgspec.Struct, frozen=True):
     """What the recorder has asked its agent.
 
     Attributes:
@@ -71,7 +72,7 @@ class Recorder(Task):
         self._goes_on = goes_on
         self._recording: Recording | None = None
         self._ended = False
-        self._asked: dict[int, _Question] = {}
+        self._asked: dict[int, _TaskQuestion] = {}
         self.first = Path()
 
     def on_start(self) -> None:
@@ -83,7 +84,7 @@ class Recorder(Task):
         self._recording = recording
         self.first = recording.first
         self.event("recording_started", path=str(self.first))
-        self._ask(_Question(""))
+        self._ask(_TaskQuestion(""))
         self.after_host(DRAIN_S, self._write)
 
     def _write(self) -> None:
@@ -95,7 +96,7 @@ class Recorder(Task):
         soon = self._recording.waits() > MANY or bool(self._asked)
         reason = self._recording.write()
         if not reason:
-            # A disk that took its time does not put off the next turn: what comes meanwhile is soon safe as well.
+            # A slow disk does not delay the next turn: the packets that arrive meanwhile are soon safe as well.
             rest_s = DRAIN_S - (host.now() - now_s)
             self.after_host(DRAIN_SOON_S if soon else max(rest_s, DRAIN_SOON_S), self._write)
         elif not self._ended:
@@ -115,7 +116,7 @@ class Recorder(Task):
 
     @on(LOG, Event)
     def on_event(self, packet: Packet) -> None:
-        """A task has come to run, with settings and a state that a later run may need."""
+        """A task has started, with settings and a state that a later run may need."""
         event: Event = packet.body
         if agent_of(packet.source) != self.agent:
             return
@@ -125,14 +126,14 @@ class Recorder(Task):
         elif event.kind == "task_stopped" and self._recording is not None:
             self._recording.ended(f"{self.agent}/{target}")
 
-    def _ask(self, question: _Question) -> None:
+    def _ask(self, question: _TaskQuestion) -> None:
         about = Describe(question.target, state=bool(question.target), began=question.seen)
         seq = self.publish(SYSCTRL, about).seq
-        self._asked[seq] = _Question(question.target, question.seen, question.again, self.kernel.host.now())
+        self._asked[seq] = _TaskQuestion(question.target, question.seen, question.again, self.kernel.host.now())
 
     def _ask_about(self, target: str, seen: bool) -> None:
         if is_described(target):
-            self._ask(_Question(target, seen))
+            self._ask(_TaskQuestion(target, seen))
 
     @on(SYSCTRL, Reply, addressed=True)
     def on_reply(self, packet: Packet) -> None:
@@ -144,7 +145,7 @@ class Recorder(Task):
         if not reply.ok:
             # Its service is only starting; or the task has ended meanwhile, and this is refused to the end.
             if question.again:
-                later = _Question(question.target, question.seen, question.again - 1)
+                later = _TaskQuestion(question.target, question.seen, question.again - 1)
                 self.after_host(ASK_AGAIN_S, lambda: self._ask(later))
             return
         if "tasks" in reply.result:

@@ -18,23 +18,23 @@ from pancakes.kernel.stream import Tap
 from pancakes.migration.record import TaskId
 from pancakes.packet import TO_TASK, Packet, type_name
 from pancakes.recording.description import CHANNEL, TaskDescription
-from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.recording.figures import figures_of
 from pancakes.recording.latenesses import Latenesses
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.recording.settings import RecordingSettings
 from pancakes.recording.viewing import SHOWN, Viewer
 
 WAITING: Final = 20_000
-"""So many packets wait for the disk, of large ones fewer; then the oldest are left out and counted."""
+"""At most so many packets wait for the disk, fewer where they are large; then the oldest are left out and counted."""
 FLUSH_S: Final = 0.49
-"""How often, in host time, all that has come is given to the operating system: that is not lost where the agent is
+"""How often, in host time, all packets are given to the operating system: that is not lost where the agent is
 killed, and half of the second is left that this may cost."""
 LATEST_S: Final = 0.75
-"""So long after that, in host time, no answer is waited for any more."""
+"""After so long without a flush, in host time, the recording waits for no answer any more."""
 SYNC_S: Final = 4.9
-"""How often, in host time, it is brought to the disk, which takes long: what a power cut may cost depends on it."""
+"""How often, in host time, they are brought to the disk, which takes long: a power cut costs the packets since then."""
 SAMPLE_S: Final = 0.99
-"""How often, in host time, it is noted how tasks and links fare: once a second."""
+"""How often, in host time, the figures of tasks and links are sampled: once a second."""
 
 
 class _Seen(msgspec.Struct, frozen=True, gc=False):
@@ -57,8 +57,8 @@ class Recording:
         kernel: the agent's kernel.
         settings: what is recorded, and where to.
         say: takes a level and a sentence on what is not as it should be.
-        take_seq: numbers what the recording adds itself, in the name of `source`.
-        source: whose name that is.
+        take_seq: numbers the packets that the recording itself adds, under the address `source`.
+        source: the address that these packets bear.
         goes_on: the first file of an earlier recording, which goes on in a new file; None: a new one begins.
 
     Attributes:
@@ -81,13 +81,13 @@ class Recording:
     ) -> None:
         # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
         try:
-            from pancakes.recording.parts import Parts
+            from pancakes.recording.parts import RecordingParts
         except ModuleNotFoundError as error:
             raise PancakesError(
                 f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
             ) from None
         if settings.task:
-            TaskId.parse(settings.task)  # a bare name would fit nothing, and nobody would be told
+            TaskId.parse(settings.task)  # a bare name fits no task, and the recording would stay empty
         self._kernel = kernel
         self._agent = kernel.agent
         self._settings = settings
@@ -115,7 +115,7 @@ class Recording:
         path = goes_on or Path(settings.path.replace("{agent}", self._agent))
         drop_oldest = settings.at_limit == "drop_oldest"
         limits = (settings.split_mib, settings.limit_mib, drop_oldest, settings.free_mib)
-        self._parts = Parts(path, about, *limits, goes_on=goes_on is not None)
+        self._parts = RecordingParts(path, about, *limits, goes_on=goes_on is not None)
         self.first = self._parts.first
         self._flushed_s = self._synced_s = self._sampled_s = kernel.host.now()
         self._tap_channels()
@@ -138,7 +138,7 @@ class Recording:
                 stream.tap(channel, self._take)
 
     def _note(self, body: Any) -> None:
-        """Takes something that nobody published."""
+        """Adds a packet that the recording itself makes."""
         kernel = self._kernel
         self._take(Packet(CHANNEL, type_name(body), self._source, "", kernel.mission.now(), self._take_seq(), body))
 
@@ -213,12 +213,12 @@ class Recording:
             if seen is None:  # old ones fell out just now
                 return
             if self._everything or self._wanted(seen.packet):
-                self._put(Entry(self._time_ns(seen.host_s), self._agent, seen.packet))
+                self._put(RecordedPacket(self._time_ns(seen.host_s), self._agent, seen.packet))
 
     def _time_ns(self, host_s: float) -> int:
         return self._epoch_ns + int(host_s * NANOSECONDS)
 
-    def _put(self, entry: Entry) -> None:
+    def _put(self, entry: RecordedPacket) -> None:
         try:
             self._parts.write(entry)
         except PancakesError as error:

@@ -11,15 +11,15 @@ from typing import BinaryIO
 from mcap.records import Channel, McapRecord, Message, Schema
 from mcap.writer import CompressionType, IndexType, Writer
 
-from pancakes.recording.entry import RecordingError
-from pancakes.recording.reader import Reading, messages
-from pancakes.recording.records import READ_ERRORS, Damage, is_being_written, opened, records_of
+from pancakes.recording.mcap_records import READ_ERRORS, Damage, is_being_written, opened, records_of
+from pancakes.recording.recorded_packet import RecordingError
+from pancakes.recording.recording_reader import FileReading, messages
 from pancakes.recording.writer import CHUNK_BYTES, LIBRARY, METADATA
 
 
 @dataclass(frozen=True, slots=True)
 class Repaired:
-    """What came of a repair.
+    """The result of a repair.
 
     Attributes:
         path: the file.
@@ -44,10 +44,10 @@ def repair(path: Path, into: Path | None = None) -> Repaired:
     Raises:
         RecordingError: it is no recording, it is still being recorded, or the new file cannot be written.
     """
-    reading = Reading(path)
+    reading = FileReading(path)
     with opened(path) as file:
         if into is None and is_being_written(file):
-            # Its recorder would write on into a file that nobody finds any more.
+            # Its recorder would write on into a file that has no name any more.
             raise RecordingError(f"{path} is being recorded: end that first (pancakes record stop), or name --out")
         count = sum(1 for _ in messages(reading, file))
     if reading.whole:

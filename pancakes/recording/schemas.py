@@ -36,7 +36,7 @@ def schema_for(type_name: str) -> dict[str, Any]:
         "type": "object",
         "properties": {
             "source": {"type": "string", "description": "address of the publisher."},
-            "destination": {"type": "string", "description": "who it was for; empty: whoever subscribes."},
+            "destination": {"type": "string", "description": "the address that it is for; empty: all subscribers."},
             "stamp": {"type": "number", "description": "mission time at the publisher, in seconds."},
             "seq": {"type": "integer", "description": "its number among its source's packets."},
             "body": body if body is not None and body["type"] == "object" else {"type": "object", "properties": {}},

@@ -1,4 +1,4 @@
-"""What is in a recording, at a glance."""
+"""A summary of a recording: its packets by topic, and where its tasks were."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pancakes.packet import agent_of
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 LEAST_SPAN_S: Final = 1.0
 """A rate is told of packets that came over so long a time."""
 
 
 @dataclass
-class Topic:
+class TopicCount:
     """What was seen of one packet type on one channel of one agent."""
 
     agent: str
@@ -39,7 +39,7 @@ class Topic:
 
 
 @dataclass
-class Stay:
+class TaskPresence:
     """A time that a task spent on one agent.
 
     Attributes:
@@ -72,18 +72,18 @@ class Summary:
     packets: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
-    stays: list[Stay] = field(default_factory=list)
+    topics: dict[tuple[str, str, str], TopicCount] = field(default_factory=dict)
+    stays: list[TaskPresence] = field(default_factory=list)
 
     @classmethod
-    def of(cls, entries: Iterable[Entry]) -> Summary:
+    def of(cls, entries: Iterable[RecordedPacket]) -> Summary:
         """Makes it from packets in the order of time."""
         summary = cls()
         for entry in entries:
             summary._add(entry)
         return summary
 
-    def _add(self, entry: Entry) -> None:
+    def _add(self, entry: RecordedPacket) -> None:
         packet = entry.packet
         if not self.packets:
             self.first_ns = entry.time_ns
@@ -92,16 +92,16 @@ class Summary:
         key = (entry.agent, packet.channel, packet.type)
         topic = self.topics.get(key)
         if topic is None:
-            topic = self.topics[key] = Topic(*key, first_ns=entry.time_ns)
+            topic = self.topics[key] = TopicCount(*key, first_ns=entry.time_ns)
         topic.packets += 1
         topic.last_ns = entry.time_ns
         if packet.fence is not None and agent_of(packet.source) == entry.agent:
             self._add_to_stay(entry, packet.fence.task_id, packet.fence.epoch[0])
 
-    def _add_to_stay(self, entry: Entry, task_id: str, epoch: int) -> None:
+    def _add_to_stay(self, entry: RecordedPacket, task_id: str, epoch: int) -> None:
         for stay in reversed(self.stays):
             if (stay.task_id, stay.agent, stay.epoch) == (task_id, entry.agent, epoch):
                 stay.last_ns = entry.time_ns
                 stay.published += 1
                 return
-        self.stays.append(Stay(task_id, entry.agent, epoch, entry.time_ns, entry.time_ns, 1))
+        self.stays.append(TaskPresence(task_id, entry.agent, epoch, entry.time_ns, entry.time_ns, 1))

@@ -8,17 +8,17 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from pancakes import codecs
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 SHOWN: Final = ("pose", "world_state")
-"""Of packets of these types something is shown."""
+"""The packet types of which something is shown."""
 FRAME: Final = "world"
 TRAIL: Final = 300
-"""So many poses make up a path."""
+"""The number of poses in a path."""
 TRAIL_NS: Final = 10 * NANOSECONDS
 """How often a path is written."""
 SHOWN_NS: Final = NANOSECONDS // 10
-"""How often anything is shown at most: nobody sees more, and the packets themselves are all in the recording."""
+"""How often anything is shown at most: an eye sees no more, and the packets themselves are all in the recording."""
 COLOURS: Final = ((0.12, 0.47, 0.71), (0.84, 0.15, 0.16), (0.17, 0.63, 0.17), (0.58, 0.40, 0.74), (1.0, 0.5, 0.05))
 GREY: Final = (0.5, 0.5, 0.5)
 
@@ -41,7 +41,7 @@ class Viewer:
         self._told_ns: dict[str, int] = {}
         self._shown_ns: dict[str, int] = {}
 
-    def messages(self, entry: Entry) -> Iterator[ViewerMessage]:
+    def messages(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
         """Gives what a viewer shows of a packet."""
         packet = entry.packet
         if isinstance(packet.body, Mapping):
@@ -52,15 +52,15 @@ class Viewer:
         elif packet.type == "world_state" and self._is_due(entry):
             yield _scene(entry)
 
-    def _is_due(self, entry: Entry) -> bool:
+    def _is_due(self, entry: RecordedPacket) -> bool:
         source, time_ns = entry.packet.source, entry.time_ns
-        # A tenth of tolerance: what comes ten times a second comes a little early now and then.
+        # A tenth of tolerance: a packet of ten a second is a little early now and then.
         if time_ns - self._shown_ns.get(source, -SHOWN_NS) < SHOWN_NS * 9 // 10:
             return False
         self._shown_ns[source] = time_ns
         return True
 
-    def _pose(self, entry: Entry) -> Iterator[ViewerMessage]:
+    def _pose(self, entry: RecordedPacket) -> Iterator[ViewerMessage]:
         body, device = entry.packet.body, entry.packet.source.rpartition("/")[2]
         pose = _pose(body.x_m, body.y_m, body.theta_rad)
         head = {"timestamp": _time(entry.time_ns), "frame_id": FRAME}
@@ -74,7 +74,7 @@ class Viewer:
             yield _message(f"{topic}/path", "foxglove.PosesInFrame", POSES_IN_FRAME, entry.time_ns, path)
 
 
-def _scene(entry: Entry) -> ViewerMessage:
+def _scene(entry: RecordedPacket) -> ViewerMessage:
     entities = []
     for number, body in enumerate(entry.packet.body.bodies):
         robot = body.kind == "robot"

@@ -79,7 +79,7 @@ class Stream:
 
 
 @dataclass
-class Comparison:
+class RunComparison:
     """What two runs of a task have in common, and what not.
 
     Attributes:
@@ -101,7 +101,7 @@ def key_of(packet: Packet) -> StreamKey:
     return StreamKey(packet.channel, packet.type, packet.destination)
 
 
-def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tolerance: Tolerance) -> Comparison:
+def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tolerance: Tolerance) -> RunComparison:
     """Compares what a task published with what it publishes now.
 
     What a packet led to is compared with what the same packet leads to now, the rest (ticks) by the time.
@@ -112,7 +112,7 @@ def compare(recorded: Sequence[Packet], now: Sequence[Packet], address: str, tol
         address: the task's address.
         tolerance: what counts as equal.
     """
-    result = Comparison()
+    result = RunComparison()
     streams: dict[StreamKey, tuple[list[Packet], list[Packet]]] = {}
     for side, packets in enumerate((recorded, now)):
         for packet in packets:

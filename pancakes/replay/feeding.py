@@ -10,7 +10,7 @@ from pancakes.client.client import Client
 from pancakes.client.door import Door
 from pancakes.control import Describe
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.replay.selection import Live, Selection, Tally
 
 LATE_S = 1.0
@@ -25,7 +25,7 @@ class Feeder:
 
     Args:
         client: reaches the agents.
-        selection: what is fed, and to whom.
+        selection: which packets are fed, and into which agent.
         say: takes a sentence about an agent that is too slow.
 
     Attributes:
@@ -41,7 +41,7 @@ class Feeder:
         self._slow: set[str] = set()
         self.tally = Tally()
 
-    def feed(self, entries: Iterable[Entry], first_ns: int, speed: float, recorded_speed: float) -> None:
+    def feed(self, entries: Iterable[RecordedPacket], first_ns: int, speed: float, recorded_speed: float) -> None:
         """Feeds all packets.
 
         Args:

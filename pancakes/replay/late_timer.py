@@ -1,4 +1,4 @@
-"""A timer whose ticks come as late as they came once."""
+"""A timer whose ticks are as late as they were in the recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pancakes.kernel.virtual import VirtualDispatcher
 LATEST_S: Final = 0.5
 """No tick is held back longer, in mission time."""
 TURN_S: Final = 0.0002
-"""How long before it says something a task has begun with a tick, about, in host time."""
+"""The time from the begin of a tick to the first packet of the task, about, in host time."""
 ROUNDING_S: Final = 1e-9
 
 
@@ -68,7 +68,7 @@ class LateTimer(VirtualTimer):
 
 
 class _Held:
-    """Stands before whom the timer ticks."""
+    """Takes the ticks of the timer in place of a task's timer, and passes them on later."""
 
     def __init__(self, timer: LateTimer, target: Ticking, most_s: float) -> None:
         self._timer = timer

@@ -9,10 +9,10 @@ from pancakes.replay.steps import Change, Given
 
 
 class Overtaken:
-    """Tells which packets fell out of the task's mailbox before it came to them. No recording says so by itself.
+    """Tells which packets fell out of the task's mailbox before the task handled them. No recording says so by itself.
 
     Args:
-        steps: what came.
+        steps: the packets that arrived, and the changes.
         limits: how many packets of a type on a channel wait at most.
         handled: packets that had an effect, so that they were handled for sure.
         close_s: no task is surely given a turn in less mission time than this.

@@ -17,7 +17,7 @@ from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.net.memory import MemoryNetwork
 from pancakes.packet import Fence, Packet, agent_of
 from pancakes.plugins import Plugins
-from pancakes.recording.entry import RecordingError
+from pancakes.recording.recorded_packet import RecordingError
 from pancakes.replay.comparison import StreamKey, key_of
 from pancakes.replay.late_timer import ROUNDING_S, LateTimer
 from pancakes.replay.script import Script
@@ -46,7 +46,7 @@ class Outcome:
 
 
 _Said = tuple[StreamKey, str]
-"""What a packet says, and to whom."""
+"""The body of a packet, and what it is compared by."""
 
 
 def _said(packet: Packet) -> _Said:
@@ -92,7 +92,7 @@ class Rerun:
         self._kernel.timer = LateTimer(
             stay.agent, self._kernel.mission, self._dispatcher, script.spoken_s, script.speed
         )
-        # One that listens or dials finds a network with nobody on it.
+        # A task that listens or dials finds a network without other agents.
         network = MemoryNetwork(self._dispatcher.call_at, self._dispatcher.clock.now, random.Random("network"))
         self._kernel.transport = network.transport(stay.agent)
         self._tapped: dict[str, None] = {}

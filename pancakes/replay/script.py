@@ -16,20 +16,19 @@ from pancakes.kernel.handlers import subscriptions_of
 from pancakes.migration.post import Letter
 from pancakes.packet import LOG, NEIGHBOURS, TO_TASK, Cause, Packet, agent_of, covers
 from pancakes.recording.description import CHANNEL, TaskDescription
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.message import packet_from_bytes
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.replay.overtaken import Overtaken
 from pancakes.replay.stays import ENDS, Stay
 from pancakes.replay.steps import CHANGES, Change, Given
 from pancakes.task import Task
-from pancakes.wire.codec import packet_from_row, rows_from_payload
 
-_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
 CLOSE_S: Final = 0.005
 """In less host time than this a task is not surely given a turn."""
 END_S: Final = 0.05
-"""So much earlier than its service says so a task may have ended, in host time."""
+"""A task may have ended this much earlier than its service says, in host time."""
 _LINGERING_NS: Final = 5 * NANOSECONDS
-"""How long before a stay a packet may have come whose effect is seen only in it."""
+"""A packet may have arrived this long before a stay, and have its effect only in the stay."""
 
 
 @dataclass
@@ -58,7 +57,7 @@ class Script:
 
 
 def read_script(
-    entries: Iterable[Entry], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
+    entries: Iterable[RecordedPacket], stay: Stay, cls: type[Task], speed: float = 1.0, virtual: bool = False
 ) -> Script:
     """Reads what a task got and gave.
 
@@ -69,7 +68,7 @@ def read_script(
         speed: mission seconds for each second of the recording.
         virtual: whether it was made in virtual time: there nothing takes time.
     """
-    reader = _Reader(stay, cls)
+    reader = _StayReader(stay, cls)
     seen = [entry for entry in entries if reader.take(entry)]
     times = _MissionTimes(stay, speed, seen)
     script = Script(channels=list(reader.channels), speed=speed)
@@ -105,7 +104,7 @@ def read_script(
     return script
 
 
-class _Reader:
+class _StayReader:
     """Tells what of a recording has to do with a stay."""
 
     def __init__(self, stay: Stay, cls: type[Task]) -> None:
@@ -122,7 +121,7 @@ class _Reader:
         self._lives = False
         self._over = False
 
-    def take(self, entry: Entry) -> bool:
+    def take(self, entry: RecordedPacket) -> bool:
         """Returns whether an entry is an input, an output or a change of the stay; in the order of time."""
         stay, packet = self._stay, entry.packet
         if not self._lives and isinstance(packet.body, TaskDescription):
@@ -138,7 +137,7 @@ class _Reader:
         self.channels[packet.channel] = None
         return self.is_output(packet) or self.is_change(packet) or self._is_input(packet)
 
-    def _begun(self, entry: Entry) -> bool:
+    def _begun(self, entry: RecordedPacket) -> bool:
         """Returns whether a stay has begun, at the very moment at which it does so.
 
         In virtual time much happens at one moment, before that and after: the task has said something, its service has
@@ -152,7 +151,7 @@ class _Reader:
         """Returns whether the task published it."""
         return packet.source == self._address
 
-    def lingers(self, entry: Entry) -> bool:
+    def lingers(self, entry: RecordedPacket) -> bool:
         """Returns whether a packet is the effect of one that came before the stay."""
         cause = entry.packet.cause
         return cause is not None and (cause[0], cause[1]) in self._before
@@ -193,7 +192,7 @@ class _Reader:
         body = packet.body
         if isinstance(body, Letter) and body.task_id == self._stay.task.task_id and packet.source != self._address:
             try:
-                inner = packet_from_row(rows_from_payload(_ONE_MESSAGE + body.packet)[0])
+                inner = packet_from_bytes(body.packet)
             except RemoteProtocolError:
                 return None
             return inner if agent_of(packet.destination) == self._stay.agent else None
@@ -212,7 +211,7 @@ class _Reader:
 class _MissionTimes:
     """Turns a recording's time into the mission time of a stay's agent."""
 
-    def __init__(self, stay: Stay, speed: float, entries: Iterable[Entry]) -> None:
+    def __init__(self, stay: Stay, speed: float, entries: Iterable[RecordedPacket]) -> None:
         self._stay = stay
         self._speed = speed
         own = [(entry.packet.stamp, entry.time_ns) for entry in entries if self._is_own(entry.packet)]
@@ -222,7 +221,7 @@ class _MissionTimes:
         self._offset_s = max(offsets, default=stay.begins_s)
         self.end_s = max(self._of_ns(stay.to_ns), stay.begins_s)
 
-    def of(self, entry: Entry) -> float:
+    def of(self, entry: RecordedPacket) -> float:
         """Returns the mission time at which a packet was seen."""
         return entry.packet.stamp if self._is_own(entry.packet) else self._of_ns(entry.time_ns)
 

@@ -1,4 +1,4 @@
-"""Which packets of a recording are fed into a fleet, and to whom. Pure."""
+"""Which packets of a recording are fed into a fleet, and into which agent. Pure."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from msgspec.structs import replace
 from pancakes.errors import ControlRefused
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, SYSTEM, TO_TASK, Packet, agent_of, join
 from pancakes.recording.description import CHANNEL
-from pancakes.recording.entry import NANOSECONDS, Entry
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 _TWICE_NS: Final = 60 * NANOSECONDS
-"""How far apart two recordings may show the same packet."""
+"""Two recordings may show the same packet this far apart."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Topic(NamedTuple):
         recorded_on: the agent that they were seen on.
         channel: the channel.
         type: their type.
-        source: who published them.
+        source: the address of their publisher.
         agent: the agent that they are for.
         left_out: why they are not fed; empty where they are.
     """
@@ -88,9 +88,9 @@ class Fed:
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a recording is fed, and to whom.
+    """Which packets of a recording are fed, and into which agent.
 
-    Packets go to the agent on which they were seen, if they were for somebody there. Without `only`, these are what
+    Packets go to the agent on which they were seen, if they were for a component there. Without `only`, these are what
     was said on `system` and on channels of one's own, but for what the fleet says by itself: that of components that
     run.
 
@@ -111,7 +111,7 @@ class Selection:
     as_name: str = ""
     time: MissionTime = MissionTime()
 
-    def of(self, entries: Iterable[Entry]) -> Iterator[Fed]:
+    def of(self, entries: Iterable[RecordedPacket]) -> Iterator[Fed]:
         """Yields what is fed and what is left out (see `Topic.left_out`), in the order of time, each packet once.
 
         Args:
@@ -131,7 +131,7 @@ class Selection:
                 topic = Topic(entry.agent, channel, kind, source, name, self._left_out(packet, name))
                 yield Fed(entry.time_ns, topic, packet)
 
-    def _wanted(self, entry: Entry) -> bool:
+    def _wanted(self, entry: RecordedPacket) -> bool:
         packet = entry.packet
         if not self.only:
             return packet.channel == SYSTEM or packet.channel not in CORE_CHANNELS
@@ -147,8 +147,8 @@ class Selection:
         return "its source runs" if publisher is not None and packet.source in publisher.speaking else ""
 
 
-def _was_for(entry: Entry) -> bool:
-    """Returns whether a packet was for somebody on the agent on which it was seen: there it may be on its way out."""
+def _was_for(entry: RecordedPacket) -> bool:
+    """Returns whether a packet was for the agent on which it was seen, and not only on its way out there."""
     packet = entry.packet
     destination = packet.destination
     if packet.channel == CHANNEL or destination.startswith(TO_TASK):
@@ -165,7 +165,7 @@ def _moved(packet: Packet, seen_on: str, name: str) -> Packet:
         return name + address[len(seen_on) :] if agent_of(address) == seen_on else address
 
     destination = name if packet.destination in ("", NEIGHBOURS) else renamed(packet.destination)
-    # Nobody speaks under a right that a task once had.
+    # No packet of a replay bears a right that a task once had.
     return replace(packet, source=renamed(packet.source), destination=destination, fence=None)
 
 
@@ -176,7 +176,7 @@ class _Once:
         self._known: set[tuple[str, str, int, float]] = set()
         self._order: deque[tuple[int, tuple[str, str, int, float]]] = deque()
 
-    def is_new(self, entry: Entry, name: str) -> bool:
+    def is_new(self, entry: RecordedPacket, name: str) -> bool:
         while self._order and self._order[0][0] < entry.time_ns - _TWICE_NS:
             self._known.discard(self._order.popleft()[1])
         packet = entry.packet
@@ -214,7 +214,7 @@ class Tally:
         return sum(count for topic, count in self.packets.items() if not topic.left_out)
 
 
-def tally_of(selection: Selection, entries: Iterable[Entry]) -> Tally:
+def tally_of(selection: Selection, entries: Iterable[RecordedPacket]) -> Tally:
     """Counts what would be fed, before anything is.
 
     Raises:

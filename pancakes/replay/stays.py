@@ -9,7 +9,7 @@ from typing import Final
 from pancakes.events import Event
 from pancakes.packet import LOG
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.entry import Entry, RecordingError
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
 from pancakes.suggestion import suggestion
 
 STOPPED: Final = "stopped"
@@ -64,7 +64,7 @@ class Stay:
         return self.task.address.rpartition("/")[2]
 
 
-def find_stays(entries: Iterable[Entry]) -> list[Stay]:
+def find_stays(entries: Iterable[RecordedPacket]) -> list[Stay]:
     """Returns all stays in a recording, in the order in which they began.
 
     Args:

@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from pancakes.packet import Packet
 from pancakes.recording.description import CHANNEL
-from pancakes.recording.entry import Entry
 from pancakes.recording.figures import TaskFigures
 from pancakes.recording.mission_time import MissionTime
-from pancakes.report.course import Course
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.happenings import Happenings
 from pancakes.report.moves import Moves
-from pancakes.report.paths import Paths
+from pancakes.report.paths import BodyPaths
 from pancakes.report.picked import PickedCommands
-from pancakes.report.rates import Rates
+from pancakes.report.rate_figures import Rates
 from pancakes.report.reactions import Reactions
+from pancakes.report.task_timeline import TaskTimeline
 from pancakes.report.traffic import Traffic
 
 MOST_TOPICS: Final = 2000
-
-
-@dataclass
-class Topic:
-    """Packets of one type on one channel of one agent."""
-
-    agent: str
-    channel: str
-    type: str
-    packets: int = 0
 
 
 @dataclass
@@ -40,9 +31,9 @@ class Findings:
     Attributes:
         task_id: the only task that it is about; empty: all.
         packets: how many packets were looked at.
-        first_ns: when the first was recorded; see `Entry`.
+        first_ns: when the first was recorded; see `RecordedPacket`.
         last_ns: when the last was.
-        topics: what there was, by agent, channel and type.
+        topics: how many packets there were, by agent, channel and type.
         strange: how many packets could not be made sense of: their types were other ones when they were recorded.
         time: turns the recording's time into mission time, in which everything is told.
     """
@@ -51,11 +42,11 @@ class Findings:
     packets: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    topics: dict[tuple[str, str, str], Topic] = field(default_factory=dict)
+    topics: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     strange: int = 0
     time: MissionTime = MissionTime()
-    paths: Paths = field(default_factory=Paths)
-    course: Course = field(default_factory=Course)
+    paths: BodyPaths = field(default_factory=BodyPaths)
+    course: TaskTimeline = field(default_factory=TaskTimeline)
     rates: Rates = field(default_factory=Rates)
     traffic: Traffic = field(default_factory=Traffic)
     moves: Moves = field(default_factory=Moves)
@@ -63,12 +54,12 @@ class Findings:
     happenings: Happenings = field(default_factory=Happenings)
 
     @classmethod
-    def of(cls, entries: Iterable[Entry], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
+    def of(cls, entries: Iterable[RecordedPacket], task_id: str = "", time: MissionTime = MissionTime()) -> Findings:  # noqa: B008
         """Looks at packets in the order of time.
 
         Args:
             entries: the packets.
-            task_id: tell only of this task: who ran it, its rates, moves, commands and what it sent; empty: of all.
+            task_id: tell only of this task: which agents ran it, its rates, moves, commands and packets; empty: of all.
             time: turns the recording's time into mission time.
         """
         findings = cls(task_id, time=time, reactions=Reactions(task_id, picked=PickedCommands(time)))
@@ -103,7 +94,7 @@ class Findings:
         """The agents that were recorded, by name."""
         return sorted(self.course.seen_s)
 
-    def _add(self, entry: Entry) -> None:
+    def _add(self, entry: RecordedPacket) -> None:
         packet = entry.packet
         if not self.packets:
             self.first_ns = entry.time_ns
@@ -118,7 +109,7 @@ class Findings:
             # rest is better than none.
             self.strange += 1
 
-    def _look(self, entry: Entry, packet: Packet, t_s: float) -> None:
+    def _look(self, entry: RecordedPacket, packet: Packet, t_s: float) -> None:
         agent = entry.agent
         self.course.add(agent, packet, t_s)
         if packet.channel == CHANNEL:
@@ -134,12 +125,8 @@ class Findings:
 
     def _count(self, agent: str, packet: Packet) -> None:
         key = (agent, packet.channel, packet.type)
-        topic = self.topics.get(key)
-        if topic is None:
-            if len(self.topics) >= MOST_TOPICS:
-                return
-            topic = self.topics[key] = Topic(*key)
-        topic.packets += 1
+        if key in self.topics or len(self.topics) < MOST_TOPICS:
+            self.topics[key] += 1
 
     def plain(self) -> dict[str, Any]:
         """Returns the figures of the report as plain values, for other programs."""
@@ -151,19 +138,7 @@ class Findings:
             "begin_s": self.begin_s,
             "end_s": self.end_s,
             "duration_s": self.duration_s,
-            "tasks": [
-                {
-                    "agent": lane.agent,
-                    "service": lane.service,
-                    "task": lane.task,
-                    "task_id": lane.task_id,
-                    "spans": [
-                        {"from_s": span.from_s, "to_s": span.to_s, "epoch": span.epoch, "ended": span.ended}
-                        for span in lane.spans
-                    ],
-                }
-                for lane in self.course.lanes.values()
-            ],
+            "tasks": [asdict(lane) for lane in self.course.lanes.values()],
             "timers": [
                 {
                     "agent": timer.agent,
@@ -192,24 +167,7 @@ class Findings:
                 }
                 for name in self.traffic.links.names()
             ],
-            "moves": [
-                {
-                    "at_s": move.at_s,
-                    "task_id": move.task_id,
-                    "source": move.source,
-                    "outcome": move.outcome,
-                    "winner": move.winner,
-                    "asked_by": move.asked_by,
-                    "cost": move.cost,
-                    "duration_s": move.duration_s,
-                    "silence_s": move.silence_s,
-                    "answers": [
-                        {"peer": it.peer, "answer": it.answer, "fate": it.fate, "cost": it.cost, "reason": it.reason}
-                        for it in move.answers
-                    ],
-                }
-                for move in self.moves.moves
-            ],
+            "moves": [asdict(move) for move in self.moves.moves],
             "reactions": [
                 {
                     "steps": list(it.steps),

@@ -12,7 +12,7 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, Packet, agent_of
 
 MOST: Final = 300
-"""So many different ones are kept of each sort."""
+"""The most different ones that are kept of each sort."""
 LONGEST: Final = 300
 GRAVE: Final = (
     "task_failed",
@@ -50,7 +50,7 @@ class Happening:
 
     Attributes:
         t_s: when it was said first.
-        agent: by whom.
+        agent: the agent that said it.
         kind: `warning`, `error`, or the event's kind.
         text: what.
         count: how often.

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
-from pancakes.recording.entry import NANOSECONDS, RecordingError
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordingError
 from pancakes.report.findings import Findings
 from pancakes.report.style import Palette, Picture, need_matplotlib
 
@@ -46,7 +46,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     """
     need_matplotlib()
     try:
-        from pancakes.recording.reader import RecordingReader
+        from pancakes.recording.recording_reader import RecordingReader
     except ModuleNotFoundError as error:
         raise PancakesError(
             f"no recording can be read without {error.name}: pip install 'pancakes-agents[record]'"
@@ -84,7 +84,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
 
 
 def _write(path: Path, out: Path, findings: Findings, about: dict[str, str], notes: list[str]) -> Made:
-    from pancakes.report.page import make_page
+    from pancakes.report.report_page import make_page
 
     out.mkdir(parents=True, exist_ok=True)
     pictures = draw_all(findings, out)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pancakes.report.findings import Findings
-from pancakes.report.rates import Timer
+from pancakes.report.rate_figures import TimerRates
 from pancakes.report.reactions import Reaction
 from pancakes.report.series import Counts
 from pancakes.report.style import (
@@ -20,6 +20,8 @@ from pancakes.report.style import (
     Picture,
     figure,
     label_log,
+    label_rows,
+    plot_line,
     save,
     time_axis,
     unit_of_bytes,
@@ -33,7 +35,7 @@ MOST_ROWS = 40
 MOST_LINES = 7
 MOST_SHAPES = 4
 NEGLIGIBLE_S = 1e-9
-"""Lateness below this is rounding: in virtual time nobody is late."""
+"""Lateness below this is rounding: in virtual time no tick is late."""
 
 
 def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | None:
@@ -57,9 +59,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
                 label = "asked for" if first else ""
                 axes.plot(asked_hz, place, "o", ms=5.5, mfc="none", mec=INK, mew=0.8, label=label)
                 axes.plot(got_hz, place, "o", ms=3, color=colour, label="achieved" if first else "")
-        axes.set_yticks(range(len(rows)), [_timer_name(timer) for timer, _ in rows])
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        label_rows(axes, [_timer_name(timer) for timer, _ in rows])
         axes.grid(axis="y", lw=0.3, color=FAINT, alpha=0.5)
         axes.set_xscale("log")
         label_log(axes.xaxis)
@@ -68,7 +68,7 @@ def draw_rates(findings: Findings, palette: Palette, out: Path) -> Picture | Non
         return save(made, out, "rates", "Rates of time-driven tasks: asked for, and achieved.")
 
 
-def _timer_name(timer: Timer) -> str:
+def _timer_name(timer: TimerRates) -> str:
     return f"{timer.agent} {timer.task.rpartition('/')[2]}"
 
 
@@ -91,24 +91,15 @@ def draw_lateness(findings: Findings, palette: Palette, clock: str, out: Path) -
             left.plot(max_ms, place, "|", ms=6, mew=1.2, color=colour)
             if rare_ms > usual_ms:
                 left.plot(rare_ms, place, "D", ms=2.6, color=colour)
-        left.set_yticks(range(len(shown)), [_timer_name(timer) for timer in shown])
-        left.set_ylim(len(shown) - 0.4, -0.6)
-        left.tick_params(axis="y", length=0)
+        label_rows(left, [_timer_name(timer) for timer in shown])
         left.set_xscale("log")
         label_log(left.xaxis)
         counted = any(timer.lateness_counts for timer in shown)
         left.set_xlabel("lateness [ms]: p50, p99, and largest" if counted else "lateness [ms]: mean, and largest")
         for timer in shown[:MOST_LINES]:
-            points = timer.lateness.whole()
+            points = [(t_s, 1e3 * max(mean_s, 1e-6)) for t_s, mean_s in timer.lateness.whole()]
             number = [other for other in shown if other.agent == timer.agent].index(timer)
-            right.plot(
-                [point[0] for point in points],
-                [1e3 * max(point[1], 1e-6) for point in points],
-                lw=0.8,
-                ls=DASHES[number % len(DASHES)],
-                color=palette.colour(timer.agent),
-                label=_timer_name(timer),
-            )
+            plot_line(right, points, number, palette.colour(timer.agent), _timer_name(timer), lw=0.8)
         right.set_yscale("log")
         label_log(right.yaxis)
         right.set_ylabel("mean lateness [ms]")
@@ -129,16 +120,9 @@ def draw_drops(findings: Findings, palette: Palette, clock: str, out: Path) -> P
     with figure(COLUMN_IN, 1.9) as made:
         axes = made.add_subplot()
         for number, it in enumerate(drops):
-            points = it.over_time.whole()
-            axes.step(
-                [point[0] for point in points],
-                [point[1] for point in points],
-                where="post",
-                lw=1.0,
-                ls=DASHES[number % len(DASHES)],
-                color=palette.colour(it.agent),
-                label=f"{it.agent} {it.task.rpartition('/')[2]}",
-            )
+            label = f"{it.agent} {it.task.rpartition('/')[2]}"
+            colour = palette.colour(it.agent)
+            plot_line(axes, it.over_time.whole(), number, colour, label, lw=1.0, drawstyle="steps-post")
         axes.set_ylabel("packets dropped")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         time_axis(axes, findings.begin_s, findings.end_s, clock)
@@ -182,15 +166,8 @@ def draw_traffic(findings: Findings, clock: str, out: Path, name: str, flow: Flo
 
 def _line(axes: Axes, counts: Counts, kind: str, span_s: tuple[float, float], factor: float, number: int) -> None:
     begin_s, length_s = span_s
-    points = counts.rates(kind, length_s)
-    axes.plot(
-        [begin_s + point[0] for point in points],
-        [point[1] / factor for point in points],
-        lw=0.9,
-        ls=DASHES[number % len(DASHES)],
-        color=COLOURS[number % len(COLOURS)],
-        label=kind,
-    )
+    points = [(begin_s + t_s, rate / factor) for t_s, rate in counts.rates(kind, length_s)]
+    plot_line(axes, points, number, COLOURS[number % len(COLOURS)], kind, lw=0.9)
 
 
 def draw_reactions(findings: Findings, out: Path) -> Picture | None:
@@ -224,10 +201,8 @@ def _steps(axes: Axes, it: Reaction) -> None:
         axes.barh(place, rest_ms, 0.6, left=at_ms + travel_ms, color=COLOURS[0], lw=0)
         at_ms += 1e3 * took_s
     axes.plot(at_ms, len(means), "D", ms=4, color=COLOURS[1])
-    axes.set_yticks(range(len(it.steps)), [_step_name(step) for step in it.steps])
-    axes.set_ylim(len(it.steps) - 0.4, -0.6)
+    label_rows(axes, [_step_name(step) for step in it.steps])
     axes.set_xlim(0.0, 1.04 * at_ms if at_ms > 0 else 1.0)
-    axes.tick_params(axis="y", length=0)
     axes.set_title(f"{it.count:,} times", loc="left", pad=3)
 
 
@@ -238,7 +213,7 @@ def _step_name(step: str) -> str:
 
 
 def _times(axes: Axes, it: Reaction) -> None:
-    values = sorted(1e3 * value for value in it.latency_s.values)
+    values = sorted(1e3 * value for value in it.latency_s.kept)
     low, high = values[0], values[min(len(values) - 1, int(0.995 * len(values)))]
     # One value throughout, as in virtual time, still wants a bar of some width.
     margin = max(0.05 * (high - low), 0.02 * high, 1e-3)

@@ -11,11 +11,11 @@ from pancakes.packet import LOG, Packet, agent_of
 
 MOST_MOVES: Final = 500
 AWAIT_S: Final = 30.0
-"""So long after a hand-over a task may begin to speak on its new agent and still count as having moved there."""
+"""A task that publishes on its new agent within this time after a hand-over counts as having moved there."""
 
 
 @dataclass
-class Answer:
+class NeighbourAnswer:
     """What one neighbour said: see `pancakes.migration.ledger.Line`."""
 
     peer: str
@@ -26,17 +26,17 @@ class Answer:
 
 
 @dataclass
-class Move:
+class TaskMove:
     """One move, or one that came to nothing; see `pancakes.migration.ledger.Ledger`.
 
     Attributes:
         at_s: when it was over.
         task_id: the task.
         source: where it was.
-        asked_by: who wanted it.
+        asked_by: `rule`, or the address that asked for it.
         cost: the cost function.
         outcome: `moved`, `stayed`, `undecided` or `dry run`.
-        winner: who has it; empty where it stayed.
+        winner: the agent that has the task now; empty where it stayed.
         duration_s: host time from the first asking to the outcome.
         answers: what the neighbours said.
         to: the only neighbour that was asked; empty: all were.
@@ -53,7 +53,7 @@ class Move:
     outcome: str
     winner: str
     duration_s: float
-    answers: list[Answer]
+    answers: list[NeighbourAnswer]
     to: str = ""
     frozen_s: float | None = None
     started_s: float | None = None
@@ -74,7 +74,7 @@ class Moves:
         left_out: how many there were beyond those that are kept.
     """
 
-    moves: list[Move] = field(default_factory=list)
+    moves: list[TaskMove] = field(default_factory=list)
     left_out: int = 0
     _frozen_s: dict[tuple[str, str], float] = field(default_factory=dict)
     _arrived_s: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -123,10 +123,10 @@ class Moves:
             self.left_out += 1
             return
         lines = [
-            Answer(line["peer"], line["answer"], line["fate"], line.get("cost"), line.get("reason", ""))
+            NeighbourAnswer(line["peer"], line["answer"], line["fate"], line.get("cost"), line.get("reason", ""))
             for line in fields.get("lines", ())
         ]
-        move = Move(
+        move = TaskMove(
             t_s,
             str(fields["task_id"]),
             str(fields["source"]),

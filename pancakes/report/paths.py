@@ -1,4 +1,4 @@
-"""Where everybody was: what agents believed, what the world knew, and who commanded the wheels. Pure."""
+"""Where all bodies were, as agents believed and as the world knew, and which task commanded the wheels. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from pancakes.control import Hold
 from pancakes.packet import CTRL, SYSTEM, Packet, agent_of
-from pancakes.report.series import Series
+from pancakes.report.series import TimeSeries
 
 POSE, WORLD, BATTERY = "pose", "world_state", "battery"
 MOST_BODIES = 64
@@ -25,12 +25,12 @@ class Body:
 
     name: str
     kind: str
-    path: Series = field(default_factory=Series)
+    path: TimeSeries = field(default_factory=TimeSeries)
 
 
 @dataclass(frozen=True)
-class Command:
-    """Who commanded an agent's actuators for a time; `task` is the task's name."""
+class CommandSpan:
+    """A time in which one task commanded an agent's actuators; `task` is the task's name."""
 
     task: str
     from_s: float
@@ -38,20 +38,20 @@ class Command:
 
 
 @dataclass
-class Paths:
-    """What there is to see of where everybody was.
+class BodyPaths:
+    """The paths, commands and batteries of a recording.
 
     Attributes:
         truth: the bodies of the world, by name.
         poses: what each agent took for its own pose.
-        commands: who commanded the actuators of each agent.
+        commands: which task commanded the actuators of each agent, and when.
         batteries: the level of each agent's battery, from 0 to 1, over time.
     """
 
     truth: dict[str, Body] = field(default_factory=dict)
     poses: dict[str, Body] = field(default_factory=dict)
-    commands: dict[str, list[Command]] = field(default_factory=dict)
-    batteries: dict[str, Series] = field(default_factory=dict)
+    commands: dict[str, list[CommandSpan]] = field(default_factory=dict)
+    batteries: dict[str, TimeSeries] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
         """Takes a packet that was seen on an agent."""
@@ -62,7 +62,7 @@ class Paths:
                 body = self.poses.setdefault(agent, Body(agent, "agent"))
                 body.path.add(t_s, packet.body.x_m, packet.body.y_m, packet.body.theta_rad)
             elif packet.type == BATTERY and packet.source.startswith(f"{agent}/device/"):
-                self.batteries.setdefault(agent, Series()).add(t_s, packet.body.level)
+                self.batteries.setdefault(agent, TimeSeries()).add(t_s, packet.body.level)
         elif packet.channel == CTRL and not isinstance(packet.body, Hold) and agent_of(packet.source) == agent:
             self._add_command(agent, packet.source.rpartition("/")[2], t_s)
 
@@ -78,11 +78,11 @@ class Paths:
     def _add_command(self, agent: str, task: str, t_s: float) -> None:
         commands = self.commands.setdefault(agent, [])
         if commands and commands[-1].task == task:
-            commands[-1] = Command(task, commands[-1].from_s, t_s)
+            commands[-1] = CommandSpan(task, commands[-1].from_s, t_s)
         else:
-            commands.append(Command(task, t_s, t_s))
+            commands.append(CommandSpan(task, t_s, t_s))
 
     def bodies(self) -> list[Body]:
-        """Returns the bodies to draw: those of the world, and agents whose poses are all there is."""
-        shown = [body for body in self.truth.values() if body.path.points]
+        """Returns the bodies to draw: those of the world, and agents of which only their own poses are known."""
+        shown = [body for body in self.truth.values() if body.path.kept]
         return shown + [body for name, body in self.poses.items() if name not in self.truth]

@@ -9,35 +9,19 @@ from itertools import count
 from typing import Any, Final
 
 from pancakes.packet import agent_of
+from pancakes.recording.chains import ChainStep
 from pancakes.recording.commands import ActuatorCommand, body_text
 from pancakes.recording.mission_time import MissionTime
 
 MOST_EVEN: Final = 24_000
-"""So many commands are kept, as many of each actuator; where there were more, each second one is left out, ..."""
+"""The most commands that are kept, as many of each actuator; where there were more, each second one is left out, ..."""
 MOST_EVEN_EACH: Final = 4000
-"""... and so many of one actuator at most."""
+"""... and the most of one actuator."""
 MOST_SLOW: Final = 50
-"""So many more of the slowest to each actuator are kept, whatever lies between them."""
+"""The number of the slowest to each actuator that are kept as well."""
 MOST_ACTUATORS: Final = 100
-"""So many actuators are told apart."""
+"""The most actuators that are told apart."""
 BODY_CHARACTERS: Final = 60
-
-
-@dataclass(frozen=True, slots=True)
-class PickedStep:
-    """One packet of a chain, without what it said.
-
-    Attributes:
-        name: who said what, see `Step.name`.
-        seq: the packet's number among its source's.
-        travel_s: see `Step`.
-        handling_s: see `Step`.
-    """
-
-    name: str
-    seq: int
-    travel_s: float
-    handling_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +37,18 @@ class PickedCommand:
 
     mission_s: float
     text: str
-    steps: tuple[PickedStep, ...]
+    steps: tuple[ChainStep, ...]
     latency_s: float
 
     @classmethod
     def of(cls, command: ActuatorCommand, time: MissionTime) -> PickedCommand:
         """Makes one of a command; not of its stamp, as an agent that is started again counts its time anew."""
-        steps = tuple(
-            PickedStep(step.name, step.packet.seq, step.travel_s, step.handling_s) for step in command.chain.steps
-        )
         text = body_text(command.packet.body, BODY_CHARACTERS)
-        return cls(time.at(command.time_ns), text, steps, command.chain.latency_s)
+        return cls(time.at(command.time_ns), text, command.chain.steps, command.chain.latency_s)
 
 
 @dataclass
-class Actuator:
+class ActuatorCommands:
     """The commands to one actuator.
 
     Attributes:
@@ -124,7 +105,7 @@ class PickedCommands:
 
     time: MissionTime = MissionTime()
     left_out: int = 0
-    _by_actuator: dict[tuple[str, str], Actuator] = field(default_factory=dict)
+    _by_actuator: dict[tuple[str, str], ActuatorCommands] = field(default_factory=dict)
 
     def add(self, command: ActuatorCommand) -> None:
         """Takes a command, in the order of time."""
@@ -134,20 +115,20 @@ class PickedCommands:
             if len(self._by_actuator) >= MOST_ACTUATORS:
                 self.left_out += 1
                 return
-            actuator = self._by_actuator[key] = Actuator(*key)
+            actuator = self._by_actuator[key] = ActuatorCommands(*key)
         actuator.add(command, min(MOST_EVEN_EACH, MOST_EVEN // len(self._by_actuator)), self.time)
 
-    def actuators(self) -> list[Actuator]:
+    def actuators(self) -> list[ActuatorCommands]:
         """Returns the actuators that were commanded, by name."""
         return [actuator for _, actuator in sorted(self._by_actuator.items())]
 
     def plain(self) -> dict[str, Any]:
         """Returns all of it as plain values, each name once.
 
-        `names`: who said what. `kinds`: the shapes of chains, each a list of places in `names`. `texts`: what commands
-        said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a list: mission time in ms, place in
-        `texts`, place in `kinds`, the number of each step's packet, and of each step but the last the microseconds on
-        its way, and until the next.
+        `names`: publishers with the types of their packets. `kinds`: the shapes of chains, each a list of places in
+        `names`. `texts`: what commands said. `actuators`: `agent`, `type`, `count`, `stride`, and `commands`, each a
+        list: mission time in ms, place in `texts`, place in `kinds`, the number of each step's packet, and of each step
+        but the last the microseconds on its way, and until the next.
         """
         names, kinds, texts = _Numbered(), _Numbered(), _Numbered()
         actuators = []
@@ -161,7 +142,7 @@ class PickedCommands:
                         round(1e3 * it.mission_s),
                         texts.number(it.text),
                         kind,
-                        [step.seq for step in it.steps],
+                        [step.packet.seq for step in it.steps],
                         [round(1e6 * step.travel_s) for step in before],
                         [round(1e6 * step.handling_s) for step in before],
                     ]

@@ -7,12 +7,12 @@ from typing import Final
 
 from pancakes.recording.chains import Chain
 from pancakes.recording.commands import ActuatorCommand, CommandChains
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.picked import PickedCommands
-from pancakes.report.series import Sample
+from pancakes.report.series import Distribution
 
 MOST_SHAPES: Final = 200
-"""So many kinds of chains are told apart."""
+"""The most kinds of chains that are told apart."""
 
 
 @dataclass
@@ -20,14 +20,14 @@ class Reaction:
     """All chains of one shape: the same packet types of the same sources, in the same order.
 
     Attributes:
-        steps: who said what, the first cause first.
+        steps: publisher and packet type of each step, the first cause first.
         latency_s: from the first cause to the command.
         step_sums_s: of each step but the last, the time to the next one: summed, travel included.
         travel_sums_s: of that, the time between agents.
     """
 
     steps: tuple[str, ...]
-    latency_s: Sample = field(default_factory=Sample)
+    latency_s: Distribution = field(default_factory=Distribution)
     step_sums_s: list[float] = field(default_factory=list)
     travel_sums_s: list[float] = field(default_factory=list)
 
@@ -78,7 +78,7 @@ class Reactions:
     # Of causes only the names and times count; what they said may be large.
     _chains: CommandChains = field(default_factory=lambda: CommandChains(bodies=False))
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: RecordedPacket) -> None:
         """Takes a packet, in the order of time."""
         self._take(self._chains.add(entry))
 

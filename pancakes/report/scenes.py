@@ -1,4 +1,4 @@
-"""Pictures of the mission: paths, who ran what, batteries, moves."""
+"""Pictures of the mission: paths, tasks by agent, batteries, moves."""
 
 from __future__ import annotations
 
@@ -6,11 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pancakes.report.course import Lane
 from pancakes.report.findings import Findings
-from pancakes.report.moves import Move
-from pancakes.report.paths import Body, Command
-from pancakes.report.style import COLUMN_IN, DASHES, FAINT, INK, WIDE_IN, Palette, Picture, figure, save, time_axis
+from pancakes.report.moves import TaskMove
+from pancakes.report.paths import Body, CommandSpan
+from pancakes.report.style import (
+    COLOURS,
+    COLUMN_IN,
+    DASHES,
+    FAINT,
+    INK,
+    WIDE_IN,
+    Palette,
+    Picture,
+    figure,
+    label_rows,
+    plot_line,
+    save,
+    time_axis,
+)
+from pancakes.report.task_timeline import TaskLane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,7 +36,7 @@ MOST_MOVES = 12
 
 
 def draw_paths(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws where everybody went, and which task drove it. None where nothing has a place."""
+    """Draws where all bodies went, and which task drove them. None where nothing has a place."""
     bodies = findings.paths.bodies()
     if not bodies:
         return None
@@ -60,7 +74,7 @@ def _how_known(findings: Findings, tasks: Sequence[str]) -> str:
     return f"{told}; line styles: the task that commanded the wheels" if tasks else told
 
 
-def _body(axes: Axes, body: Body, commands: Sequence[Command], tasks: Sequence[str], palette: Palette) -> None:
+def _body(axes: Axes, body: Body, commands: Sequence[CommandSpan], tasks: Sequence[str], palette: Palette) -> None:
     points = body.path.whole()
     x_m, y_m = [point[1] for point in points], [point[2] for point in points]
     if body.kind == "sensor":
@@ -105,7 +119,7 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
 
 
 def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
-    """Draws who ran what. None where no task of a mission ran."""
+    """Draws which agent ran which task. None where no task of a mission ran."""
     lanes = [lane for _, lane in sorted(findings.course.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
         return None
@@ -120,15 +134,13 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
                     axes.plot(span.to_s, place, "x", ms=5, mew=1.2, color=INK, zorder=3)
         for move in findings.moves.moves:
             _arrow(axes, move, lanes)
-        axes.set_yticks(range(len(lanes)), [f"{lane.agent}  {lane.task}" for lane in lanes])
-        axes.set_ylim(len(lanes) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
         time_axis(axes, findings.begin_s, findings.end_s, clock)
         moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
-        return save(made, out, "tasks", f"Who ran what. Crosses: failures.{moved}")
+        return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
 
 
-def _arrow(axes: Axes, move: Move, lanes: Sequence[Lane]) -> None:
+def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
     places = {(lane.agent, lane.task): place for place, lane in enumerate(lanes)}
     begin, end = places.get((move.source, move.task)), places.get((move.winner, move.task))
     if move.outcome == "moved" and begin is not None and end is not None:
@@ -142,22 +154,15 @@ def _arrow(axes: Axes, move: Move, lanes: Sequence[Lane]) -> None:
 
 
 def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
-    """Draws what was left in the batteries. None where nobody has one."""
+    """Draws what was left in the batteries. None where no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
         return None
     with figure(COLUMN_IN, 1.9) as made:
         axes = made.add_subplot()
         for number, (agent, series) in enumerate(sorted(batteries.items())):
-            points = series.whole()
-            axes.plot(
-                [point[0] for point in points],
-                [100.0 * point[1] for point in points],
-                lw=1.1,
-                ls=DASHES[number // 8 % len(DASHES)],
-                color=palette.colour(agent),
-                label=agent,
-            )
+            points = [(t_s, 100.0 * level) for t_s, level in series.whole()]
+            plot_line(axes, points, number // len(COLOURS), palette.colour(agent), agent, lw=1.1)
         for move in findings.moves.moves[:MOST_MOVES]:
             if move.outcome == "moved":
                 axes.axvline(move.at_s, color=FAINT, lw=0.7, zorder=0)
@@ -169,7 +174,7 @@ def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) 
 
 
 def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | None:
-    """Draws what the neighbours asked for in each move. None where nobody was asked."""
+    """Draws what the neighbours asked for in each move. None where no neighbour was asked."""
     moves = [move for move in findings.moves.moves if any(it.cost is not None for it in move.answers)][:MOST_MOVES]
     if not moves:
         return None
@@ -187,9 +192,9 @@ def draw_moves(findings: Findings, palette: Palette, out: Path) -> Picture | Non
             axes.plot(it.cost, place, "o" if won else ".", ms=4, color=colour)
             axes.text(it.cost + 0.03 * largest, place, f"{it.cost:.3g}, {it.fate}", va="center", fontsize=7)
         labels = [f"{move.task} at {move.at_s:.0f} s: {it.peer}" for move, it in rows]
-        axes.set_yticks(range(len(rows)), labels)
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.tick_params(axis="y", length=0)
+        label_rows(axes, labels)
         axes.set_xlim(-0.04 * largest, 1.35 * largest)
         axes.set_xlabel("cost asked for")
-        return save(made, out, "moves", "What neighbours asked for when a task was to move; filled: who got it.")
+        return save(
+            made, out, "moves", "What neighbours asked for when a task was to move; filled: the agent that got it."
+        )

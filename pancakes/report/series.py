@@ -13,34 +13,53 @@ MOST_SAMPLES: Final = 5000
 
 
 @dataclass
-class Series:
-    """Points in the order of time. Where they become too many, every other one is left out, and of those to come.
+class Thinned:
+    """Items in bounded memory. Where they become too many, every other one is left out, and of those to come.
 
     Attributes:
-        points: the time of each, in seconds, and its values.
+        most: so many are kept.
+        kept: the items that were kept, oldest first.
+        count: how many there were.
+        stride: of so many one is kept.
+    """
+
+    most: int
+    kept: list[Any] = field(default_factory=list)
+    count: int = 0
+    stride: int = 1
+
+    def add(self, item: Any, /) -> None:
+        """Adds an item."""
+        if self.count % self.stride == 0:
+            self.kept.append(item)
+            if len(self.kept) > self.most:
+                self.kept = self.kept[::2]
+                self.stride *= 2
+        self.count += 1
+
+
+class TimeSeries(Thinned):
+    """Points in the order of time: the time of each, in seconds, and its values.
+
+    Attributes:
         last: the newest point, whether it was kept or not.
     """
 
-    points: list[tuple[Any, ...]] = field(default_factory=list)
     last: tuple[Any, ...] | None = None
-    _stride: int = 1
-    _count: int = 0
+
+    def __init__(self) -> None:
+        super().__init__(MOST_POINTS)
 
     def add(self, *point: Any) -> None:
         """Adds a point: its time and its values."""
         self.last = point
-        if self._count % self._stride == 0:
-            self.points.append(point)
-            if len(self.points) > MOST_POINTS:
-                self.points = self.points[::2]
-                self._stride *= 2
-        self._count += 1
+        super().add(point)
 
     def whole(self) -> list[tuple[Any, ...]]:
         """Returns the points, the newest one included."""
-        if self.last is not None and self.points[-1] is not self.last:
-            return [*self.points, self.last]
-        return self.points
+        if self.last is not None and self.kept[-1] is not self.last:
+            return [*self.kept, self.last]
+        return self.kept
 
 
 @dataclass
@@ -89,32 +108,24 @@ def _halved(counts: dict[int, float]) -> dict[int, float]:
     return halved
 
 
-@dataclass
-class Sample:
-    """Values of which a distribution is wanted. Where they become too many, every other one is left out.
+class Distribution(Thinned):
+    """Values of which a distribution is wanted.
 
     Attributes:
-        values: those that were kept.
-        count: how many there were.
-        largest: of all.
+        largest: of all values, kept or not.
     """
 
-    values: list[float] = field(default_factory=list)
-    count: int = 0
-    largest: float = -math.inf
-    _stride: int = 1
+    largest = -math.inf
 
-    def add(self, value: float) -> None:
+    def __init__(self) -> None:
+        super().__init__(MOST_SAMPLES)
+
+    def add(self, value: float, /) -> None:
         """Adds a value."""
-        if self.count % self._stride == 0:
-            self.values.append(value)
-            if len(self.values) > MOST_SAMPLES:
-                self.values = self.values[::2]
-                self._stride *= 2
-        self.count += 1
+        super().add(value)
         self.largest = max(self.largest, value)
 
     def quantile(self, share: float) -> float:
         """Returns the value that this share of all stayed below, from 0 to 1."""
-        ordered = sorted(self.values)
-        return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+        ordered = sorted(self.kept)
+        return float(ordered[min(len(ordered) - 1, int(share * len(ordered)))])

@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import PancakesError
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#8c6d31", "#7f7f7f")
-"""Okabe and Ito's, without the yellow that nobody sees on white, and two more."""
+"""Okabe and Ito's, without the yellow, which is hardly seen on white, and two more."""
 DASHES: Final = ((0, ()), (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 MARKERS: Final = ("^", "s", "D", "v", "o", "P", "X", "*")
 INK, FAINT = "#333333", "#9a9a9a"
@@ -28,33 +29,6 @@ WIDE_IN: Final = 7.16
 DPI: Final = 300
 ON_SCREEN: Final = 1.9
 """Pixels of a page for each point of a picture: a screen is read from further away than paper."""
-_STYLE: Final = {
-    "font.size": 8,
-    "font.family": "DejaVu Sans",
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "legend.fontsize": 7,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "axes.linewidth": 0.6,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.width": 0.4,
-    "ytick.minor.width": 0.4,
-    # Minor ticks are 1.5 pt shorter: their labels then stand in one line with those of major ones.
-    "xtick.minor.pad": 5.0,
-    "ytick.minor.pad": 5.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "svg.fonttype": "path",
-    "axes.axisbelow": True,
-}
 
 
 @dataclass(frozen=True)
@@ -73,21 +47,21 @@ class Picture:
 
 
 class Palette:
-    """Gives everybody one colour and one marker throughout a report.
+    """Gives each name one colour and one marker throughout a report.
 
     Args:
-        names: who there is; those that come first get what is easiest to tell apart.
+        names: the names; the first ones get the colours that are easiest to tell apart.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
         self._places = {name: place for place, name in enumerate(dict.fromkeys(names))}
 
     def colour(self, name: str) -> str:
-        """Returns somebody's colour."""
+        """Returns the colour of a name."""
         return COLOURS[self._place(name) % len(COLOURS)]
 
     def marker(self, name: str) -> str:
-        """Returns somebody's marker."""
+        """Returns the marker of a name."""
         return MARKERS[self._place(name) % len(MARKERS)]
 
     def _place(self, name: str) -> int:
@@ -115,7 +89,8 @@ def figure(width_in: float, height_in: float) -> Iterator[Figure]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_STYLE):
+    style = resources.files("pancakes.report").joinpath("static/report.mplstyle")
+    with resources.as_file(style) as path, matplotlib.rc_context(fname=path):
         made = Figure(figsize=(width_in, height_in), layout="constrained")
         FigureCanvasAgg(made)
         yield made
@@ -160,6 +135,19 @@ def time_axis(axes: Axes, begin_s: float, end_s: float, clock: str) -> None:
     """Makes the horizontal axis one of time."""
     axes.set_xlim(begin_s, max(end_s, begin_s + 1e-3))
     axes.set_xlabel(f"{clock} [s]")
+
+
+def plot_line(axes: Axes, points: Sequence[tuple[Any, ...]], number: int, colour: str, label: str, **how: Any) -> None:
+    """Draws a line through points; its dashes follow from its number among the lines of a colour."""
+    dashes = DASHES[number % len(DASHES)]
+    axes.plot([x for x, _ in points], [y for _, y in points], ls=dashes, color=colour, label=label, **how)
+
+
+def label_rows(axes: Axes, labels: Sequence[str]) -> None:
+    """Names the rows of a picture, from the top downwards."""
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
 
 
 def label_log(axis: Axis) -> None:

@@ -31,29 +31,22 @@ class Flow:
         """Returns the names, those with the most bytes first."""
         return sorted(self.packets.slots, key=lambda name: (-self.bytes.total(name), name))
 
-    def forget(self, name: str) -> None:
-        """Removes what was counted under a name."""
-        self.packets.slots.pop(name, None)
-        self.bytes.slots.pop(name, None)
-
 
 @dataclass
 class Traffic:
     """What travelled between agents.
 
     A packet that travels may be seen twice, where it leaves and where it arrives. It counts where it arrives; where
-    nobody recorded there, where it leaves.
+    the receiver was not recorded, where it leaves.
 
     Attributes:
         links: by link, as `FROM → TO`.
         channels: by channel, all links together.
-        local: packets on each channel that stayed on their agent.
         heard: the agents that were recorded.
     """
 
     links: Flow = field(default_factory=Flow)
     channels: Flow = field(default_factory=Flow)
-    local: Counts = field(default_factory=Counts)
     heard: set[str] = field(default_factory=set)
     _leaving: Flow = field(default_factory=Flow)
     _leaving_channels: dict[str, Flow] = field(default_factory=dict)
@@ -73,8 +66,6 @@ class Traffic:
             size = self._size(packet)
             self._leaving.add(t_s, name, size)
             self._leaving_channels.setdefault(name, Flow()).add(t_s, packet.channel, size)
-        else:
-            self.local.add(t_s, packet.channel)
 
     def _size(self, packet: Packet) -> int:
         try:

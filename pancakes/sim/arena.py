@@ -1,11 +1,10 @@
-"""The solid things of the simulated world: walls, robots, a sensor node, somebody who walks.
+"""The solid things of the simulated world: walls, robots, sensor nodes, walking persons.
 
 One actor owns an arena; nothing here is safe to call from several threads. The arena's frame has its origin in
 the middle, x to the right and y up.
 
-While nothing is near enough to touch anything else, discs coast: each goes on by itself, step by step as pymunk would
-move it, at a quarter of the cost (measured: 4 against 16 microseconds a step in the encirclement, all included). Where
-something may touch, pymunk moves them all.
+While no disc is near enough to touch anything, discs coast: each moves by itself, step by step as pymunk would move it,
+at a fraction of the cost. Where a disc may touch something, pymunk moves them all.
 """
 
 from __future__ import annotations
@@ -26,9 +25,7 @@ _TOUCH_AGAIN_S = 0.5
 _ROOM_M: Final = 0.01
 """Discs that have less room than this do not coast."""
 _LOOK_AGAIN_S: Final = 0.1
-"""So long discs do not coast once they could not: to look whether they can takes longer than a step."""
-_FEW: Final = 8
-"""Among so few discs those that are near need not be looked up."""
+"""The time for which discs do not coast once they could not: checking it takes longer than a step."""
 _BY_X = attrgetter("x_m")
 
 
@@ -61,7 +58,6 @@ class Arena:
         self.half_width_m = 0.5 * width_m
         self.half_height_m = 0.5 * height_m
         self._solver = Solver(self.half_width_m, self.half_height_m, self._begin, self._separate)
-        self._discs: list[Disc] = []
         self._moving: list[Disc] = []
         self._by_x: list[Disc] = []
         self._sorted = False
@@ -76,10 +72,9 @@ class Arena:
     def add(
         self, name: str, x_m: float, y_m: float, theta_rad: float, radius_m: float, mass_kg: float = math.inf
     ) -> Disc:
-        """Puts a disc into the arena; without a mass it stands there for good."""
+        """Puts a disc into the arena; without a mass it never moves."""
         disc = Disc(name, radius_m, x_m, y_m, theta_rad, mass_kg)
         self._solver.add(disc)
-        self._discs.append(disc)
         if not math.isinf(mass_kg):
             self._moving.append(disc)
         self._by_x.append(disc)
@@ -162,8 +157,6 @@ class Arena:
         Returns:
             For each sensor the distance to the nearest thing in its cone, infinity where there is none.
         """
-        if len(self._discs) <= _FEW:
-            return fan.ranges(disc, self._discs, self.half_width_m, self.half_height_m)
         by_x = self._discs_by_x()
         reach_m = fan.reach_m + self._widest_m
         first = bisect_left(by_x, disc.x_m - reach_m, key=_BY_X)

@@ -1,4 +1,4 @@
-"""The bodies of a simulated world: a robot with its wheels and battery, a sensor node, somebody who walks."""
+"""The bodies of a simulated world: a robot with its wheels and battery, a sensor node, a walking person."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ class Robot:
 
 
 @dataclass
-class Sensor:
+class SensorNode:
     """A sensor node: a body that stands, with a motion sensor."""
 
     disc: Disc
@@ -125,13 +125,13 @@ class Sensor:
 
 @dataclass
 class Walker:
-    """Somebody who walks.
+    """A walking person.
 
     Attributes:
         disc: the body.
         mover: what decides where it goes.
         settings: how it walks.
-        standing: what it must keep off that stands there for good.
+        standing: the obstacles that never move.
     """
 
     disc: Disc

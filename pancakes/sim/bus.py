@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 import msgspec
 
@@ -95,7 +95,7 @@ class Reading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, fr
     value: Any
 
 
-class Answer(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
+class RawReading(msgspec.Struct, tag_field="is", tag="reading", array_like=True, frozen=True):
     """A `Reading` as it arrives: its value is still packed, so that it is made into its class at once."""
 
     device: str
@@ -123,10 +123,11 @@ class Refused(msgspec.Struct, tag_field="is", tag="refused", array_like=True, fr
 
 Request: TypeAlias = Attach | Drive | Halt | Sample
 Reply: TypeAlias = Attached | Reading | Refused
-Replied: TypeAlias = Attached | Answer | Refused
+Replied: TypeAlias = Attached | RawReading | Refused
 
 _REQUESTS: Final[Callable[[Any], list[Request]]] = codecs.decoder(list[Request])
 _REPLIES: Final[Callable[[Any], list[Replied]]] = codecs.decoder(list[Replied])
+_Message = TypeVar("_Message")
 
 
 @cache
@@ -139,43 +140,40 @@ def encode(message: Request | Reply) -> bytes:
     return frame_of(codecs.encode((message,)))
 
 
-class RequestReader:
+class BusReader(Generic[_Message]):
+    """Makes messages of the bytes that come from the other end.
+
+    Args:
+        decode: makes the messages of a frame.
+        called: what a message is called.
+    """
+
+    def __init__(self, decode: Callable[[Any], list[_Message]], called: str) -> None:
+        self._frames = FrameReader()
+        self._decode = decode
+        self._called = called
+
+    def feed(self, data: bytes) -> list[_Message]:
+        """Takes bytes, and returns the messages that are now complete.
+
+        Raises:
+            RemoteProtocolError: the bytes are no such messages.
+        """
+        try:
+            return [message for payload in self._frames.feed(data) for message in self._decode(payload)]
+        except MALFORMED as error:
+            raise RemoteProtocolError(f"that is no {self._called}: {why_malformed(error)}") from None
+
+
+class RequestReader(BusReader[Request]):
     """Makes requests of the bytes that come from one client."""
 
     def __init__(self) -> None:
-        self._frames = FrameReader()
-
-    def feed(self, data: bytes) -> list[Request]:
-        """Takes bytes, and returns the requests that are now complete.
-
-        Raises:
-            RemoteProtocolError: the bytes are no requests.
-        """
-        try:
-            payloads = self._frames.feed(data)
-            if len(payloads) == 1:
-                return _REQUESTS(payloads[0])
-            return [request for payload in payloads for request in _REQUESTS(payload)]
-        except MALFORMED as error:
-            raise RemoteProtocolError(f"that is no request to a simulated world: {why_malformed(error)}") from None
+        super().__init__(_REQUESTS, "request to a simulated world")
 
 
-class ReplyReader:
+class ReplyReader(BusReader[Replied]):
     """Makes replies of the bytes that come from a world."""
 
     def __init__(self) -> None:
-        self._frames = FrameReader()
-
-    def feed(self, data: bytes) -> list[Replied]:
-        """Takes bytes, and returns the replies that are now complete.
-
-        Raises:
-            RemoteProtocolError: the bytes are no replies.
-        """
-        try:
-            payloads = self._frames.feed(data)
-            if len(payloads) == 1:
-                return _REPLIES(payloads[0])
-            return [reply for payload in payloads for reply in _REPLIES(payload)]
-        except MALFORMED as error:
-            raise RemoteProtocolError(f"that is no reply of a simulated world: {why_malformed(error)}") from None
+        super().__init__(_REPLIES, "reply of a simulated world")

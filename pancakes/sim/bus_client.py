@@ -8,7 +8,7 @@ from threading import Lock
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.net.transport import Connection, Scheduled, Transport
-from pancakes.sim.bus import Answer, Attach, Refused, Replied, ReplyReader, Request, encode
+from pancakes.sim.bus import Attach, RawReading, Refused, Replied, ReplyReader, Request, encode
 
 _FIRST_RETRY_S = 0.1
 _LONGEST_RETRY_S = 1.0
@@ -22,14 +22,14 @@ class Attachment:
     The functions are called in the transport's thread.
 
     Attributes:
-        attach: says who uses what.
+        attach: says which device uses which body.
         reading: takes a reading.
         refused: takes the reason why a request was refused.
         lost: told that the world is gone: what was asked for will not come.
     """
 
     attach: Attach
-    reading: Callable[[Answer], None]
+    reading: Callable[[RawReading], None]
     refused: Callable[[str], None]
     lost: Callable[[], None]
 
@@ -58,7 +58,7 @@ class BusClient:
         self._retry_s = _FIRST_RETRY_S
         self._waited_s = 0.0
         self._warned = False
-        self._transport.dial(address, _Line(self))
+        self._transport.dial(address, _DialedConnection(self))
 
     def attach(self, attachment: Attachment) -> None:
         """Lets a device use a body, from now on and after each reconnection."""
@@ -108,13 +108,13 @@ class BusClient:
         attachment = self._attachments.get(reply.device)
         if attachment is None:
             return  # its device was closed meanwhile
-        if isinstance(reply, Answer):
+        if isinstance(reply, RawReading):
             attachment.reading(reply)
         elif isinstance(reply, Refused):
             attachment.refused(reply.reason)
 
     def lost(self, reason: str) -> None:
-        """The connection is gone, or never came to stand."""
+        """The connection is gone, or could not be made."""
         was_reached, self._reached = self._reached, False
         self._connection = None
         if self._closed:
@@ -133,10 +133,10 @@ class BusClient:
 
     def _dial(self) -> None:
         if not self._closed:
-            self._transport.dial(self._address, _Line(self))
+            self._transport.dial(self._address, _DialedConnection(self))
 
 
-class _Line:
+class _DialedConnection:
     """One attempt at a connection, and the connection if it stands."""
 
     def __init__(self, client: BusClient) -> None:

@@ -28,7 +28,7 @@ class BusServer:
         self.call = call
         self.serve: Serve | None = serve
         self.log = log
-        self.clients: dict[_Client, None] = {}
+        self.clients: dict[_BusConnection, None] = {}
 
     def listen(self, address: str) -> str:
         """Takes connections at `address` from now on; returns the address that was really taken.
@@ -36,7 +36,7 @@ class BusServer:
         Raises:
             PancakesError: the address is in use, or is no address.
         """
-        return self._transport.listen(address, lambda: _Client(self))
+        return self._transport.listen(address, lambda: _BusConnection(self))
 
     def close(self) -> None:
         """Answers nothing more, and closes the connections: so the devices learn that the world is gone."""
@@ -45,7 +45,7 @@ class BusServer:
             client.close("the world has ended")
 
 
-class _Client:
+class _BusConnection:
     """One agent's devices, at the end of a connection. Lives in the transport's thread."""
 
     def __init__(self, server: BusServer) -> None:

@@ -17,7 +17,7 @@ class Disc:
         x_m: where its centre is.
         y_m: where its centre is.
         angle_rad: its heading.
-        mass_kg: its mass; infinity: it stands there for good.
+        mass_kg: its mass; infinity: it never moves.
 
     Attributes:
         angle_rad: its heading as its turns add up.
@@ -26,23 +26,6 @@ class Disc:
         turning_radps: how fast it truly turns.
         top_mps: the fastest that it moves, while nothing else is asked of it.
     """
-
-    __slots__ = (
-        "_forward_mps",
-        "_looks_rad",
-        "_omega_radps",
-        "_walk",
-        "angle_rad",
-        "mass_kg",
-        "name",
-        "radius_m",
-        "top_mps",
-        "turning_radps",
-        "vx_mps",
-        "vy_mps",
-        "x_m",
-        "y_m",
-    )
 
     def __init__(self, name: str, radius_m: float, x_m: float, y_m: float, angle_rad: float, mass_kg: float) -> None:
         self.name = name
@@ -82,16 +65,6 @@ class Disc:
         """Its heading, in (-pi, pi]."""
         theta_rad = self._looks_rad if self._walk is not None else self.angle_rad
         return math.pi - (math.pi - theta_rad) % math.tau
-
-    @property
-    def v_mps(self) -> float:
-        """Its true speed along its heading."""
-        return self.course()[1]
-
-    @property
-    def omega_radps(self) -> float:
-        """Its true turning rate."""
-        return self.course()[2]
 
     def course(self) -> tuple[float, float, float]:
         """Returns its heading, its true speed along that, and its true turning rate: all of them for one call."""

@@ -22,25 +22,21 @@ STILL = Wheels(0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
-class DifferentialDrive:
+class DriveKinematics:
     """Two wheels on one axle.
 
     Attributes:
         wheel_base_m: distance between the wheels.
-        wheel_radius_m: radius of a wheel.
         max_wheel_mps: the fastest that a wheel can run, either way.
         max_v_mps: the fastest forward speed that the course controller takes.
         max_omega_radps: the fastest turning rate that the course controller takes.
-        ticks_per_turn: what the encoder counts in one turn of a wheel.
         units_per_mps: the motor controller's whole units of speed for 1 m/s; it can do nothing in between.
     """
 
     wheel_base_m: float
-    wheel_radius_m: float
     max_wheel_mps: float
     max_v_mps: float
     max_omega_radps: float
-    ticks_per_turn: int
     units_per_mps: float
 
     def wheels(self, twist: Twist) -> Wheels:
@@ -79,7 +75,3 @@ class DifferentialDrive:
         if not -limit_mps <= speed_mps <= limit_mps:
             speed_mps = min(max(speed_mps, -limit_mps), limit_mps)
         return round(speed_mps * self.units_per_mps) / self.units_per_mps
-
-    def ticks(self, distance_m: float) -> int:
-        """Returns what a wheel's encoder counts while the wheel rolls `distance_m`."""
-        return round(distance_m / (2.0 * math.pi * self.wheel_radius_m) * self.ticks_per_turn)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from pancakes.devices.driver import Actuator, DeviceContext, Sensor
 from pancakes.devices.types import Twist
 from pancakes.errors import PancakesError
-from pancakes.sim.bus import Answer, Attach, Drive, Halt, Request, Sample
+from pancakes.sim.bus import Attach, Drive, Halt, RawReading, Request, Sample
 from pancakes.sim.bus_client import Attachment, BusClient
 from pancakes.sim.models import robot_model
 from pancakes.sim.quantities import Positive
@@ -39,7 +39,7 @@ class _BusDevice:
     def send(self, request: Request) -> bool:
         return self._bus.send(request)
 
-    def _reading(self, answer: Answer) -> None:
+    def _reading(self, answer: RawReading) -> None:
         self.waiting = False
         try:
             body = answer.body()

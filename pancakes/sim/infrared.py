@@ -29,10 +29,6 @@ class IrCurve:
         """Returns what the sensor says of something at `distance_m`; infinity means that it sees nothing."""
         return self.peak_raw * math.exp(-self.decay_per_m * (max(distance_m, self.nearest_m) - self.nearest_m))
 
-    def distances(self, up_to: int) -> tuple[float, ...]:
-        """Returns what each whole number from 0 to `up_to` means in metres."""
-        return tuple(self.distance(raw) for raw in range(up_to + 1))
-
     def distance(self, raw: float) -> float:
         """Returns the distance that `raw` means, in metres, within the sensor's range."""
         if raw <= 0.0:

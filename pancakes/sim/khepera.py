@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from pancakes.sim.drive import DifferentialDrive
+from pancakes.sim.drive import DriveKinematics
 from pancakes.sim.infrared import IrCurve
 from pancakes.sim.robot import IrRing, RangeSensor, RobotModel, SonarRing
 
@@ -38,13 +38,11 @@ KHEPERA_III: Final = RobotModel(
     name="khepera3",
     diameter_m=_DIAMETER_M,
     mass_kg=0.69,
-    drive=DifferentialDrive(
+    drive=DriveKinematics(
         wheel_base_m=0.0885,
-        wheel_radius_m=0.021,
         max_wheel_mps=_MAX_UNITS / _UNITS_PER_MPS,
         max_v_mps=0.314,
         max_omega_radps=2.276,
-        ticks_per_turn=2764,
         units_per_mps=_UNITS_PER_MPS,
     ),
     full_v=8.4,

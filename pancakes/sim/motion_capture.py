@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from pancakes.devices.pace import Pace
 from pancakes.devices.types import Pose
 from pancakes.packet import SYSTEM, Packet
-from pancakes.sim.normal import normals
 from pancakes.sim.quantities import NotNegative, Positive
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.task import Task, on
@@ -29,14 +28,14 @@ def measured(body: BodyState, noise_m: float, noise_rad: float, normal: Callable
 
 
 class MotionCapture(Task):
-    """Sends the poses of bodies to whom they belong.
+    """Sends the poses of bodies to the agents that they belong to.
 
     Needs the task `sim.world` on the same agent, and can send no more often than that publishes its state.
     """
 
     @dataclass
     class Settings:
-        """Who gets which pose.
+        """Which address gets which pose.
 
         Attributes:
             targets: the address that gets a body's pose, by the body's name: `agent1 = "agent1/device/pose"`.
@@ -55,7 +54,7 @@ class MotionCapture(Task):
     def on_start(self) -> None:
         self._pace = Pace(self.settings.send_hz)
         self._missing_told = False
-        self._normal = normals(self.random)
+        self._normal = self.random.gauss
 
     def on_settings(self) -> None:
         self._pace = Pace(self.settings.send_hz)

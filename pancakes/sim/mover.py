@@ -1,4 +1,4 @@
-"""Somebody who walks through the arena, so that a motion sensor has something to sense, and gives way to robots.
+"""A person that walks through the arena, so that a motion sensor has something to sense, and gives way to robots.
 
 The way is decided ten times a second, from positions and speeds alone: straight on to the next waypoint where
 that keeps clear of everything for the next two seconds, else the least turn that does, else standing still, else
@@ -18,7 +18,7 @@ import msgspec
 from pancakes.sim.quantities import NotNegative, Positive
 
 DECIDE_EVERY_S: Final = 0.1
-"""How often a mover looks round."""
+"""How often a mover decides where to go."""
 
 _HORIZON_S = 2.0
 _TURNS = 16
@@ -29,7 +29,7 @@ _TRIES = 50
 
 @dataclass
 class MoverSettings:
-    """How somebody walks.
+    """How a person walks.
 
     Attributes:
         x_m: where it stands at first.
@@ -82,7 +82,7 @@ class Obstacle(msgspec.Struct, frozen=True, gc=False):
 
 
 class Mover:
-    """Decides where somebody walks.
+    """Decides where a person walks.
 
     Args:
         settings: how it walks.
@@ -116,7 +116,7 @@ class Mover:
             x_m: where it stands.
             y_m: where it stands.
             robots: what it gives way to.
-            fixed: what stands in the arena for good.
+            fixed: the obstacles that never move.
         """
         obstacles = (*robots, *fixed)
         self._follow_plan(time_s, x_m, y_m, fixed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from pancakes.sim.drive import DifferentialDrive
+from pancakes.sim.drive import DriveKinematics
 from pancakes.sim.robot import RangeSensor, RobotModel, SonarRing
 
 _DIAMETER_M = 0.455
@@ -28,13 +28,11 @@ PIONEER_3DX: Final = RobotModel(
     name="pioneer3dx",
     diameter_m=_DIAMETER_M,
     mass_kg=9.0,
-    drive=DifferentialDrive(
+    drive=DriveKinematics(
         wheel_base_m=0.33,
-        wheel_radius_m=0.0975,
         max_wheel_mps=0.75,
         max_v_mps=0.7,
         max_omega_radps=math.radians(140.0),
-        ticks_per_turn=19_105,
         units_per_mps=1000.0,
     ),
     full_v=12.6,

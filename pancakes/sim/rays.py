@@ -1,7 +1,6 @@
 """What a ring of range sensors sees: rays against discs and the walls of a rectangle, in closed form.
 
-A reading of 27 rays takes a few microseconds where nothing is near, and some 20 beside a wall; asking pymunk for each
-ray takes 2.5 microseconds a ray, most of them for the call.
+This is several times quicker than asking pymunk for each ray.
 """
 
 from __future__ import annotations
@@ -37,10 +36,12 @@ class Fan:
         max_range_m: how far a ray reaches.
 
     Attributes:
+        bearings_rad: where they look, from straight ahead.
         reach_m: what is farther away from the body's centre is seen by none of them.
     """
 
     def __init__(self, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float) -> None:
+        self.bearings_rad = tuple(sensor.bearing_rad for sensor in sensors)
         self._max_range_m = max_range_m
         self._slope = math.tan(min(0.5 * cone_rad, 1.5))
         self.reach_m = max_range_m + max(math.hypot(sensor.x_m, sensor.y_m) for sensor in sensors)

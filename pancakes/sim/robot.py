@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pancakes.sim.drive import DifferentialDrive
+from pancakes.sim.drive import DriveKinematics
 from pancakes.sim.infrared import IrCurve
 
 
@@ -59,7 +59,7 @@ class RobotModel:
     name: str
     diameter_m: float
     mass_kg: float
-    drive: DifferentialDrive
+    drive: DriveKinematics
     full_v: float
     empty_v: float
     ir: IrRing | None = None

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from pancakes.devices.types import Battery, Infrared, Motion, Sonar
 from pancakes.sim.arena import Arena
-from pancakes.sim.body import Robot, Sensor
+from pancakes.sim.body import Robot, SensorNode
 from pancakes.sim.disc import Disc
-from pancakes.sim.normal import normals
 from pancakes.sim.rays import Fan
 from pancakes.sim.robot import IrRing, SonarRing
 from pancakes.sim.settings import NoiseSettings
@@ -19,36 +17,6 @@ from pancakes.sim.settings import NoiseSettings
 _IR_RAYS = 3
 _SONAR_RAYS = 5
 _IR_MAX_RAW = 4095  # its converter has 12 bits
-
-
-@dataclass(frozen=True, slots=True)
-class _Ring:
-    """What does not change from one reading of a ring of sensors to the next.
-
-    Attributes:
-        fan: its rays.
-        bearings_rad: where its sensors look.
-        limit_m: their full range.
-        curve_raw: what an infrared sensor says of a distance.
-        metres: what each of its words means.
-    """
-
-    fan: Fan
-    bearings_rad: tuple[float, ...]
-    limit_m: float
-    curve_raw: Callable[[float], float]
-    metres: tuple[float, ...]
-
-
-def _ring_of(
-    ring: IrRing | SonarRing,
-    rays: int,
-    limit_m: float,
-    curve_raw: Callable[[float], float] = lambda distance_m: distance_m,
-    metres: tuple[float, ...] = (),
-) -> _Ring:
-    bearings_rad = tuple(sensor.bearing_rad for sensor in ring.sensors)
-    return _Ring(Fan(ring.sensors, ring.cone_rad, rays, limit_m), bearings_rad, limit_m, curve_raw, metres)
 
 
 class Senses:
@@ -63,8 +31,8 @@ class Senses:
     def __init__(self, arena: Arena, noise: NoiseSettings, random: random.Random) -> None:
         self._arena = arena
         self._noise = noise
-        self._normal = normals(random)
-        self._rings: dict[tuple[str, str], _Ring] = {}  # by the kind of robot and the kind of ring
+        self._normal = random.gauss
+        self._fans: dict[tuple[str, int], Fan] = {}  # by the kind of robot, and the rays of a sensor
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
         """Measures a robot's battery."""
@@ -77,16 +45,17 @@ class Senses:
         Raises:
             PancakesError: robots of this kind have none.
         """
-        ring = self._rings.get((robot.model.name, "ir")) or self._infrared_ring(robot)
-        normal, curve_raw, metres = self._normal, ring.curve_raw, ring.metres
+        ring = robot.infrared_ring()
+        normal, curve = self._normal, ring.curve
         ir_share, ir_raw = self._noise.ir_share, self._noise.ir_raw
+        fan = self._fans.get((robot.model.name, _IR_RAYS)) or self._fan(robot, ring, _IR_RAYS, curve.farthest_m)
         raw = []
-        for distance_m in self._arena.ranges(robot.disc, ring.fan):
+        for distance_m in self._arena.ranges(robot.disc, fan):
             noisy = ir_raw * normal()
             if distance_m < math.inf:
-                noisy += curve_raw(distance_m) * (1.0 + ir_share * normal())
+                noisy += curve.raw(distance_m) * (1.0 + ir_share * normal())
             raw.append(round(noisy) if 0.0 < noisy < _IR_MAX_RAW else 0 if noisy < 1.0 else _IR_MAX_RAW)
-        return Infrared(ring.bearings_rad, tuple([metres[value] for value in raw]), ring.limit_m, tuple(raw))
+        return Infrared(fan.bearings_rad, tuple(map(curve.distance, raw)), curve.farthest_m, tuple(raw))
 
     def sonar(self, robot: Robot) -> Sonar:
         """Asks a robot's sonar ring.
@@ -94,27 +63,21 @@ class Senses:
         Raises:
             PancakesError: robots of this kind have none.
         """
-        ring = self._rings.get((robot.model.name, "sonar")) or self._sonar_ring(robot)
-        limit_m, sonar_m, normal = ring.limit_m, self._noise.sonar_m, self._normal
+        ring = robot.sonar_ring()
+        limit_m, sonar_m, normal = ring.max_range_m, self._noise.sonar_m, self._normal
+        fan = self._fans.get((robot.model.name, _SONAR_RAYS)) or self._fan(robot, ring, _SONAR_RAYS, limit_m)
         ranges_m = []
-        for distance_m in self._arena.ranges(robot.disc, ring.fan):
+        for distance_m in self._arena.ranges(robot.disc, fan):
             if distance_m < math.inf:
                 distance_m += sonar_m * normal()
             ranges_m.append(0.0 if distance_m < 0.0 else distance_m if distance_m < limit_m else limit_m)
-        return Sonar(ring.bearings_rad, tuple(ranges_m), limit_m)
+        return Sonar(fan.bearings_rad, tuple(ranges_m), limit_m)
 
-    def _infrared_ring(self, robot: Robot) -> _Ring:
-        ir = robot.infrared_ring()
-        ring = _ring_of(ir, _IR_RAYS, ir.curve.farthest_m, ir.curve.raw, ir.curve.distances(_IR_MAX_RAW))
-        self._rings[robot.model.name, "ir"] = ring
-        return ring
+    def _fan(self, robot: Robot, ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
+        fan = self._fans[robot.model.name, rays] = Fan(ring.sensors, ring.cone_rad, rays, limit_m)
+        return fan
 
-    def _sonar_ring(self, robot: Robot) -> _Ring:
-        sonar = robot.sonar_ring()
-        ring = self._rings[robot.model.name, "sonar"] = _ring_of(sonar, _SONAR_RAYS, sonar.max_range_m)
-        return ring
-
-    def motion(self, sensor: Sensor, discs: Sequence[Disc]) -> Motion:
+    def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
         """Asks a motion sensor which of some discs move where it looks.
 
         Returns:

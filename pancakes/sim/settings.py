@@ -1,4 +1,4 @@
-"""What a simulated world holds: its arena, its robots, its sensor nodes, those who walk through it.
+"""What a simulated world holds: its arena, its robots, its sensor nodes, its walking persons.
 
 Tables are keyed by name, and a name is the body's: a simulated device of the agent of the same name finds its
 body by it.
@@ -126,7 +126,7 @@ class ContentSettings:
         arena: the floor.
         robots: the robots.
         sensors: the sensor nodes.
-        movers: who walks through it.
+        movers: the persons that walk through it.
         noise: how far the hardware is off.
     """
 

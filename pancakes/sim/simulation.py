@@ -15,12 +15,11 @@ from pancakes.devices.types import Pose
 from pancakes.errors import PancakesError
 from pancakes.sim.arena import Arena
 from pancakes.sim.battery import BatteryModel
-from pancakes.sim.body import Robot, Sensor, Walker
+from pancakes.sim.body import Robot, SensorNode, Walker
 from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
-from pancakes.sim.normal import normals
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
 from pancakes.sim.state import BodyState, Spent, WorldState
@@ -36,13 +35,13 @@ _WALKER_KG = 70.0
 
 
 @dataclass(frozen=True, slots=True)
-class Happening:
+class Incident:
     """Something that should not have happened.
 
     Attributes:
         kind: `collision` or `out_of_bounds`.
         time_s: mission time.
-        names: who was part of it, sorted; a wall is called `wall`.
+        names: the bodies that were part of it, sorted; a wall is called `wall`.
         x_m: where.
         y_m: where.
     """
@@ -66,16 +65,16 @@ class Simulation:
         self._settings = settings
         # One source for each purpose: the mover's way must not depend on how often a sensor was asked.
         self._start_random = _branch(random)
-        self._wheel_normal = normals(_branch(random))
+        self._wheel_normal = _branch(random).gauss
         self._walk_random = _branch(random)
         self._arena = Arena(settings.arena.width_m, settings.arena.height_m)
         self._senses = Senses(self._arena, settings.noise, _branch(random))
         self._robots: dict[str, Robot] = {}
-        self._sensors: dict[str, Sensor] = {}
-        self._standing: list[BodyState] = []  # of the sensors, which stand there for good
+        self._sensors: dict[str, SensorNode] = {}
+        self._standing: list[BodyState] = []  # of the sensors, which never move
         self._walkers: dict[str, Walker] = {}
         self._outside: dict[str, bool] = {}
-        self._happenings: list[Happening] = []
+        self._happenings: list[Incident] = []
         self._steps = 0
         self._fill()
 
@@ -95,7 +94,7 @@ class Simulation:
             self._robots[name] = Robot(model, disc, battery, self._settings.noise.wheel, self._wheel_normal)
         for name, sensor in self._settings.sensors.items():
             disc = self._arena.add(name, sensor.x_m, sensor.y_m, sensor.theta_rad, sensor.radius_m)
-            self._sensors[name] = Sensor(disc, sensor.motion)
+            self._sensors[name] = SensorNode(disc, sensor.motion)
             self._standing.append(_body_state(disc, "sensor"))
         for name, walker in self._settings.movers.items():
             disc = self._arena.add(name, walker.x_m, walker.y_m, 0.0, walker.radius_m, _WALKER_KG)
@@ -119,7 +118,7 @@ class Simulation:
             self._go(last_step)
 
     def _go(self, last_step: int) -> None:
-        """Goes on by as many steps as nobody changes anything in, up to `last_step`."""
+        """Goes on by as many steps as no command begins or ends in, up to `last_step`."""
         steps = self._steps
         time_s = steps * STEP_S
         if steps % _LOOK_STEPS == 0:
@@ -160,7 +159,7 @@ class Simulation:
         for name, robot in self._robots.items():
             outside = not self._arena.inside(robot.disc)
             if outside and not self._outside.get(name, False):
-                self._happenings.append(Happening("out_of_bounds", self.time_s, (name,), *robot.disc.position))
+                self._happenings.append(Incident("out_of_bounds", self.time_s, (name,), *robot.disc.position))
             self._outside[name] = outside
 
     def drive(self, name: str, wheels: Wheels, ttl_s: float, source: str) -> None:
@@ -264,14 +263,14 @@ class Simulation:
         bodies += [_body_state(walker.disc, "mover") for walker in self._walkers.values()]
         return WorldState(self.time_s, tuple(bodies))
 
-    def take_happenings(self) -> list[Happening]:
+    def take_happenings(self) -> list[Incident]:
         """Returns what has happened since the last call and should not have."""
         contacts = self._arena.take_contacts()
         if not contacts and not self._happenings:
             return []
         happenings, self._happenings = self._happenings, []
         for contact in contacts:
-            happenings.append(Happening("collision", contact.time_s, contact.names, contact.x_m, contact.y_m))
+            happenings.append(Incident("collision", contact.time_s, contact.names, contact.x_m, contact.y_m))
         return sorted(happenings, key=lambda happening: happening.time_s)
 
     def _robot(self, name: str) -> Robot:
@@ -280,7 +279,7 @@ class Simulation:
             raise PancakesError(f"the simulated world has no robot {name!r}, only {', '.join(self._robots) or 'none'}")
         return robot
 
-    def _sensor(self, name: str) -> Sensor:
+    def _sensor(self, name: str) -> SensorNode:
         sensor = self._sensors.get(name)
         if sensor is None:
             raise PancakesError(

@@ -1,7 +1,7 @@
-"""What happens to discs that may touch something, worked out by pymunk, all bodies at a time.
+"""Moves discs that may touch something with pymunk, all bodies at a time.
 
 `pymunk.batch` sets and reads all bodies with one call each; one by one, through pymunk's properties and its callback
-for velocities, a step of 100 robots takes ten times as long. All that is known of that module is in this file.
+for velocities, a step of many robots takes far longer. No other file uses that module.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Solver:
     ) -> None:
         self._space = pymunk.Space()
         # Defaults are made for pixels: these say how far bodies sink into each other, in metres, and how fast
-        # they come out again.
+        # they are pushed apart again.
         self._space.collision_slop = 0.0002
         self._space.collision_bias = 0.5**100
         # Nothing is left of a velocity after a step, so that what a body is pushed with is its velocity: the one that
@@ -51,7 +51,6 @@ class Solver:
         self._space.on_collision(None, None, begin=self._begin, separate=self._separate)
         self._began, self._ended = began, ended
         self._names: dict[pymunk.Shape, str] = {}
-        self._fixed: dict[str, tuple[float, float]] = {}
         self._discs: list[Disc] = []
         self._bodies: list[pymunk.Body] = []
         self._read = Buffer()
@@ -71,7 +70,6 @@ class Solver:
         if math.isinf(disc.mass_kg):
             shape = pymunk.Circle(self._space.static_body, disc.radius_m, disc.position)
             self._space.add(shape)
-            self._fixed[disc.name] = disc.position
         else:
             body = pymunk.Body(disc.mass_kg, pymunk.moment_for_circle(disc.mass_kg, 0.0, disc.radius_m))
             _place(disc, body)
@@ -130,16 +128,14 @@ class Solver:
         return first, second
 
     def _begin(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
-        places = {}
-        for shape in arbiter.shapes:
-            name = self._names[shape]
-            if name in self._fixed:
-                places[name] = self._fixed[name]
-            elif shape.body is not None and name != WALL:
-                places[name] = shape.body.position.x, shape.body.position.y
+        places = {
+            self._names[shape]: shape.body.local_to_world(shape.offset)
+            for shape in arbiter.shapes
+            if isinstance(shape, pymunk.Circle) and shape.body is not None
+        }
         pair = self._pair(arbiter)
-        x_m, y_m = next(places[name] for name in pair if name in places)
-        self._began(pair, (x_m, y_m))
+        place = next(places[name] for name in pair if name in places)
+        self._began(pair, (place.x, place.y))
 
     def _separate(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         self._ended(self._pair(arbiter))

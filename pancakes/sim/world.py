@@ -67,7 +67,7 @@ class World(Task):
         self.log("warning", "a world that runs keeps what it holds: its new settings count from its next start")
 
     def initial_period_s(self, method: str, period_s: float) -> float:
-        # Exactly when a state is due. Who asks in between has the world go on to that moment.
+        # Exactly when a state is due. A request in between lets the world go on to its moment.
         return super().initial_period_s(method, 1.0 / self.settings.state_hz)
 
     @every(hz=20)

@@ -7,9 +7,9 @@ from typing import Any
 
 
 class Board:
-    """Named plain values. Whoever has seen it at one version gets what changed since, however long that was ago.
+    """Named plain values. A page that has seen one version gets all changes since, however long ago that was.
 
-    So nothing has to be kept for those who look at it: who is slow gets the newest values only.
+    So the board keeps nothing for its pages: a slow page gets the newest values only.
 
     Attributes:
         version: goes up with each change.

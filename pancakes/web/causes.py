@@ -10,19 +10,19 @@ from typing import Any, Final
 from pancakes.packet import Cause
 from pancakes.recording.chains import Chain
 from pancakes.recording.commands import ActuatorCommand, body_text
-from pancakes.recording.entry import NANOSECONDS
-from pancakes.report.series import Sample
+from pancakes.recording.recorded_packet import NANOSECONDS
+from pancakes.report.series import Distribution
 
 MOST_COMMANDS: Final = 20_000
-"""So many commands are kept, as many of each actuator; then the oldest are forgotten."""
+"""The most commands that are kept, as many of each actuator; then the oldest are forgotten."""
 FEW: Final = 100
-"""So many of each actuator are kept at least."""
+"""The least that are kept of each actuator."""
 BINS: Final = 30
 """A distribution is shown in so many bars."""
 
 
 @dataclass(order=True, frozen=True, slots=True)
-class _Given:
+class _TimedCommand:
     """A command, and where it lies on the timeline."""
 
     t: float
@@ -38,8 +38,8 @@ class Explaining:
 
     def __init__(self, most: int = MOST_COMMANDS) -> None:
         self._most = most
-        self._given: dict[tuple[str, str], list[_Given]] = {}
-        self._kinds: dict[tuple[str, ...], Sample] = {}
+        self._given: dict[tuple[str, str], list[_TimedCommand]] = {}
+        self._kinds: dict[tuple[str, ...], Distribution] = {}
         self._count = 0
 
     def add(self, commands: Iterable[tuple[float, ActuatorCommand]]) -> set[str]:
@@ -55,11 +55,11 @@ class Explaining:
                 given = self._given[key] = []
                 new.add(command.agent)
             self._count += 1
-            insort(given, _Given(t, self._count, command))
+            insort(given, _TimedCommand(t, self._count, command))
             if len(given) > 1.25 * (most := max(FEW, self._most // len(self._given))):
                 del given[: len(given) - most]
             if command.caused:
-                self._kinds.setdefault(command.chain.shape, Sample()).add(command.chain.latency_s)
+                self._kinds.setdefault(command.chain.shape, Distribution()).add(command.chain.latency_s)
         return new
 
     def actuators(self, agent: str) -> list[str]:
@@ -142,12 +142,12 @@ def _steps(chain: Chain) -> list[dict[str, Any]]:
     ]
 
 
-def _spread(sample: Sample) -> dict[str, Any]:
-    low_s = min(sample.values)
+def _spread(sample: Distribution) -> dict[str, Any]:
+    low_s = min(sample.kept)
     # A few that took very long would leave the others one bar: they are all in the last one.
     high_s = max(sample.quantile(0.97), low_s + 1e-6)
     bars = [0] * BINS
-    for value in sample.values:
+    for value in sample.kept:
         bars[min(BINS - 1, int(BINS * (value - low_s) / (high_s - low_s)))] += 1
     return {
         "count": sample.count,

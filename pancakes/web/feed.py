@@ -1,4 +1,4 @@
-"""Where whoever watches a fleet and whoever shows it meet: one model, its history, and frames for pages."""
+"""What a watch fills and what pages read: one model of a fleet, its history, and frames for pages."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from pancakes import codecs
-from pancakes.web.history import History
-from pancakes.web.model import FleetModel
+from pancakes.web.fleet_model import FleetModel
+from pancakes.web.history import FrameHistory
 
 FRAMES_HZ: Final = 10.0
-"""So often pages get news, and the history a frame."""
+"""How often, each second, pages get news and the history gets a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +45,11 @@ class Feed:
         self._gap_s = 0.0
         self.lock = threading.Lock()
         self.model = FleetModel()
-        self._history = History()
+        self._history = FrameHistory()
         self._recorded = 0
         self._recorded_s = -1.0
         self._waiting = ""
         self._over = ""
-        self._cached: tuple[Cursor | None, Cursor, str, bytes] | None = None
 
     def wait_for(self, reason: str) -> None:
         """Says why there is nothing to be seen; empty: there is."""
@@ -92,7 +91,7 @@ class Feed:
             self._history.add(t, frame)
 
     def chunk(self, t: float) -> bytes:
-        """Returns the piece of the history that holds `t`, see `History.at`."""
+        """Returns the piece of the history that holds `t`, see `FrameHistory.at`."""
         with self.lock:
             return self._history.at(t)
 
@@ -106,9 +105,6 @@ class Feed:
             t = self.now()
             model = self.model
             cursor = Cursor(model.board.version, model.happenings.count)
-            told = f"{self._waiting}\n{self._over}"
-            if self._cached is not None and self._cached[:3] == (seen, cursor, told) and seen != cursor:
-                return self._cached[3], cursor  # pages that keep up all get the same
             frame = self._frame(t, seen.version if seen is not None else None)
             events = model.happenings.since(seen.event if seen is not None else 0)
             if events:
@@ -120,9 +116,7 @@ class Feed:
                 frame["waiting"] = self._waiting
             if self._over:
                 frame["over"] = self._over
-            data = codecs.encode_json(frame)
-            self._cached = (seen, cursor, told, data)
-            return data, cursor
+            return codecs.encode_json(frame), cursor
 
     def _frame(self, t: float, version: int | None) -> dict[str, Any]:
         model = self.model

@@ -27,7 +27,7 @@ class _Chunk:
     size: int = 0
 
 
-class History:
+class FrameHistory:
     """Keeps frames, each what changed since the one before.
 
     Args:

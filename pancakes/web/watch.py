@@ -1,4 +1,4 @@
-"""Watches a fleet of processes, as a client of its mesh: a thread of its own, in which nobody else waits."""
+"""Watches a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.packet import LOG, SYSTEM, Cause
 from pancakes.web.causes import Explaining
 from pancakes.web.feed import FRAMES_HZ, Feed
-from pancakes.web.traces import FleetTraces
+from pancakes.web.fleet_traces import FleetTraces
 
 TURN_S: Final = 0.04
-"""So often it looks what came."""
+"""How often it takes the packets that have arrived."""
 LOOK_S: Final = 1.0
-"""So often agents are asked what they are and run."""
+"""How often agents are asked to describe themselves."""
 SILENT_S: Final = 2.5
-"""Who has not answered for so long is shown as silent."""
+"""An agent that has not answered for so long is shown as silent."""
 DETAIL_S: Final = 10.0
-"""So often a task is asked for its settings and state where nothing was said about it; else, at most each `LOOK_S`."""
+"""How often a task is asked for its settings and state; after an event about it at the next `LOOK_S`."""
 RETRY_S: Final = 0.5
 """How long to wait before agents are looked for again where there are none."""
 RECALL_S: Final = 600.0
-"""So much of what was said before, in mission time, is asked of an agent that is met."""
+"""How far back, in mission time, a newly met agent is asked for its log."""
 MOST_ANSWERS: Final = 20
-"""So many replies full of what was said before are asked of one agent."""
+"""The most replies with earlier log records that one agent is asked for."""
 ENDED_S: Final = 1.0
-"""After so long without anybody the fleet is shown as ended."""
+"""After so long without any agent the fleet is shown as ended."""
 ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
 FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
 POSES: Final = ("pose",)
 
 
 @dataclass
-class _Asked:
+class _PendingRequest:
     """A request on its way to an agent."""
 
     door: Door
@@ -56,7 +56,7 @@ class _Asked:
 
 
 @dataclass
-class _Met:
+class _MetAgent:
     """What is known of an agent that is connected."""
 
     asked_s: float = -1e9
@@ -113,8 +113,8 @@ class Watch:
         self._stopping = threading.Event()
         self._orders: SimpleQueue[tuple[str, Any, float, Future[Reply]]] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
-        self._asked: list[_Asked] = []
-        self._met: dict[str, _Met] = {}
+        self._asked: list[_PendingRequest] = []
+        self._met: dict[str, _MetAgent] = {}
         self._looks = Looks()
         self._silent: set[str] = set()
         self._traces = FleetTraces()
@@ -145,7 +145,7 @@ class Watch:
         """
         answer: Future[Reply] = Future()
         if self._closed:
-            answer.set_exception(Unreachable("the mission is over: nobody can be asked any more"))
+            answer.set_exception(Unreachable("the mission is over: no agent can be asked any more"))
             return answer
         self._orders.put((agent, body, timeout_s, answer))
         return answer
@@ -173,7 +173,7 @@ class Watch:
                 self._feed.wait_for(f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {error}")
                 raise
         self._closed = True
-        self._refuse_all("nobody can be asked any more")
+        self._refuse_all("no agent can be asked any more")
 
     def _watch(self, client: Client) -> None:
         found = client.survey().agents
@@ -233,7 +233,7 @@ class Watch:
         doors = [door for door in client.doors() if door.fleet == self._fleet]
         for door in doors:
             for hello in door.agents():
-                met = self._met.setdefault(hello.name, _Met())
+                met = self._met.setdefault(hello.name, _MetAgent())
                 if now_s - met.asked_s >= LOOK_S:
                     met.asked_s = now_s
                     self._ask(door, hello.name, Describe(), "look", now_s + SILENT_S)
@@ -244,7 +244,7 @@ class Watch:
         self._take_commands()
 
     def _look_who_is_there(self, client: Client) -> None:
-        """Says that the fleet has ended where it has: until somebody comes back."""
+        """Says that the fleet has ended where it has: until an agent comes back."""
         now_s = client.now()
         doors = [door for door in client.doors() if door.fleet == self._fleet]
         if any(door.agents() or door.asleep() for door in doors):
@@ -272,7 +272,7 @@ class Watch:
             for agent in self._explaining.add(settled):
                 self._feed.model.commanded(agent, self._explaining.actuators(agent))
 
-    def _ask_details(self, door: Door, agent: str, met: _Met, now_s: float) -> None:
+    def _ask_details(self, door: Door, agent: str, met: _MetAgent, now_s: float) -> None:
         with self._feed.lock:
             running = [f"{service}/{task}" for name, service, task in self._feed.model.running() if name == agent]
         for target in running:
@@ -281,8 +281,8 @@ class Watch:
                 self._ask(door, agent, Describe(target, state=True), "detail", now_s + SILENT_S)
         met.stale.clear()
 
-    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _Asked:
-        asked = _Asked(door, door.request(agent, body), until_s, agent, about)
+    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _PendingRequest:
+        asked = _PendingRequest(door, door.request(agent, body), until_s, agent, about)
         self._asked.append(asked)
         return asked
 
@@ -324,14 +324,14 @@ class Watch:
             if asked.about == "recall" and result:
                 self._recall(asked.door, asked.agent, result[-1]["entry"], now_s)
 
-    def _settle(self, asked: _Asked, answer: Reply | str | None) -> None:
+    def _settle(self, asked: _PendingRequest, answer: Reply | str | None) -> None:
         assert asked.answer is not None
         if isinstance(answer, Reply):
             asked.answer.set_result(answer)
         else:
             asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'nothing came in time'}"))
 
-    def _take_looks(self, answers: Sequence[tuple[_Asked, Mapping[str, Any]]], now_s: float) -> None:
+    def _take_looks(self, answers: Sequence[tuple[_PendingRequest, Mapping[str, Any]]], now_s: float) -> None:
         described = [result for _, result in answers]
         for it in described:
             self._met[it["agent"]].answered_s = now_s

@@ -13,7 +13,7 @@ import socket
 import sys
 import time
 
-from pancakes.sim.bus import Answer, Attach, Drive, ReplyReader, Sample, encode
+from pancakes.sim.bus import Attach, Drive, RawReading, ReplyReader, Sample, encode
 
 RATE_HZ = 10.0
 GOOD_FOR_S = 0.5
@@ -76,7 +76,7 @@ def run(place: tuple[str, int], count: int, duration_s: float, ready_fd: int) ->
         for key, _ in selector.select(max(0.0, due_s - time.monotonic())):
             robot = key.data
             for reply in robot.reader.feed(robot.socket.recv(65_536)):
-                if isinstance(reply, Answer):
+                if isinstance(reply, RawReading):
                     late_s.append(time.monotonic() - robot.asked_s)
     late_s.sort()
     report = {"asked": asked, "answered": len(late_s), "p50_ms": 0.0, "p99_ms": 0.0}

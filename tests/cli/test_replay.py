@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recording_reader import RecordingReader
 
 ANSWER = """
 from pancakes.devices.types import Load, Pose

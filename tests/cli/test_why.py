@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from pancakes.cli.main import pancakes
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Fence, Packet
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.recording.writer import RecordingWriter
 
 MS = 1_000_000
@@ -24,7 +24,9 @@ def reactions(agent):
 
         def see(ms, kind, source, body, channel="system", cause=None, fence=None, t_ms=t_ms, n=n):
             stamp = (t_ms + ms) / 1000
-            return Entry((t_ms + ms) * MS, agent, Packet(channel, kind, source, "", stamp, n, body, cause, fence))
+            return RecordedPacket(
+                (t_ms + ms) * MS, agent, Packet(channel, kind, source, "", stamp, n, body, cause, fence)
+            )
 
         if agent == "world":
             yield see(0, "pose", "world/client/Mocap", POSE)
@@ -35,7 +37,7 @@ def reactions(agent):
         yield see(5 + n, "motors", "a/client/Scan", Twist(0.1, 0.2), "ctrl", cause, fence)
     if agent == "a":
         late = Packet("ctrl", "gripper", "a/client/Grip", "", 2.5, 1, {"force_n": 3.0})
-        yield Entry(2500 * MS, "a", late)
+        yield RecordedPacket(2500 * MS, "a", late)
 
 
 @pytest.fixture
@@ -164,7 +166,7 @@ def test_only_one_agents_recording_begins_the_chain_where_it_arrived(recording):
 def test_an_agent_that_was_started_again_goes_on_in_the_recordings_mission_time(recording, found):
     writer = RecordingWriter(recording / "a.002.mcap", {"agent": "a", "clock": "time of day", "speed": "1.0"})
     again = Packet("ctrl", "motors", "a/client/Scan", "", 0.25, 1, Twist(0.0, 0.0))
-    writer.write(Entry(5000 * MS, "a", again))
+    writer.write(RecordedPacket(5000 * MS, "a", again))
     writer.close()
     assert [(it["mission_s"], it["seq"]) for it in found("--at", "3s", "--type", "motors")] == [(2.025, 20)]
     assert [(it["mission_s"], it["seq"]) for it in found("--at", "6s", "--type", "motors")] == [(5.0, 1)]

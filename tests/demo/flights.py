@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from pancakes.demo.conductor import Mission
-from pancakes.demo.launcher import Faults, fresh, judge, run_of, run_virtual
-from pancakes.demo.plan import find_configs, make_plan
+from pancakes.demo.demo_plan import find_configs, make_plan
+from pancakes.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
 from pancakes.plugins import Plugins
 
 HEADER = ["t_s", "name", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "battery_v", "driven_by"]
@@ -126,6 +126,6 @@ def fly(demo_name: str, seed: int, out: Path, faults: bool, sets: Sequence[str] 
     plan = make_plan(demo, find_configs(demo), out, seed, 1.0, demo.duration_s, tuple(sets), live=False)
     fresh(out)
     mission = Mission(demo.agents, demo.duration_s)
-    timing = run_virtual(plan, mission, threading.Event(), Faults(seed) if faults else None)
+    timing = run_virtual(plan, mission, threading.Event(), NetworkFaults(seed) if faults else None)
     judge(plan, run_of(plan, mission), timing)
     return read_flight(out)

@@ -3,7 +3,7 @@
 from flights import fly
 
 from pancakes.plugins import Plugins
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recording_reader import RecordingReader
 
 FILES = ("trajectory.csv", "events.jsonl", "summary.json")
 

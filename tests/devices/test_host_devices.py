@@ -18,7 +18,7 @@ def opened(cls, **settings):
 
 
 def test_load_is_a_share():
-    reading = opened(host.HostLoad).sample()
+    reading = opened(host.HostProcessorLoad).sample()
     assert 0.0 <= reading.cpu <= 1.0
 
 
@@ -32,7 +32,7 @@ class SimpleTimes(NamedTuple):
 def test_load_is_what_the_system_says(monkeypatch):
     readings = iter([SimpleTimes(10.0, 90.0), SimpleTimes(13.0, 95.0)])
     monkeypatch.setattr(psutil, "cpu_times", lambda: next(readings))
-    assert opened(host.HostLoad).sample().cpu == 0.375
+    assert opened(host.HostProcessorLoad).sample().cpu == 0.375
 
 
 def test_memory_in_use_is_part_of_all_memory():

@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.control import Hold
-from pancakes.devices.network import NetworkMotors, NetworkPose
+from pancakes.devices.network_devices import NetworkMotors, NetworkPose
 from pancakes.devices.pace import Pace
 from pancakes.devices.types import Battery, Pose, Twist
 from pancakes.packet import Packet, type_name

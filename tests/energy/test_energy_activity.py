@@ -6,16 +6,16 @@ import pytest
 
 from pancakes.control import Reschedule
 from pancakes.devices.types import Infrared, Motion, Pose
-from pancakes.energy.activity import Activity, Pace, Rule, Supervision, SupervisorSettings, number_of
+from pancakes.energy.activity import Activity, RatePair, RateSupervision, Rule, SupervisorSettings, number_of
 from pancakes.settings import SettingsError, make_settings
 
-RATES = {"device/ir": Pace(10.0, 2.0)}
+RATES = {"device/ir": RatePair(10.0, 2.0)}
 NEAR = Rule("ir", "ranges_m", RATES, below=0.1, quiet_after_s=5.0)
 MOVES = Rule("motion", "detected", RATES, above=0.5, quiet_after_s=5.0)
 
 
 def supervision(**rules):
-    return Supervision(SupervisorSettings(rules), 0.0)
+    return RateSupervision(SupervisorSettings(rules), 0.0)
 
 
 def decide(made, now_s):

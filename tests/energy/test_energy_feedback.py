@@ -120,7 +120,6 @@ def test_two_readings_say_nothing():
     law.battery(1.0, 1.0)
     law.battery(9.0, 0.2)
     assert law.decide(10.0) == 1.0
-    assert law.consumption_per_s is None
 
 
 def test_the_slope_is_that_of_the_best_line():

@@ -11,7 +11,7 @@ from pancakes.control import Configure, Describe, Reschedule, Restart, Start, St
 from pancakes.devices.driver import Sensor
 from pancakes.devices.types import Battery, Load, Motion
 from pancakes.energy.governor import EnergyGovernor
-from pancakes.energy.supervisor import Supervisor
+from pancakes.energy.rate_supervisor import RateSupervisor
 from pancakes.packet import SYSTEM
 from pancakes.task import Task, Tick, every
 from pancakes.testing import AgentInTest, FleetInTest
@@ -281,7 +281,7 @@ PACES = {"device/battery": {"fast": 1, "slow": 0.2}, "Wheels": {"fast": 10, "slo
 
 def supervised(fleet: FleetInTest, **changes: Any) -> AgentInTest:
     rules = {"moves": {**RULES["moves"], "rates": PACES, **changes}}
-    tasks = {"Wheels": Wheels, "Supervisor": {"type": Supervisor, "settings": {"rules": rules}}}
+    tasks = {"Wheels": Wheels, "Supervisor": {"type": RateSupervisor, "settings": {"rules": rules}}}
     return fleet.start("a", devices=DEVICES, tasks=tasks)
 
 

@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from pancakes.control import Reschedule, Restart, Stop
 from pancakes.devices.types import Battery, Load, Pose
-from pancakes.metrics.server import MOST_REQUESTS
+from pancakes.metrics.metrics_server import MOST_REQUESTS
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
 
@@ -163,7 +163,7 @@ def test_links_are_told_by_peer_and_virtual_time_is_refused():
         agent = fleet.start("a", services=SERVICES)
         fleet.run_for(30.0)
         (line,) = agent.lines("error")
-        assert "serves nobody in virtual time" in line and "given up" in line
+        assert "serves no metrics in virtual time" in line and "given up" in line
 
 
 def asked(agent, method, host, body=None):

@@ -1,9 +1,11 @@
 """What tests of recordings write, and how they read it."""
 
+from pathlib import Path
+
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet
-from pancakes.recording.entry import Entry
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recorded_packet import RecordedPacket
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.recording.writer import RecordingWriter
 
 S = 1_000_000_000
@@ -11,7 +13,9 @@ S = 1_000_000_000
 
 def pose(number, source="a/device/pose", agent="a", kind="pose", body=None, fence=None, cause=None):
     body = body or Pose(float(number), 0.5, -0.25)
-    return Entry(number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence))
+    return RecordedPacket(
+        number * S, agent, Packet("system", kind, source, "", float(number), number + 1, body, cause, fence)
+    )
 
 
 def written(path, entries):
@@ -26,3 +30,18 @@ def written(path, entries):
 def read(path):
     reader = RecordingReader(path)
     return list(reader.entries()), reader
+
+
+def made_files(monkeypatch):
+    """Returns the files that recordings make from now on, as they are open."""
+    made = []
+    real = Path.open
+
+    def noted(path, mode="r", *others, **options):
+        file = real(path, mode, *others, **options)
+        if mode == "xb":
+            made.append(file)
+        return file
+
+    monkeypatch.setattr(Path, "open", noted)
+    return made

@@ -4,14 +4,15 @@ import pytest
 
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Packet
-from pancakes.recording.chains import Causes, latencies
-from pancakes.recording.entry import Entry
+from pancakes.recording.chains import Causes
+from pancakes.recording.recorded_packet import RecordedPacket
+from pancakes.report.reactions import Reactions
 
 MS = 1_000_000
 
 
 def entry(time_ms, agent, source, seq, body, cause=None, channel="system", kind="pose"):
-    return Entry(time_ms * MS, agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause))
+    return RecordedPacket(time_ms * MS, agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause))
 
 
 def mocap_to_wheels(start_ms, seq, travel_ms=4):
@@ -75,13 +76,15 @@ def test_the_oldest_is_forgotten_at_the_limit():
     assert causes.chain("a/x", 3) is not None
 
 
-def test_chains_of_one_shape_have_a_distribution(causes):
+def test_chains_of_one_shape_have_a_distribution():
+    found = Reactions()
     for seq in range(1, 101):
         for it in mocap_to_wheels(1000 * seq, seq, travel_ms=seq):
-            causes.add(it)
-    (found,) = latencies(causes.chain("agent1/client/Scan", seq) for seq in range(1, 101))
-    assert len(found.seconds) == 100
-    assert found.quantile_s(0.5) == pytest.approx(0.054)
-    assert found.quantile_s(0.99) == pytest.approx(0.103)
-    assert found.quantile_s(1.0) == pytest.approx(0.103)
-    assert found.handling_s == pytest.approx((0.0515, 0.002, 0.0))
+            found.add(it)
+    found.close()
+    (reaction,) = found.reactions()
+    assert reaction.count == 100
+    assert reaction.latency_s.quantile(0.5) == pytest.approx(0.054)
+    assert reaction.latency_s.quantile(0.99) == pytest.approx(0.103)
+    assert reaction.latency_s.quantile(1.0) == pytest.approx(0.103)
+    assert reaction.step_means_s == pytest.approx([0.0515, 0.002])

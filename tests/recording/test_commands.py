@@ -8,14 +8,16 @@ from pancakes.control import Hold
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Packet
 from pancakes.recording.commands import CommandChains, body_text
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)
 
 
 def entry(time_ms, agent, source, seq, body, cause=None, channel="system", kind="pose"):
-    return Entry(round(time_ms * MS), agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause))
+    return RecordedPacket(
+        round(time_ms * MS), agent, Packet(channel, kind, source, "", time_ms / 1000, seq, body, cause)
+    )
 
 
 def sent(ms, seq):

@@ -1,6 +1,7 @@
 """The files of a recording: packets go in and come out as they were, also where a crash has cut the file off."""
 
 import errno
+import io
 import os
 from types import SimpleNamespace
 
@@ -12,11 +13,10 @@ from recording.files import S, pose, read, written
 from pancakes.devices.types import Motion
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence
-from pancakes.recording.chunks import ChunkedFile
-from pancakes.recording.entry import Entry, RecordingError
 from pancakes.recording.message import packet_from_data
-from pancakes.recording.parts import Parts, part_path, parts_of
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.parts import RecordingParts, part_path, parts_of
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.recording.repair import repair
 from pancakes.recording.schemas import schema_for
 from pancakes.recording.viewing import TRAIL_NS, Viewer
@@ -38,25 +38,36 @@ def test_packets_come_out_as_they_went_in(tmp_path):
     assert found[1].task_id == "a/Scan"
 
 
-def test_a_disk_that_fails_for_a_moment_costs_nothing(tmp_path):
-    writer = RecordingWriter(tmp_path / "r.mcap", {})
-    file = writer._chunks._file
-    writer._chunks._file = SimpleNamespace(tell=file.tell, write=raise_full)
-    failures = 0
-    for number in range(2000):
-        try:
+def test_a_disk_that_fails_ends_the_file_after_what_was_flushed_before(tmp_path, monkeypatch):
+    class Disk(io.FileIO):
+        """A file on a disk that may be full."""
+
+        full = False
+
+        def write(self, data):
+            if self.full:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return super().write(data)
+
+    path = tmp_path / "r.mcap"
+    disk = Disk(path, "xb")
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr("pathlib.Path.open", lambda path, mode: io.BufferedWriter(disk))
+        writer = RecordingWriter(path, {"agent": "a"})
+    for number in range(50):
+        writer.write(pose(number))
+    writer.flush()
+    disk.full = True
+    with pytest.raises(OSError, match="No space left"):
+        for number in range(50, 2000):
             writer.write(pose(number))
-        except OSError:
-            failures += 1
-    writer._chunks._file = file
-    writer.write(pose(2000))
+    disk.full = False
     writer.close()
-    assert failures > 1
-    assert [entry.packet.seq for entry in read(tmp_path / "r.mcap")[0]] == list(range(1, 2002))
-
-
-def raise_full(data):
-    raise OSError(28, "No space left on device")
+    entries, reader = read(path)
+    assert entries[:50] == [pose(number) for number in range(50)]
+    assert reader.notes() == [f"{path} is cut off: its end is missing"]
+    assert repair(path).messages == len(entries)
+    assert read(path)[1].notes() == []
 
 
 def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
@@ -330,7 +341,7 @@ def filled(parts, count):
 
 
 def make_parts(path, split_mib=0.02, limit_mib=0.0, drop_oldest=False, free_mib=0.0):
-    return Parts(path, {"agent": "a"}, split_mib, limit_mib, drop_oldest, free_mib)
+    return RecordingParts(path, {"agent": "a"}, split_mib, limit_mib, drop_oldest, free_mib)
 
 
 def test_a_recording_is_split_and_read_as_one(tmp_path):
@@ -397,7 +408,7 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
         monkeypatch.setattr("pancakes.recording.parts.SYNC_BYTES", 20_000)
     parts = make_parts(tmp_path / "r.mcap", split_mib)
     synced = []
-    monkeypatch.setattr(Parts, "sync", lambda parts: synced.append(parts._writer.path) or "")
+    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced.append(parts) or "")
     monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
     for number in range(200):  # of 300 bytes each
         parts.write(pose(number))
@@ -407,10 +418,10 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
 
 
 def test_a_recording_that_cannot_begin_leaves_no_file(tmp_path, monkeypatch):
-    def full(chunks, name, values):
+    def full(writer, name, values):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(ChunkedFile, "add_metadata", full)
+    monkeypatch.setattr(Writer, "add_metadata", full)
     with pytest.raises(RecordingError, match=r"r\.mcap cannot be written: No space left on device"):
         make_parts(tmp_path / "r.mcap")
     assert list(tmp_path.iterdir()) == []
@@ -455,6 +466,6 @@ def test_of_nothing_else_viewers_are_shown_anything(kind, others):
 
 def test_viewers_are_shown_no_more_than_they_can_show():
     viewer = Viewer()
-    fast = [Entry(number * S // 50, "a", pose(number).packet) for number in range(100)]
+    fast = [RecordedPacket(number * S // 50, "a", pose(number).packet) for number in range(100)]
     shown = [message for entry in fast for message in viewer.messages(entry) if message.topic == "/viewer/a/pose"]
     assert len(shown) == 20

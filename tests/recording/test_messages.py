@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from decimal import Decimal
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError
 from pancakes.packet import packet_type
 from pancakes.recording.message import data_of, packet_from_data
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recording_reader import RecordingReader
 
 
 @packet_type("test.scan")
@@ -55,17 +55,13 @@ class Place:
 @packet_type("test.told")
 @dataclass(frozen=True)
 class Told:
-    """Of what JSON can say all. Making one is noted."""
+    """Of what JSON can say all."""
 
     raw: bytes
     ranges_m: list[float] = field(default_factory=list)
     places: tuple[Place, ...] = ()
     by_name: dict[str, int] = field(default_factory=dict)
     way: Way = Way.LEFT
-    made: ClassVar[list[str]] = []
-
-    def __post_init__(self):
-        self.made.append("")
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +121,10 @@ def test_a_body_of_which_not_all_is_known_comes_out_exactly_too(tmp_path, body):
     assert read(tmp_path / "r.mcap")[0][1] == entry
 
 
-def test_a_body_of_which_json_says_all_is_not_made_to_look_at_it(tmp_path):
-    """To look at a large one costs as much as to write it, and no other thread runs."""
+def test_a_body_of_which_json_says_all_comes_out_as_it_was(tmp_path):
     body = Told(b"\x00\xff", [0.1, -0.0, 1e300], (Place("a", (1.0, 2.0)),), {"x": 2**63}, Way.LEFT)
     entry = pose(0, kind="test.told", body=body)
-    Told.made.clear()
     written(tmp_path / "r.mcap", [entry])
-    assert Told.made == []
     assert read(tmp_path / "r.mcap")[0] == [entry]
     without_number = pose(0, kind="test.told", body=Told(b"", [math.nan]))
     data = data_of(without_number.packet)

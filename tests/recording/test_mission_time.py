@@ -4,8 +4,8 @@ import pytest
 
 from pancakes.devices.types import Load
 from pancakes.packet import Packet
-from pancakes.recording.entry import Entry
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import RecordedPacket
 
 S = 1_000_000_000
 
@@ -17,7 +17,7 @@ def life(agent, from_s, held_s=0.0, speed=1.0, late_s=0.0, source=""):
         passed_s = number / 10
         stamp = max(0.0, passed_s - held_s) * speed
         packet = Packet("system", "load", source or f"{agent}/device/load", "", stamp, number + 1, Load(0.5))
-        entries.append(Entry(round((from_s + passed_s + (late_s if number % 3 else 0.0)) * S), agent, packet))
+        entries.append(RecordedPacket(round((from_s + passed_s + (late_s if number % 3 else 0.0)) * S), agent, packet))
     return {"speed": str(speed)}, entries
 
 

@@ -4,16 +4,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import pytest
+from recording.files import made_files
 
 from pancakes.control import Describe, Migrate, Reschedule, Start, Stop
 from pancakes.devices.types import Load, Pose
-from pancakes.kernel.backlog import MOST_BYTES
+from pancakes.kernel.counter import Counter
+from pancakes.kernel.stream import InformationStream
 from pancakes.packet import packet_type
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.parts import Parts, parts_of
-from pancakes.recording.reader import RecordingReader
-from pancakes.recording.recorder import _Question
-from pancakes.recording.summary import Summary, Topic
+from pancakes.recording.parts import RecordingParts, parts_of
+from pancakes.recording.recording import Recording
+from pancakes.recording.recording_reader import RecordingReader
+from pancakes.recording.settings import RecordingSettings
+from pancakes.recording.summary import Summary, TopicCount
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -181,7 +184,7 @@ def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):
 
 def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_then(fleet, tmp_path, monkeypatch):
     synced_s = []
-    monkeypatch.setattr(Parts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
+    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
     agent = fleet.start("a", tasks={"Count": Count})
     begun_s = agent.kernel.mission.now()
     record(agent, tmp_path / "r.mcap")
@@ -198,15 +201,17 @@ def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_t
 
 def test_what_one_task_reads_waits_until_the_agent_has_said_what_it_is(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Count": Count})
-    record(agent, tmp_path / "r.mcap", task="a/Count")
-    recorder = agent.task("Recorder", "log")
-    recorder._asked = {0: _Question("client/Count", asked_s=agent.kernel.host.now())}
+    settings = RecordingSettings(path=str(tmp_path / "r.mcap"), task="a/Count")
+    recording = Recording(agent.kernel, settings, lambda level, text: None, Counter(1).take, "a/log/Recorder")
+    recording.asking = lambda: True
     fleet.run_for(0.7)
+    assert recording.write() == ""
     assert list(RecordingReader(tmp_path / "r.mcap").entries()) == []
     fleet.run_for(0.1)
+    assert recording.write() == ""
     in_time = list(RecordingReader(tmp_path / "r.mcap").entries())
-    assert len(in_time) >= 7, "a question that nobody answers must not keep it from the file"
-    finish(agent, tmp_path / "r.mcap")
+    assert len(in_time) >= 7, "a question without an answer must not keep it from the file"
+    recording.end()
 
 
 def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet, tmp_path, monkeypatch):
@@ -216,24 +221,30 @@ def test_a_full_disk_ends_the_recording_with_a_warning_and_never_the_agent(fleet
     def full(self):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Parts, "flush", full)
+    untapped = []
+    untap = InformationStream.untap
+
+    def noted(stream, channel, tap):
+        untapped.append(channel)
+        untap(stream, channel, tap)
+
+    monkeypatch.setattr(InformationStream, "untap", noted)
+    monkeypatch.setattr(RecordingParts, "flush", full)
     agent.wait_for_event("recording_stopped")
     fleet.run_for(1.0)
     (warning,) = [line for line in agent.lines("warning") if "recording" in line]
     assert warning.endswith("r.mcap ends: its disk failed: No space left on device")
     assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
     assert agent.running() == ["Count"]
-    assert agent.kernel.stream._taps["system"] == ()
+    assert "system" in untapped
 
 
 def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(fleet, tmp_path, monkeypatch):
     agent = fleet.start("a")
     record(agent, tmp_path / "r.mcap", types=["test_recorder.picture"])
-    recording = agent.task("Recorder", "log")._recording
-    monkeypatch.setattr(recording, "write", lambda: "")
+    monkeypatch.setattr(Recording, "write", lambda recording: "")
     for _ in range(70):
         agent.publish("system", Picture(bytes(2**20)))
-        assert recording._waiting.heavy_bytes <= MOST_BYTES
     monkeypatch.undo()
     fleet.run_for(2.0)
     (warning,) = [line for line in agent.lines("warning") if "lacks" in line]
@@ -253,23 +264,28 @@ def test_a_pose_that_is_none_costs_a_warning_and_not_the_recording(fleet, tmp_pa
     assert any(entry.packet.type == "load" for entry in finish(agent, tmp_path / "r.mcap"))
 
 
-def kill(fleet, name):
+@pytest.fixture
+def kill(fleet, monkeypatch):
     """Ends an agent as a kill does, and closes the file that was being written as the operating system does."""
-    recording = fleet.agents[name].task("Recorder", "log")._recording
-    fleet.crash(name)
-    recording._parts._writer._file.raw.close()
+    made = made_files(monkeypatch)
+
+    def ended(name):
+        fleet.crash(name)
+        made[-1].raw.close()
+
+    return ended
 
 
 def parts(path):
     return [file.name for file in parts_of(path)]
 
 
-def test_a_recording_that_was_asked_for_goes_on_in_a_further_file_after_a_kill(fleet, tmp_path):
+def test_a_recording_that_was_asked_for_goes_on_in_a_further_file_after_a_kill(fleet, tmp_path, kill):
     agent = fleet.start("a", tasks={"Count": Count})
     record(agent, tmp_path / "r.mcap", types=["load"])
     fleet.run_for(2.0)
     for boot in (2, 3):
-        kill(fleet, "a")
+        kill("a")
         agent = fleet.restart("a")
         fleet.run_for(2.0)
         assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap", "r.003.mcap"][:boot]
@@ -283,13 +299,13 @@ def test_a_recording_that_was_asked_for_goes_on_in_a_further_file_after_a_kill(f
     assert len(parts(tmp_path / "r.mcap")) == 3
 
 
-def test_what_the_configuration_records_begins_anew_with_each_start_whatever_went_on(fleet, tmp_path):
+def test_what_the_configuration_records_begins_anew_with_each_start_whatever_went_on(fleet, tmp_path, kill):
     config = f'[record]\npath = "{tmp_path}/c.mcap"\n'
     agent = fleet.start("a", config)
     assert agent.ask(Stop(RECORDER)).ok
     record(agent, tmp_path / "r.mcap")
     fleet.run_for(1.0)
-    kill(fleet, "a")
+    kill("a")
     fleet.restart("a")
     fleet.run_for(1.0)
     assert parts(tmp_path / "r.mcap") == ["r.mcap"]
@@ -314,14 +330,14 @@ def test_a_recording_that_ended_by_itself_does_not_go_on(fleet, tmp_path):
     assert fleet.restart("a").ask(Describe(RECORDER)).result["state"] == "stopped"
 
 
-def test_what_goes_on_keeps_to_the_limit_of_the_whole(fleet, tmp_path):
+def test_what_goes_on_keeps_to_the_limit_of_the_whole(fleet, tmp_path, kill):
     agent = fleet.start("a", tasks={"Count": Count})
     record(agent, tmp_path / "r.mcap", limit_mib=0.05)
     fleet.run_for(2.0)
     size = sum(path.stat().st_size for path in parts_of(tmp_path / "r.mcap"))
     assert size < 0.05 * 2**20
     while agent.ask(Describe(RECORDER)).result["state"] == "running":
-        kill(fleet, "a")
+        kill("a")
         agent = fleet.restart("a")
         fleet.run_for(2.0)
     assert sum(path.stat().st_size for path in parts_of(tmp_path / "r.mcap")) < 0.1 * 2**20
@@ -357,7 +373,7 @@ def test_a_place_that_cannot_be_written_is_refused_with_the_reason(fleet, tmp_pa
 
 def test_packets_that_came_at_once_have_no_rate():
     def topic(last_s):
-        return Topic("a", "sysctrl", "command", packets=3, first_ns=0, last_ns=round(last_s * 1e9)).row()
+        return TopicCount("a", "sysctrl", "command", packets=3, first_ns=0, last_ns=round(last_s * 1e9)).row()
 
     assert topic(0.001)["rate_hz"] is None
     assert topic(1.0)["rate_hz"] == 2.0

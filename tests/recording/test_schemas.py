@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from pancakes.devices.types import Pose
 from pancakes.packet import Packet, known_types
 from pancakes.plugins import Plugins
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.recording.schemas import schema_for, viewable
 from pancakes.recording.viewing import Viewer
 from pancakes.recording.writer import RecordingWriter
@@ -89,7 +89,7 @@ def shown():
         Packet("system", "pose", "a/device/pose", "", 1.5, 1, Pose(1.0, 2.0, 3.0)),
         Packet("system", "world_state", "a/client/World", "", 1.5, 1, world),
     ]
-    return [message for packet in packets for message in viewer.messages(Entry(int(1.5 * S), "a", packet))]
+    return [message for packet in packets for message in viewer.messages(RecordedPacket(int(1.5 * S), "a", packet))]
 
 
 def test_viewers_understand_the_schema_of_every_packet_type():

@@ -3,4 +3,5 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+for directory in (Path(__file__).parent, Path(__file__).parents[1]):
+    sys.path.insert(0, str(directory))

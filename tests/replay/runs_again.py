@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pancakes.control import Start, Stop
-from pancakes.recording.reader import RecordingReader
-from pancakes.replay.comparison import Comparison, Tolerance, compare
+from pancakes.recording.recording_reader import RecordingReader
+from pancakes.replay.comparison import RunComparison, Tolerance, compare
 from pancakes.replay.rerun import Outcome, Rerun
 from pancakes.replay.script import Script, read_script
 from pancakes.replay.stays import Stay, choose_stays, find_stays
@@ -23,7 +23,7 @@ class Again(NamedTuple):
     stay: Stay
     script: Script
     outcome: Outcome
-    comparison: Comparison
+    comparison: RunComparison
 
     @property
     def kinds(self) -> list[str]:

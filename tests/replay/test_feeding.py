@@ -6,7 +6,7 @@ from pancakes.control import Describe
 from pancakes.devices.types import Load
 from pancakes.errors import ControlRefused, PeerLost, Unreachable
 from pancakes.packet import Packet
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.replay.feeding import Feeder
 from pancakes.replay.selection import Live, Selection
 
@@ -60,7 +60,7 @@ class Client:
 
 def entries(count):
     return [
-        Entry(int((50 + n) * 1e9), "a", Packet("system", "load", "a/device/load", "", 7.0 + n, n, Load(0.5)))
+        RecordedPacket(int((50 + n) * 1e9), "a", Packet("system", "load", "a/device/load", "", 7.0 + n, n, Load(0.5)))
         for n in range(count)
     ]
 

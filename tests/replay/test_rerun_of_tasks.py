@@ -5,14 +5,15 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from recording.files import made_files
 from runs_again import recorded, run_again
 
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.devices.types import Load, Pose, Temperature
 from pancakes.errors import PancakesError
 from pancakes.packet import task_address
-from pancakes.recording.entry import RecordingError
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recorded_packet import RecordingError
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.replay.rerun import class_of
 from pancakes.replay.stays import choose_stays, find_stays
 from pancakes.task import Task, every, on
@@ -416,16 +417,16 @@ def test_on_threads_a_task_agrees_with_itself_as_well(tmp_path):
     assert changed.comparison.streams["ctrl", "load", ""].different == 5
 
 
-def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path):
+def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path, monkeypatch):
+    made = made_files(monkeypatch)
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Track": {"type": Track, "durability": "each"}})
         assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "a.mcap")})).ok
         for x_m in (1.0, 2.0, 3.0):
             agent.publish("system", Pose(x_m, 0.0, 0.0))
             fleet.run_for(1.0)
-        recording = agent.task("Recorder", "log")._recording
         fleet.crash("a")
-        recording._parts._writer._file.raw.close()  # as the operating system does
+        made[-1].raw.close()  # as the operating system does
         agent = fleet.restart("a")
         agent.publish("system", Pose(4.0, 0.0, 0.0))
         fleet.run_for(2.0)

@@ -6,7 +6,7 @@ from pancakes.devices.types import Load, Pose
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.entry import Entry
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.replay.script import read_script
 from pancakes.replay.stays import choose_stays, find_stays
 from pancakes.replay.steps import Change, Given
@@ -38,7 +38,7 @@ def at(time_s):
 
 def seen(time_s, body, source, channel="system", cause=None, stamp=None, to="", seq=1, speed=1.0):
     stamp = 5.0 + time_s * speed if stamp is None else stamp
-    return Entry(at(time_s), "a", Packet(channel, type_name(body), source, to, stamp, seq, body, cause))
+    return RecordedPacket(at(time_s), "a", Packet(channel, type_name(body), source, to, stamp, seq, body, cause))
 
 
 def script(entries, speed=1.0, began=True, virtual=False):

@@ -5,14 +5,14 @@ import pytest
 from pancakes.devices.types import Load, Pose
 from pancakes.errors import ControlRefused
 from pancakes.packet import Fence, Packet
-from pancakes.recording.entry import Entry
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.replay.selection import Live, Selection, tally_of
 
 
 def seen(time_s, agent, source, body=Load(0.5), kind="load", channel="system", to="", seq=None):  # noqa: B008
     packet = Packet(channel, kind, source, to, time_s, seq or int(time_s * 10) + 1, body, None, Fence("x/y", (1, "x")))
-    return Entry(int(time_s * 1e9), agent, packet)
+    return RecordedPacket(int(time_s * 1e9), agent, packet)
 
 
 def live(*names, speaking=(), channels=("system", "sysctrl", "ctrl", "network", "log")):

@@ -5,12 +5,12 @@ import pytest
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
 from pancakes.recording.description import TaskDescription
-from pancakes.recording.entry import Entry, RecordingError
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
 from pancakes.replay.stays import choose_stays, find_stays
 
 
 def seen(time_ns, agent, body, source, channel="log"):
-    return Entry(time_ns, agent, Packet(channel, type_name(body), source, "", 0.0, 1, body))
+    return RecordedPacket(time_ns, agent, Packet(channel, type_name(body), source, "", 0.0, 1, body))
 
 
 def described(time_ns, address, task_id=None, began_ns=None):

@@ -9,9 +9,9 @@ from pancakes.config import parse
 from pancakes.devices.driver import Sensor
 from pancakes.devices.types import Load, Pose
 from pancakes.errors import ConfigError
-from pancakes.recording.reader import RecordingReader
+from pancakes.recording.recording_reader import RecordingReader
 from pancakes.replay.selection import Selection, tally_of
-from pancakes.replay.virtual import VirtualReplay
+from pancakes.replay.virtual_replay import VirtualReplay
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 from pancakes.testing.configuration import registered

@@ -9,11 +9,11 @@ from pancakes.control import Hold
 from pancakes.devices.types import Battery, Pose, Twist
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
-from pancakes.recording.entry import Entry
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
 from pancakes.recording.mission_time import MissionTime
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.report.findings import Findings
-from pancakes.report.series import MOST_POINTS, MOST_SLOTS, Counts, Sample, Series
+from pancakes.report.series import MOST_POINTS, MOST_SLOTS, Counts, Distribution, TimeSeries
 from pancakes.sim.state import BodyState, WorldState
 
 S = 1_000_000_000
@@ -30,11 +30,11 @@ class Book:
     def see(self, t_s, agent, source, body, kind, channel="system", to="", cause=None, fence=None):
         seq = self._seqs[source] = self._seqs.get(source, 0) + 1
         packet = Packet(channel, kind, source, to, t_s, seq, body, cause, fence)
-        self.entries.append(Entry(round(t_s * S), agent, packet))
+        self.entries.append(RecordedPacket(round(t_s * S), agent, packet))
         return packet
 
     def arrive(self, t_s, agent, packet):
-        self.entries.append(Entry(round(t_s * S), agent, packet))
+        self.entries.append(RecordedPacket(round(t_s * S), agent, packet))
 
     def event(self, t_s, agent, kind, **fields):
         self.see(t_s, agent, f"{agent}/client", Event(kind, fields), "event", "log")
@@ -107,7 +107,6 @@ def test_all_is_told_in_mission_time(book):
     assert (findings.begin_s, findings.end_s) == (1.0, 40.0)
     assert findings.course.lanes["a", "client", "Scan"].spans[0].to_s == pytest.approx(2 * 9.52)
     assert findings.moves.moves[0].at_s == pytest.approx(2 * 9.55)
-    assert findings.traffic.local.rates("ctrl", findings.duration_s)[0][0] == 0.5  # counted from the first packet on
 
 
 def test_a_task_that_ran_before_the_recording_is_known_by_what_it_publishes(book):
@@ -182,7 +181,7 @@ def test_rates_lateness_and_drops_come_from_what_the_recorder_sampled(book):
     assert timer.at[0].asked_hz == 10.0
     assert timer.at[0].achieved_hz == pytest.approx(9.5)
     assert timer.lateness_mean_s == pytest.approx(1.4 / 95)
-    assert [point[1] for point in timer.lateness.points] == [pytest.approx(0.02), pytest.approx(0.01)]
+    assert [point[1] for point in timer.lateness.kept] == [pytest.approx(0.02), pytest.approx(0.01)]
     assert rates.drops["a", "client/T"].total == 4
     assert rates.links["a", "b"].last.bytes_out == 700
     assert (rates.undelivered["a"], rates.dead_letters["a"]) == (4, 5)
@@ -211,7 +210,6 @@ def test_what_travels_counts_where_it_arrives_or_where_it_leaves_if_nobody_liste
     assert counted == {"a → b": 2, "a → elsewhere": 1}
     assert traffic.links.bytes.total("a → b") > 40
     assert traffic.channels.packets.total("system") == 3
-    assert traffic.local.total("system") == 1
 
 
 def test_one_agent_alone_tells_what_it_sends_to_its_neighbours(book):
@@ -285,12 +283,12 @@ def test_nothing_is_drawn_and_no_matplotlib_is_needed_to_find_all_this(book, mon
 
 
 def test_long_series_keep_their_course_in_bounded_memory():
-    series = Series()
+    series = TimeSeries()
     for number in range(50_000):
         series.add(float(number), number)
-    assert MOST_POINTS / 2 <= len(series.points) <= MOST_POINTS
+    assert MOST_POINTS / 2 <= len(series.kept) <= MOST_POINTS
     assert series.whole()[-1] == (49_999.0, 49_999)
-    gaps = {later[0] - earlier[0] for earlier, later in pairwise(series.points)}
+    gaps = {later[0] - earlier[0] for earlier, later in pairwise(series.kept)}
     assert len(gaps) == 1  # thinned out evenly
 
 
@@ -304,7 +302,7 @@ def test_counts_keep_their_sum_when_their_slots_grow():
 
 
 def test_a_large_sample_keeps_its_distribution():
-    sample = Sample()
+    sample = Distribution()
     for number in range(100_000):
         sample.add(float(number % 1000))
     assert sample.count == 100_000

@@ -15,8 +15,8 @@ from pancakes.devices.types import Battery, Pose, Twist
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
-from pancakes.recording.entry import Entry
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.recording.recorded_packet import RecordedPacket
 from pancakes.recording.writer import RecordingWriter
 from pancakes.report.making import make_report
 from pancakes.sim.state import BodyState, WorldState
@@ -46,7 +46,7 @@ def mission(agent):
 
         def see(kind, body, source, channel="system", to="", cause=None, fence=None, later_ms=0, at=time_ns, n=second):
             packet = Packet(channel, kind, source, to, n, n + 1, body, cause, fence)
-            return Entry(at + later_ms * 1_000_000, agent, packet)
+            return RecordedPacket(at + later_ms * 1_000_000, agent, packet)
 
         pose = Pose(math.cos(angle) + mine, math.sin(angle), 0.0)
         mocap = "world/client/Mocap"
@@ -167,7 +167,10 @@ def test_a_recording_that_was_cut_off_is_reported_as_far_as_it_goes(recording, t
 
 
 def test_a_fleet_without_a_world_or_anything_that_moves_has_a_report_too(tmp_path):
-    say = [Entry(n * S, "solo", Packet("log", "line", "solo/x", "", n, n, LogLine("info", "hm"))) for n in range(3)]
+    say = [
+        RecordedPacket(n * S, "solo", Packet("log", "line", "solo/x", "", n, n, LogLine("info", "hm")))
+        for n in range(3)
+    ]
     made = make_report(written(tmp_path / "solo.mcap", say), tmp_path / "out")
     assert {file.name for file, _ in made.files} == {"report.html", "report.json"}
     text = Page(made.page.read_text()).text
@@ -181,7 +184,7 @@ def test_a_world_gives_the_true_paths(tmp_path):
     states = []
     for n in range(3):
         packet = Packet("system", "world_state", "world/client/World", "", n, n, WorldState(n, (robot, node)))
-        states.append(Entry(n * S, "world", packet))
+        states.append(RecordedPacket(n * S, "world", packet))
     made = make_report(written(tmp_path / "world.mcap", states, "mission time"), tmp_path / "out")
     assert "as the simulated world knew them" in {file.name: shows for file, shows in made.files}["paths.svg"]
     assert "in virtual time" in Page(made.page.read_text()).text

@@ -23,7 +23,7 @@ def test_few_commands_are_all_kept(picked):
         picked.add(command(number))
     (actuator,) = picked.actuators()
     assert (actuator.agent, actuator.type, actuator.count, actuator.stride) == ("a", "motors", 100, 1)
-    assert [it.steps[-1].seq for it in actuator.commands()] == list(range(1, 101))
+    assert [it.steps[-1].packet.seq for it in actuator.commands()] == list(range(1, 101))
 
 
 def test_of_many_evenly_spread_ones_and_the_slowest_are_kept(picked):
@@ -33,8 +33,8 @@ def test_of_many_evenly_spread_ones_and_the_slowest_are_kept(picked):
     kept = actuator.commands()
     assert actuator.count == 100_000
     assert MOST_EVEN_EACH / 2 <= len(kept) <= MOST_EVEN_EACH + MOST_SLOW
-    assert [it.steps[-1].seq for it in actuator.slowest()[:2]] == [12_346, 77_778]
-    seqs = [it.steps[-1].seq for it in kept]
+    assert [it.steps[-1].packet.seq for it in actuator.slowest()[:2]] == [12_346, 77_778]
+    seqs = [it.steps[-1].packet.seq for it in kept]
     assert seqs == sorted(seqs) and {12_346, 77_778} <= set(seqs)
     assert all((number * actuator.stride) + 1 in seqs for number in range(100_000 // actuator.stride))
 

@@ -9,7 +9,7 @@ import pytest
 from commanded import command
 
 from pancakes.report.findings import Findings
-from pancakes.report.page import make_page
+from pancakes.report.report_page import make_page
 from pancakes.report.style import Picture
 
 PHONE = {"width": 360, "height": 740}
@@ -91,7 +91,7 @@ def test_on_a_phone_what_is_wider_than_the_screen_scrolls_and_shows_that_it_does
     findings = Findings()
     findings.reactions.add_command(command(1, 2.0, "a"))
     page_file = tmp_path / "report.html"
-    pictures = {"tasks": Picture("tasks", "Who ran what.", svg)}
+    pictures = {"tasks": Picture("tasks", "Which agent ran which task.", svg)}
     page_file.write_text(make_page("Report", {}, [], findings, pictures), encoding="utf-8")
     page, faults = opened(browser, page_file.as_uri(), viewport={"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -18,8 +18,8 @@ from pancakes_sensor_field.verdict import judge_sensor_field
 
 from pancakes.config import Config, load
 from pancakes.demo.conductor import Mission
-from pancakes.demo.launcher import Faults, fresh, judge, run_of, run_virtual
-from pancakes.demo.plan import find_configs, make_plan
+from pancakes.demo.demo_plan import find_configs, make_plan
+from pancakes.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
 from pancakes.plugins import Plugins
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "sensor-field"
@@ -50,7 +50,7 @@ def fly(out: Path, seed: int = 1, faults: bool = False, duration_s: float = 240.
     plan = make_plan(SENSOR_FIELD, find_configs(SENSOR_FIELD), out, seed, 1.0, duration_s, sets, live=False)
     fresh(out, tuple(SENSOR_FIELD.records.values()))
     mission = Mission(SENSOR_FIELD.agents, duration_s)
-    timing = run_virtual(plan, mission, threading.Event(), Faults(seed) if faults else None)
+    timing = run_virtual(plan, mission, threading.Event(), NetworkFaults(seed) if faults else None)
     run = run_of(plan, mission)
     summary = judge(plan, run, timing)
     events = [json.loads(line) for line in (out / "events.jsonl").read_text(encoding="utf-8").splitlines()]

@@ -7,7 +7,7 @@ from pancakes.control import Channels, Describe
 from pancakes.devices.types import Load, Memory, Pose
 from pancakes.recording.figures import figures_of
 from pancakes.task import Task, on, queue
-from pancakes.web.model import FleetModel
+from pancakes.web.fleet_model import FleetModel
 
 
 class Newest(Task):

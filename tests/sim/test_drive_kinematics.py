@@ -16,7 +16,7 @@ def test_the_khepera_has_the_limits_of_the_real_one():
     assert KHEPERA.max_wheel_mps == pytest.approx(0.333, abs=0.0005)
     assert KHEPERA.max_wheel_mps * KHEPERA.units_per_mps == pytest.approx(48_000)
     assert (KHEPERA.max_v_mps, KHEPERA.max_omega_radps) == (0.314, 2.276)
-    assert (KHEPERA.wheel_base_m, KHEPERA.wheel_radius_m) == (0.0885, 0.021)
+    assert KHEPERA.wheel_base_m == 0.0885
     assert (KHEPERA_III.diameter_m, KHEPERA_III.mass_kg) == (0.13, 0.69)
 
 
@@ -64,10 +64,6 @@ def test_the_motor_controller_knows_whole_units_only_and_its_own_limit():
     done = KHEPERA.carried_out(Wheels(0.1000001, 5.0))
     assert done.left_mps * KHEPERA.units_per_mps == pytest.approx(14_401)
     assert done.right_mps == pytest.approx(KHEPERA.max_wheel_mps)
-
-
-def test_a_turn_of_the_wheel_is_2764_ticks():
-    assert KHEPERA.ticks(2 * math.pi * 0.021) == 2764
 
 
 def test_the_pioneer_is_wider_and_faster():

@@ -13,7 +13,6 @@ from pancakes.net.memory import MemoryNetwork
 from pancakes.settings import SettingsError, make_settings
 from pancakes.sim import bus
 from pancakes.sim.motion_capture import MotionCapture, measured
-from pancakes.sim.normal import normals
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.sim.trajectory import HEADER, Trajectory, row
 from pancakes.sim.world import World
@@ -172,7 +171,7 @@ def test_the_motion_capture_sends_each_target_its_pose_with_a_little_noise():
 
 def test_a_measured_heading_stays_within_a_half_turn():
     body = BodyState("a", "robot", 0.0, 0.0, math.pi, 0.0, 0.0)
-    source = normals(random.Random(1))
+    source = random.Random(1).gauss
     headings = [measured(body, 0.0, 0.01, source).theta_rad for _ in range(100)]
     assert all(-math.pi < heading <= math.pi for heading in headings)
     assert min(headings) < 0.0 < max(headings)

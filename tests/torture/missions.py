@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pancakes.demo.conductor import Mission
-from pancakes.demo.launcher import Faults, fresh, judge, run_of, run_virtual
-from pancakes.demo.plan import find_configs, make_plan
+from pancakes.demo.demo_plan import find_configs, make_plan
+from pancakes.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
 from pancakes.plugins import Plugins
 
 BATTERY = "task.World.settings.robots.agent1.battery.capacity_j"
@@ -55,7 +55,7 @@ def fly(job: Job) -> Outcome:
         plan = make_plan(demo, folder, job.out, job.seed, 1.0, demo.duration_s, sets, live=False)
         fresh(job.out)
         mission = Mission(demo.agents, demo.duration_s)
-        timing = run_virtual(plan, mission, threading.Event(), Faults(job.seed) if job.faults else None)
+        timing = run_virtual(plan, mission, threading.Event(), NetworkFaults(job.seed) if job.faults else None)
         summary = judge(plan, run_of(plan, mission), timing)
     except Exception as error:  # one that breaks down is what is looked for here, and the others are to run on
         summary = {"verdict": "FAIL", "reasons": [f"{type(error).__name__}: {error}"]}

@@ -8,7 +8,7 @@ import pytest
 
 from pancakes.devices.types import Twist
 from pancakes.packet import Packet
-from pancakes.recording.chains import Chain, Step
+from pancakes.recording.chains import Chain, ChainStep
 from pancakes.recording.commands import ActuatorCommand
 from pancakes.web.causes import FEW, Explaining
 
@@ -22,9 +22,9 @@ def command(t: float, number: int, took_ms: float = 6.0, type_: str = "motors", 
     read = Packet("system", "pose", "a/device/pose", "", t - 0.002, number, None)
     given = Packet("ctrl", type_, "a/client/T", "", t, number, Twist(0.1, 0.2))
     steps = [
-        Step(sent, begun_ns, 0.003, 0.001),
-        Step(read, begun_ns + 4_000_000, 0.0, took_ms / 1e3 - 0.004),
-        Step(given, round(t * S), 0.0, 0.0),
+        ChainStep(sent, begun_ns, 0.003, 0.001),
+        ChainStep(read, begun_ns + 4_000_000, 0.0, took_ms / 1e3 - 0.004),
+        ChainStep(given, round(t * S), 0.0, 0.0),
     ]
     return t, ActuatorCommand(round(t * S), given, Chain(tuple(steps if caused else steps[-1:])))
 

@@ -9,7 +9,7 @@ from told import agent, describe, packet, record, task, world
 from pancakes.client.looks import Looks
 from pancakes.devices.types import Battery, Infrared, Motion, Pose
 from pancakes.events import Event
-from pancakes.web.model import TRAIL, FleetModel
+from pancakes.web.fleet_model import TRAIL, FleetModel
 
 
 @pytest.fixture
@@ -172,9 +172,9 @@ def test_what_was_said_before_lies_back_on_the_timeline_and_comes_once(model: Fl
 
 
 def test_only_the_newest_events_are_kept_and_their_numbers_tell_what_is_missing():
-    from pancakes.web.happenings import Happenings
+    from pancakes.web.event_log import EventLog
 
-    happenings = Happenings(limit=3)
+    happenings = EventLog(limit=3)
     for number in range(5):
         happenings.add(record("a", f"kind{number}", float(number)), 0.0)
 

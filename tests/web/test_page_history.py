@@ -8,16 +8,16 @@ from told import packet, record, world
 
 from pancakes.devices.types import Infrared
 from pancakes.web.feed import Feed
-from pancakes.web.history import CHUNK_S, History
+from pancakes.web.history import CHUNK_S, FrameHistory
 
 
-def piece(history: History, t: float) -> dict[str, Any]:
+def piece(history: FrameHistory, t: float) -> dict[str, Any]:
     found: dict[str, Any] = json.loads(history.at(t))
     return found
 
 
 def test_a_piece_begins_with_everything_and_goes_on_with_changes():
-    history = History()
+    history = FrameHistory()
     for number in range(150):
         history.add(0.1 * number, {"t": number, "all": history.due(0.1 * number)})
 
@@ -29,7 +29,7 @@ def test_a_piece_begins_with_everything_and_goes_on_with_changes():
 
 
 def test_it_keeps_so_much_time_and_so_much_memory():
-    by_time, by_size = History(span_s=30.0), History(most_bytes=2000)
+    by_time, by_size = FrameHistory(span_s=30.0), FrameHistory(most_bytes=2000)
     for number in range(100):
         by_time.add(float(number), {})
         by_size.add(float(number), "x" * 100)
@@ -39,7 +39,7 @@ def test_it_keeps_so_much_time_and_so_much_memory():
 
 
 def test_before_the_beginning_is_the_first_piece_and_nothing_is_null():
-    history = History()
+    history = FrameHistory()
     assert history.at(0.0) == b"null"
     history.add(5.0, {"t": 5})
     assert piece(history, -3.0)["key"] == {"t": 5}

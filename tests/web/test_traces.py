@@ -9,7 +9,7 @@ import pytest
 from pancakes.devices.types import Pose, Twist
 from pancakes.packet import Packet
 from pancakes.services.traces import TracedPackets
-from pancakes.web.traces import BUSY_S, IDLE_S, LOOK_S, PATIENCE_S, SOON_S, FleetTraces
+from pancakes.web.fleet_traces import BUSY_S, IDLE_S, LOOK_S, PATIENCE_S, SOON_S, FleetTraces
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)

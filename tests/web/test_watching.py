@@ -17,7 +17,7 @@ from pancakes.control import Reschedule, Stop
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.fleet import VirtualFleet
 from pancakes.web.feed import Feed
-from pancakes.web.virtual import VirtualWatch
+from pancakes.web.virtual_watch import VirtualWatch
 from pancakes.web.watch import Watch, fleet_among
 
 PATIENCE_S = 20.0
@@ -185,7 +185,7 @@ def test_nobody_is_asked_any_more_once_the_watch_has_ended(rig: Rig, seen: Seen,
     seen.wait(lambda it: "agent/a" in it["set"])
     watch.close()
 
-    with pytest.raises(Unreachable, match="nobody can be asked any more"):
+    with pytest.raises(Unreachable, match="no agent can be asked any more"):
         watch.order("a", Stop("device/load"), PATIENCE_S).result(PATIENCE_S)
 
 
@@ -215,14 +215,14 @@ def fly(watch: VirtualWatch | None, place: Path) -> list[dict[str, Any]]:
             fleet.start(parse(text, where=name))
         if watch is not None:
             watch.begin(fleet)
+        states: list[Any] = []
+        fleet.agents["world"].kernel.stream.tap("system", lambda packet: states.append(packet.body))
         until_s = fleet.now() + 8.0
         while fleet.now() < until_s:
             fleet.run_until(min(until_s, fleet.now() + (watch.slice_s() if watch is not None else 8.0)))
             if watch is not None:
                 watch.pace()
-        registry = fleet.agents["world"].kernel.registry
-        world: Any = registry.get("world/client/World")
-        return [world._simulation.state(), fleet.agents["agent1"].mesh.describe()]
+        return [states[-1], fleet.agents["agent1"].mesh.describe()]
     finally:
         if watch is not None:
             watch.end()
@@ -257,8 +257,9 @@ def test_a_virtual_run_goes_no_faster_than_it_can_be_watched():
             return False
 
     watch = VirtualWatch(100.0, Stopping())
-    watch.begin(VirtualFleet())
-    watch._fleet.run_for(500.0)  # type: ignore[union-attr]
+    fleet = VirtualFleet()
+    watch.begin(fleet)
+    fleet.run_for(500.0)
     watch.pace()
 
     assert waits[-1] == pytest.approx(5.0, abs=1.0)

@@ -183,7 +183,7 @@ def _run(
     page: DemoPage | None,
 ) -> int:
     from pancakes.demo import Comparison
-    from pancakes.demo.pace import how_slow
+    from pancakes.demo.timeliness import how_slow
 
     out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
@@ -216,10 +216,10 @@ def _fly(
 ) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
-    from pancakes.demo.launcher import RECORDING, Faults, fresh, judge, run_live, run_of, run_virtual
-    from pancakes.demo.pace import how_slow
-    from pancakes.demo.plan import find_configs, make_plan
-    from pancakes.demo.view import LiveView, PlainView
+    from pancakes.demo.demo_plan import find_configs, make_plan
+    from pancakes.demo.launcher import RECORDING, NetworkFaults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.demo.terminal_view import LiveView, PlainView
+    from pancakes.demo.timeliness import how_slow
 
     virtual, seed = options.virtual, options.seed
     duration_s = options.duration_s if options.duration_s is not None else found.duration_s
@@ -240,7 +240,7 @@ def _fly(
         page.beside_live(plan, mission)
     with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
         if virtual:
-            faults = Faults(seed) if options.faults else None
+            faults = NetworkFaults(seed) if options.faults else None
             timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: show_text(text, err=True))
         else:
             timing = run_live(plan, mission, interrupted)
@@ -265,7 +265,7 @@ def _compare(
 ) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
     from pancakes.demo.launcher import fresh, write_results
-    from pancakes.demo.pace import how_slow
+    from pancakes.demo.timeliness import how_slow
 
     fresh(out, (found.picture,))
     runs: dict[str, Run] = {}
@@ -310,7 +310,7 @@ def _say_pace(timing: dict[str, Any]) -> None:
 
 def _verdict(summary: dict[str, Any], slow: str, results: str) -> int:
     """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
-    from pancakes.demo.pace import verdict_line
+    from pancakes.demo.timeliness import verdict_line
 
     for line in summary.get("said", ()):
         show_text(line)

@@ -10,11 +10,11 @@ from pancakes.cli.output import show_text
 
 if TYPE_CHECKING:
     from pancakes.demo.conductor import Mission
-    from pancakes.demo.plan import Plan
+    from pancakes.demo.demo_plan import DemoPlan
     from pancakes.web.feed import Feed
     from pancakes.web.page import Shown
-    from pancakes.web.server import PageServer
-    from pancakes.web.virtual import VirtualWatch
+    from pancakes.web.page_server import PageServer
+    from pancakes.web.virtual_watch import VirtualWatch
     from pancakes.web.watch import Watch
 
 
@@ -42,7 +42,7 @@ class DemoPage:
         """Where it is; empty while it is nowhere."""
         return self._server.address if self._server is not None else ""
 
-    def beside_live(self, plan: Plan, mission: Mission) -> None:
+    def beside_live(self, plan: DemoPlan, mission: Mission) -> None:
         """Shows a mission of processes; to be called before they start."""
         from pancakes.web.feed import Feed
         from pancakes.web.page import Shown
@@ -61,7 +61,7 @@ class DemoPage:
     def beside_virtual(self, title: str) -> VirtualWatch:
         """Shows a mission in virtual time; returns who watches that."""
         from pancakes.web.page import Shown
-        from pancakes.web.virtual import VirtualWatch
+        from pancakes.web.virtual_watch import VirtualWatch
 
         watch = VirtualWatch(self._speed, self._interrupted)
         self._show(Shown(watch.feed, watch.explain, None, title))

@@ -154,7 +154,7 @@ def info(path: Path, format_: str) -> None:
         pancakes record info runs/encirclement-1-virtual/recording
     """
     _know_packets()
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
     from pancakes.recording.summary import Summary
 
     reader = RecordingReader(path)
@@ -206,9 +206,9 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
     Example:
         pancakes record repair recordings/agent1.mcap
     """
-    from pancakes.recording.entry import RecordingError
-    from pancakes.recording.reader import Reading, files_of, messages
-    from pancakes.recording.records import opened
+    from pancakes.recording.mcap_records import opened
+    from pancakes.recording.recorded_packet import RecordingError
+    from pancakes.recording.recording_reader import FileReading, files_of, messages
     from pancakes.recording.repair import repair as mend
 
     files = [file for given in paths for file in files_of(given)]
@@ -218,7 +218,7 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
     failed = False
     for path in files:
         if dry_run:
-            reading = Reading(path)
+            reading = FileReading(path)
             with opened(path) as file:
                 count = sum(1 for _ in messages(reading, file))
             done = "whole already" if reading.whole else DRY_RUN

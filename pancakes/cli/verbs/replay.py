@@ -16,7 +16,7 @@ from pancakes.client import Client, Where
 
 if TYPE_CHECKING:
     from pancakes.plugins import Plugins
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
     from pancakes.replay.selection import Live, Selection, Tally
 
 COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
@@ -97,7 +97,7 @@ def replay(
         pancakes replay recordings --config agent1.toml --out again
     """
     from pancakes.plugins import Plugins
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
 
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out go together: the result is recorded into --out")
@@ -182,7 +182,7 @@ def _feed_virtual(
 ) -> None:
     from pancakes.config import load
     from pancakes.errors import PancakesError
-    from pancakes.replay.virtual import VirtualReplay
+    from pancakes.replay.virtual_replay import VirtualReplay
 
     configs = [load(path, (), plugins) for path in paths]
     if not dry_run:

@@ -16,7 +16,7 @@ from pancakes.cli.streaming import one_line, say
 from pancakes.cli.verbs import param_file
 
 if TYPE_CHECKING:
-    from pancakes.replay.comparison import Comparison, Difference, StreamKey
+    from pancakes.replay.comparison import Difference, RunComparison, StreamKey
     from pancakes.replay.rerun import Outcome
     from pancakes.replay.script import Script
     from pancakes.replay.stays import Stay
@@ -79,7 +79,7 @@ def rerun(
         pancakes rerun recordings agent1/ScanTarget --stay 1 --set radius_m=0.8
     """
     from pancakes.plugins import Plugins
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
     from pancakes.replay.comparison import Tolerance, compare
     from pancakes.replay.rerun import Rerun, class_of
     from pancakes.replay.script import read_script
@@ -119,7 +119,7 @@ def _change(text: str) -> tuple[tuple[str, ...], Any]:
     return found
 
 
-def _row(stay: Stay, script: Script, outcome: Outcome, comparison: Comparison, most: int) -> dict[str, Any]:
+def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison, most: int) -> dict[str, Any]:
     from pancakes.replay.stays import FAILED
     from pancakes.replay.steps import Given
 
@@ -180,7 +180,7 @@ def _plain(difference: Difference) -> dict[str, Any]:
     }
 
 
-def _print(stay: Stay, row: dict[str, Any], comparison: Comparison, most: int) -> None:
+def _print(stay: Stay, row: dict[str, Any], comparison: RunComparison, most: int) -> None:
     show_text(
         f"{stay.task_id} ({stay.task.type}) on {stay.agent}, {row['from_s']:.3f} to {row['to_s']:.3f} s:"
         f" {row['inputs']} packets in, {sum(it['recorded'] for it in row['streams'])} out"

@@ -19,7 +19,7 @@ from pancakes.errors import PancakesError
 if TYPE_CHECKING:
     from pancakes.recording.commands import ActuatorCommand
     from pancakes.recording.mission_time import MissionTime
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
     from pancakes.report.reactions import Reaction, Reactions
 
 LONGEST: Final = 100
@@ -69,7 +69,7 @@ def why(
         pancakes why recordings --list --format json
     """
     from pancakes.plugins import Plugins
-    from pancakes.recording.reader import RecordingReader
+    from pancakes.recording.recording_reader import RecordingReader
 
     if sum((at_s is not None, seq is not None, slowest is not None, list_)) > 1:
         raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
@@ -216,7 +216,7 @@ def _line(row: dict[str, Any]) -> str:
 
 def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
     from pancakes.packet import body_to_plain
-    from pancakes.recording.entry import NANOSECONDS
+    from pancakes.recording.recorded_packet import NANOSECONDS
 
     steps = command.chain.steps
     return [

@@ -120,7 +120,7 @@ function remember(agent, task) {
   if (rect && rect.width) departed.set(`${agent}/${task}`, { rect, at: performance.now() });
 }
 
-/** Something happens before the eyes of whoever looks, now or in the past that is played. */
+/** Shows something that happens, now or in the past that is played. */
 function happen(event) {
   const now = performance.now();
   const effect = (from, to, colour, text, strong = false) =>

@@ -1,4 +1,4 @@
-// What is to be seen at one moment: named values, see pancakes/web/model.py, and the trails.
+// What is to be seen at one moment: named values, see pancakes/web/fleet_model.py, and the trails.
 
 export const RUNNING = "running";
 /** The services that every agent has; their tasks are its own affair. */

@@ -84,7 +84,7 @@ export class Why {
     const last = it.steps[it.steps.length - 1];
     const took = it.alike
       ? `${last.at_ms.toFixed(2)} ms from the first cause to the command.`
-      : "It answers no packet that is known: a timer led to it, or nobody has heard its cause.";
+      : "It answers no packet that is known: a timer led to it, or no agent has told its cause.";
     say(this.said, `${it.type} at ${clock(it.mission_s)} mission time. ${took}`);
     this.chain.replaceChildren(chain(it.steps, last.at_ms), ...(it.alike ? [alike(it.alike, last.at_ms)] : []));
   }

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pancakes.demo import Run
-from pancakes.demo.record import read_lines
+from pancakes.demo.mission_record import read_lines
 from pancakes.errors import PancakesError
 from pancakes_encirclement.record import Record, Row, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from pancakes.demo import Run
-from pancakes.demo.record import holders
+from pancakes.demo.mission_record import holders
 from pancakes.errors import PancakesError
 from pancakes_encirclement.record import Record, Row, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario

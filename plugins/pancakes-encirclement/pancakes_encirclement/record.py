@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from pancakes.demo.record import Story, read_events, read_lines
+from pancakes.demo.mission_record import Story, read_events, read_lines
 from pancakes.errors import PancakesError
 
 

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from pancakes.config import parse_address
 from pancakes.devices.driver import DeviceContext, Sensor
-from pancakes.devices.network import NetworkSensor
+from pancakes.devices.network_devices import NetworkSensor
 from pancakes.devices.types import Motion, Temperature
 from pancakes.packet import SYSTEM, Packet, join
 from pancakes.sim.drivers import SimulatedSensor

@@ -1,11 +1,11 @@
-"""`Supervisor`: reads sensors, and lowers or raises their rates (`energy.supervisor`, paper Figure 2)."""
+"""`RateSupervisor`: reads sensors, and lowers or raises their rates (`energy.supervisor`, paper Figure 2)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from pancakes.energy.activity import Supervision, SupervisorSettings
+from pancakes.energy.activity import RateSupervision, SupervisorSettings
 from pancakes.energy.rim import AdjustingTask
 from pancakes.errors import PancakesError
 from pancakes.kernel.keep import LATEST
@@ -14,7 +14,7 @@ from pancakes.suggestion import suggestion
 from pancakes.task import Tick, every
 
 
-class Supervisor(AdjustingTask):
+class RateSupervisor(AdjustingTask):
     """Lets tasks be fast while something happens, and slow while all is quiet, as its rules say.
 
     A task becomes fast with the very packet that says so, and slow at a tick. The supervisor sets everything back to
@@ -35,7 +35,7 @@ class Supervisor(AdjustingTask):
 
     settings: SupervisorSettings
     state: State
-    decider: Supervision
+    decider: RateSupervision
 
     def on_start(self) -> None:
         self._read: dict[tuple[str, str], None] = {}
@@ -52,13 +52,9 @@ class Supervisor(AdjustingTask):
         self.give_last(self.decider.give_back(self.now()))
         self._begin(True)
 
-    def on_stop(self) -> None:
-        if not self.kernel.stopping:  # where all tasks end there is nobody to give anything back to
-            self.give_last(self.decider.give_back(self.now()))
-
     def _begin(self, doubt: bool) -> None:
         self._in_force = self.settings
-        self.decider = Supervision(self.settings, self.now(), doubt)
+        self.decider = RateSupervision(self.settings, self.now(), doubt)
         for rule in self.settings.rules.values():
             if (rule.channel, rule.when) not in self._read:
                 self._read[rule.channel, rule.when] = None

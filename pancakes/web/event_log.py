@@ -9,7 +9,7 @@ from typing import Any, Final
 from pancakes.client.sentences import is_quiet, sentence_of
 
 MOST: Final = 2000
-"""So many are kept; then the oldest is forgotten."""
+"""The most events that are kept; then the oldest is forgotten."""
 LONGEST: Final = 400
 """A sentence is cut after so many characters."""
 SHOWN: Final = (
@@ -27,7 +27,7 @@ SHOWN: Final = (
 """What a page gets of an event's own fields, besides its sentence."""
 
 
-class Happenings:
+class EventLog:
     """Events and lines of the agents' logs, as a page shows them.
 
     Args:

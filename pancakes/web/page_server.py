@@ -27,23 +27,23 @@ from pancakes.web.connection import PageConnection
 from pancakes.web.feed import FRAMES_HZ, Cursor
 from pancakes.web.files import static_files
 from pancakes.web.http import refused, response
-from pancakes.web.orders import order_from
-from pancakes.web.page import Shown
+from pancakes.web.page_orders import order_from
+from pancakes.web.shown import Shown
 
 ADDRESS: Final = "127.0.0.1"
 PORT: Final = 7480
-"""Where the page is where nothing else is said and nobody else is there."""
+"""The port of the page where no other is named and this one is free."""
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
-"""So many pages may be open."""
+"""The most pages that may be open."""
 KEPT_PAGES: Final = 8
-"""So many more for pages that show the token: a person who was given it gets in."""
+"""The places beyond these for pages that show the token."""
 MOST_ASIDE: Final = 32
-"""So many may be about to show it; one more takes the place of the first."""
+"""The most pages that may be about to show it; one more takes the place of the first."""
 TOKEN_S: Final = 2.0
 """How long a page may take to show the token where it is let in for that alone."""
 MOST_ASKED: Final = 16
-"""So much may one page ask for at a time."""
+"""The most questions of one page at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
 ORDER_S: Final = 30.0
 """How long an agent may take for what it is asked for: a task may be busy before it moves."""
@@ -60,7 +60,7 @@ class PageServer:
     """Shows a fleet to any number of pages, in a thread of its own.
 
     A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
-    and holds up nobody. It is answered only where it came from this server, under a name of the loopback interface:
+    and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
     a foreign site that a browser shows at the same time can neither look nor ask. What changes something needs the
     token as well, which is in the address that a person was given.
 
@@ -316,7 +316,7 @@ def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | 
     Raises:
         msgspec.ValidationError: it says so in another way.
     """
-    it = codecs.convert(asked, _Asked)
+    it = codecs.convert(asked, _ExplainRequest)
     return it.agent, it.type, it.t, it.command, it.step
 
 
@@ -324,7 +324,7 @@ _ENCODE: Final = codecs.json_encoder(as_list)
 _ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dict[str, Any])
 
 
-class _Asked(msgspec.Struct):
+class _ExplainRequest(msgspec.Struct):
     """What a page says of the command that it asks about."""
 
     agent: str

@@ -13,7 +13,7 @@ from mcap.exceptions import McapError
 from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from pancakes.recording.entry import RecordingError
+from pancakes.recording.recorded_packet import RecordingError
 
 READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
 """What reading a file raises that was cut off, torn, or never a recording."""

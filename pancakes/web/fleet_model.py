@@ -34,10 +34,10 @@ from pancakes.services.log_record import record_of
 from pancakes.sim.models import robot_model
 from pancakes.sim.state import WorldState
 from pancakes.web.board import Board
-from pancakes.web.happenings import Happenings
+from pancakes.web.event_log import EventLog
 
 TRAIL: Final = 400
-"""So many points has a trail."""
+"""The most points of a trail."""
 TRAIL_STEPS: Final = 200
 """The points of a trail are at least the arena's width divided by this apart."""
 TRAIL_STEP_M: Final = 0.02
@@ -59,7 +59,7 @@ class FleetModel:
 
     def __init__(self, fleet: str = "") -> None:
         self.board = Board()
-        self.happenings = Happenings()
+        self.happenings = EventLog()
         self.trails: dict[str, deque[Point]] = {}
         self._fleet = fleet
         self._step_m = TRAIL_STEP_M
@@ -152,7 +152,7 @@ class FleetModel:
         self.board.set(f"circle/{agent}/{task}", None)
 
     def commanded(self, agent: str, types: Sequence[str]) -> None:
-        """Shows which actuators of an agent were commanded, so that somebody may ask why."""
+        """Shows which actuators of an agent were commanded, so that the page offers to explain them."""
         self.board.set(f"commands/{agent}", list(types))
 
     # What was asked --------------------------------------------------------------------------------------------
@@ -316,7 +316,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _short(value: float | None, digits: int = 3) -> float | None:
-    """Returns a figure as it is shown: it need not be sent again because of a digit that nobody sees."""
+    """Returns a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
     return float(f"{value:.{digits}g}") if value is not None else None
 
 

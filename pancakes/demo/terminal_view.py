@@ -12,7 +12,7 @@ from typing import Any, TextIO
 from pancakes.client.sentences import is_quiet, sentence_of
 from pancakes.demo.conductor import Mission
 from pancakes.demo.demo import Demo
-from pancakes.demo.pace import BEHIND_S
+from pancakes.demo.timeliness import BEHIND_S
 from pancakes.printable import printable
 
 REFRESH_HZ = 8

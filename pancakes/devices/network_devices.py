@@ -1,6 +1,6 @@
 """Virtual devices: the hardware is another agent's, the packets come over the mesh (`network.*`; paper §3.3).
 
-To the tasks of an agent a virtual sensor is a local one. Whoever has the reading sends it to the device's
+To the tasks of an agent a virtual sensor is a local one. The agent that has the reading sends it to the device's
 address, as a motion capture sends a robot its pose.
 """
 
@@ -17,7 +17,7 @@ from pancakes.devices.pace import Pace
 from pancakes.packet import CTRL, Packet
 
 ROUNDING_S = 1e-9
-"""A timer may come earlier than it should by a rounding; who then waits for the rest makes virtual time stand still."""
+"""A timer may come earlier than it should by a rounding; waiting for the rest would make virtual time stand still."""
 
 _Positive = Annotated[float, msgspec.Meta(gt=0)]
 
@@ -141,7 +141,7 @@ class NetworkActuator(Actuator):
 
     @dataclass
     class Settings:
-        """Whose actuator it is.
+        """Which actuator it is.
 
         Attributes:
             target: the device's address, such as `agent2/device/motors`.

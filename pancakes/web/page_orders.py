@@ -17,7 +17,7 @@ Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
 Target = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}/{NAME}\Z")]
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PageOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is common to all: the agent, the task on it (`service/task`), and whether it is only to be checked."""
 
     agent: Name
@@ -25,7 +25,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     dry_run: bool = False
 
 
-class MoveOrder(Order, frozen=True, tag_field="do", tag="migrate"):
+class MoveOrder(PageOrder, frozen=True, tag_field="do", tag="migrate"):
     """To move a task to another agent."""
 
     to: Name
@@ -35,7 +35,7 @@ class MoveOrder(Order, frozen=True, tag_field="do", tag="migrate"):
         return Migrate(self.task, self.to, dry_run=self.dry_run)
 
 
-class RateOrder(Order, frozen=True, tag_field="do", tag="rate"):
+class RateOrder(PageOrder, frozen=True, tag_field="do", tag="rate"):
     """To change the rate of a task."""
 
     rate_hz: Annotated[float, msgspec.Meta(ge=0, le=1000)]
@@ -45,7 +45,7 @@ class RateOrder(Order, frozen=True, tag_field="do", tag="rate"):
         return Reschedule(self.task, self.rate_hz, dry_run=self.dry_run)
 
 
-class StopOrder(Order, frozen=True, tag_field="do", tag="stop"):
+class StopOrder(PageOrder, frozen=True, tag_field="do", tag="stop"):
     """To stop a task."""
 
     def body(self) -> Stop:
@@ -53,7 +53,7 @@ class StopOrder(Order, frozen=True, tag_field="do", tag="stop"):
         return Stop(self.task, dry_run=self.dry_run)
 
 
-class StartOrder(Order, frozen=True, tag_field="do", tag="start"):
+class StartOrder(PageOrder, frozen=True, tag_field="do", tag="start"):
     """To start a task."""
 
     def body(self) -> Start:
@@ -61,7 +61,7 @@ class StartOrder(Order, frozen=True, tag_field="do", tag="start"):
         return Start(self.task, dry_run=self.dry_run)
 
 
-class RestartOrder(Order, frozen=True, tag_field="do", tag="restart"):
+class RestartOrder(PageOrder, frozen=True, tag_field="do", tag="restart"):
     """To start a task anew, with its state."""
 
     def body(self) -> Restart:

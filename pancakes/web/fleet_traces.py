@@ -10,26 +10,26 @@ from pancakes.control import Traces
 from pancakes.packet import Cause, Packet, agent_of
 from pancakes.recording.chains import Causes
 from pancakes.recording.commands import ActuatorCommand, is_command
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 
 REMEMBERED: Final = 30_000
-"""So many packets are remembered until all of their chains are known."""
+"""The number of packets that are remembered until all of their chains are known."""
 SOON_S: Final = 0.5
-"""So soon again an agent is asked to which the chains of another one lead, ..."""
+"""The pause before an agent is asked again to which the chains of another one lead, ..."""
 BUSY_S: Final = 2.0
-"""... so soon one whose actuators are commanded: each question costs it more than what it notes for the answer, ..."""
+"""... before one whose actuators are commanded: a question costs it more than the notes for the answer, ..."""
 IDLE_S: Final = 4.0
-"""... and so soon any other."""
+"""... and before any other."""
 PATIENCE_S: Final = 6.0
-"""So long other agents may take to tell what they know of a chain."""
+"""The time that other agents have to tell what they know of a chain."""
 LOOK_S: Final = 0.5
-"""So often it is looked whether that has passed."""
+"""How often it is checked whether that time has passed."""
 MOST_ASKED: Final = 250
-"""So many packets of other agents are asked about at a time."""
+"""The most packets of other agents that one question asks about."""
 MOST_COMMANDS: Final = 1200
-"""So many commands are told in a round of questions, of all agents together: a page must not slow the fleet; ..."""
+"""The most commands in a round of questions, of all agents together: a page must not slow the fleet; ..."""
 FEW_COMMANDS: Final = 10
-"""... and so many of each agent at least."""
+"""... and the least of each agent."""
 
 
 @dataclass(slots=True)
@@ -86,7 +86,7 @@ class FleetTraces:
         """Takes an answer.
 
         Args:
-            agent: who gave it.
+            agent: the agent that answered.
             asked: the packets that it was asked about.
             result: its result, see `Traces`.
             t: when it came.
@@ -102,7 +102,7 @@ class FleetTraces:
             self._missing.discard(key)
         for time_ns, channel, type_, source, seq, stamp, cause, number, said in result["rows"]:
             packet = Packet(channel, type_, source, "", stamp, seq, said, (cause, number) if cause else None)
-            self._causes.add(Entry(time_ns, agent, packet))
+            self._causes.add(RecordedPacket(time_ns, agent, packet))
             key = (source, seq)
             other = agent_of(source)
             if other != agent:
@@ -137,7 +137,7 @@ class FleetTraces:
 
     def _want(self, agent: str, key: Cause) -> None:
         told = self._told.get(agent)
-        # Of an agent that nobody can ask, nothing is waited for.
+        # No answer is awaited of an agent that cannot be asked.
         if told is not None and told.answers and key not in told.wanted:
             told.wanted[key] = None
             self._missing.add(key)

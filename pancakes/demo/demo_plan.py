@@ -18,7 +18,7 @@ LAUNCHER = "launcher"
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class DemoPlan:
     """One run of a demo, before it starts.
 
     Attributes:
@@ -68,7 +68,7 @@ def make_plan(
     extra: tuple[str, ...],
     live: bool,
     plugins: Plugins | None = None,
-) -> Plan:
+) -> DemoPlan:
     """Works out one run.
 
     Args:
@@ -121,7 +121,7 @@ def make_plan(
             claim.release()
         raise
     frozen = {agent: tuple(changes) for agent, changes in sets.items()}
-    return Plan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
+    return DemoPlan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:

@@ -1,4 +1,4 @@
-"""Watches a fleet in virtual time from outside of it: it asks nothing of anybody, so the run stays the same."""
+"""Watches a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.kernel.component import Component
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.recording.commands import ActuatorCommand, CommandChains
-from pancakes.recording.entry import NANOSECONDS, Entry
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.service import Service
 from pancakes.services.root import Root
 from pancakes.web.causes import Explaining
@@ -25,9 +25,9 @@ HOST = MonotonicClock()
 """Processes live in the host's time, whatever the mission's clock does."""
 
 LOOK_S: Final = 1.0
-"""So often, in mission time, it looks what the agents are and run."""
+"""How often, in mission time, it reads the descriptions of the agents."""
 SLICE_S: Final = 0.05
-"""So often, as time passes for whoever watches, it waits until that time has come."""
+"""How often, in the viewer's time, it waits for the viewer's clock."""
 
 
 class VirtualWatch:
@@ -37,7 +37,7 @@ class VirtualWatch:
     called in the thread in which the fleet runs, unless they say otherwise.
 
     Args:
-        speed: mission seconds for each second that passes for whoever watches.
+        speed: mission seconds for each second of the viewer.
         stopping: ends the waiting.
     """
 
@@ -95,7 +95,9 @@ class VirtualWatch:
 
         def trace(packet: Packet) -> None:
             if packet.channel not in (LOG, SYSCTRL):
-                self._explain(self._chains.add(Entry(int(agent.kernel.host.now() * NANOSECONDS), name, packet)))
+                self._explain(
+                    self._chains.add(RecordedPacket(int(agent.kernel.host.now() * NANOSECONDS), name, packet))
+                )
 
         def leaves(packet: Packet) -> None:
             if not self._over:
@@ -138,7 +140,7 @@ class VirtualWatch:
             root = agent.kernel.registry.get(f"{agent.name}/kernel")
             if isinstance(root, Root) and agent.config.agent.role != "client":
                 description = root.describe()
-                # As fast as mission time goes for whoever watches.
+                # As fast as mission time goes for the viewer.
                 described.append({**description, "speed": description["speed"] * self.speed})
         with self.feed.lock:
             self.feed.model.describe(self._looks.look(described), described, self._now())

@@ -18,11 +18,11 @@ from pancakes.loopback import names_loopback
 HOST: Final = "127.0.0.1"
 """Metrics tell much about an agent, and any program may ask for them: they are served to this machine only."""
 REQUEST_S: Final = 5.0
-"""So long a request may take to come, in host time; then its connection is closed."""
+"""The time that a request may take to arrive, in host time; then its connection is closed."""
 MOST_REQUESTS: Final = 16
-"""So many are answered at a time."""
+"""The most requests that are answered at a time."""
 LONGEST_BODY: Final = 64 * 1024
-"""So much of a body that no request here needs is read, so that its sender gets to read the answer."""
+"""The most that is read of a body, which no request here needs, so that its sender gets to read the answer."""
 
 _Respond = Callable[[str, list[tuple[str, str]]], object]
 
@@ -42,7 +42,7 @@ class MetricsServer:
     """
 
     def __init__(self, port: int, registry: CollectorRegistry) -> None:
-        self._server = _Server((HOST, port), _Handler)
+        self._server = _Server((HOST, port), _MetricsRequestHandler)
         self._server.set_app(_guarded(make_wsgi_app(registry)))
         self.port = self._server.server_port
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
@@ -81,10 +81,10 @@ class _Server(ThreadingMixIn, WSGIServer):
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A request that breaks off, or never comes, is nothing to tell anybody."""
+        """Says nothing of a request that breaks off, or never comes."""
 
 
-class _Handler(WSGIRequestHandler):
+class _MetricsRequestHandler(WSGIRequestHandler):
     """Reads one request, and logs nothing."""
 
     timeout = REQUEST_S

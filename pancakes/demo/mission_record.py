@@ -1,4 +1,4 @@
-"""What a mission leaves behind, read back: the events that the agents told, and who ran a task when."""
+"""What a mission leaves behind, read back: the events that the agents told, and which agent ran a task when."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Occurrence:
 
     Attributes:
         t_s: mission time.
-        agent: who said so.
+        agent: the agent that said so.
         kind: what happened.
         fields: the rest of the line.
     """
@@ -58,7 +58,7 @@ class Holder:
     """An agent that ran a task for some time.
 
     Attributes:
-        agent: who.
+        agent: the agent.
         start_s: mission time.
         end_s: mission time; the mission's end where the task still ran then.
     """
@@ -100,7 +100,7 @@ def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[
 
 
 def holders(story: Story, task: str, end_s: float) -> list[Holder]:
-    """Returns who ran a task, in the order of time. A task that is frozen for a move runs no more."""
+    """Returns the agents that ran a task, in the order of time. A task that is frozen for a move runs no more."""
     found = []
     since: dict[str, float] = dict.fromkeys(story.running_at_first(task), 0.0)
     for event in story.events:

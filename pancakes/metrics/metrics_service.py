@@ -48,10 +48,10 @@ class MetricsService(Service):
 
     def on_start(self) -> None:
         if self.kernel.virtual is not None:
-            raise PancakesError(f"{self.address} serves nobody in virtual time, where no second is a second")
+            raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
         try:
             from pancakes.metrics.collector import AgentMetrics
-            from pancakes.metrics.server import HOST, MetricsServer
+            from pancakes.metrics.metrics_server import HOST, MetricsServer
         except ModuleNotFoundError as error:
             raise PancakesError(
                 f"there are no metrics without {error.name}: pip install 'pancakes-agents[metrics]'"

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
 from pancakes.recording.latenesses import quantile_s
-from pancakes.report.series import Series
+from pancakes.report.series import TimeSeries
 
 
 @dataclass
@@ -24,7 +24,7 @@ class AtRate:
 
 
 @dataclass
-class Timer:
+class TimerRates:
     """A time-driven method of a task on one agent.
 
     Attributes:
@@ -51,7 +51,7 @@ class Timer:
     missed: int = 0
     lateness_sum_s: float = 0.0
     lateness_max_s: float = 0.0
-    lateness: Series = field(default_factory=Series)
+    lateness: TimeSeries = field(default_factory=TimeSeries)
     lateness_counts: dict[int, int] = field(default_factory=dict)
     _before: tuple[float, int, TimerFigures] | None = None
 
@@ -61,7 +61,7 @@ class Timer:
         return self.lateness_sum_s / self.ticks if self.ticks else 0.0
 
     def lateness_quantile_s(self, share: float) -> float | None:
-        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None where nobody counted."""
+        """Returns the lateness that this share of the ticks stayed below, to within 10 %; None: no tick was counted."""
         return quantile_s(self.lateness_counts, share)
 
     def add(self, t_s: float, mission_s: float, incarnation: int, now: TimerFigures) -> None:
@@ -69,7 +69,7 @@ class Timer:
         for bucket, count in now.lateness_counts:
             self.lateness_counts[bucket] = self.lateness_counts.get(bucket, 0) + count
         before, self._before = self._before, (mission_s, incarnation, now)
-        # What was counted before the recording began is no part of it, but for the largest, which nobody can tell.
+        # Ticks before the recording began are no part of it; of the largest lateness the time is not known.
         # Where mission time has gone back the agent was started again, and counts all anew.
         if before is not None and (mission_s < before[0] or before[1] != incarnation or now.ticks < before[2].ticks):
             before = (mission_s, incarnation, TimerFigures(now.timer, now.rate_hz, 0, 0, 0.0, 0.0))
@@ -97,30 +97,28 @@ class Drops:
     agent: str
     task: str
     total: int = 0
-    over_time: Series = field(default_factory=Series)
-    _before: tuple[int, int] | None = None
+    over_time: TimeSeries = field(default_factory=TimeSeries)
+    _before: int | None = None
 
-    def add(self, t_s: float, incarnation: int, dropped: int) -> None:
+    def add(self, t_s: float, dropped: int) -> None:
         """Takes a sample; a mailbox outlives the actors of its task."""
         if self._before is not None:
-            self.total += max(0, dropped - self._before[1])
-        self._before = (incarnation, dropped)
+            self.total += max(0, dropped - self._before)
+        self._before = dropped
         self.over_time.add(t_s, self.total)
 
 
 @dataclass
-class Link:
+class LinkFigures:
     """A link between two agents as one of them counts it, since it stands.
 
     Attributes:
-        agent: who counts.
+        agent: the agent that counts.
         last: the newest figures.
-        rtt: round trips in seconds, over time.
     """
 
     agent: str
     last: OneLink
-    rtt: Series = field(default_factory=Series)
 
 
 @dataclass
@@ -132,14 +130,14 @@ class Rates:
         timers: by agent, task and timer.
         drops: by agent and task.
         links: by agent and peer.
-        undelivered: packets that nobody took, by agent.
+        undelivered: packets that no subscriber took, by agent.
         dead_letters: packets whose handlers failed, by agent.
     """
 
     samples: int = 0
-    timers: dict[tuple[str, str, str], Timer] = field(default_factory=dict)
+    timers: dict[tuple[str, str, str], TimerRates] = field(default_factory=dict)
     drops: dict[tuple[str, str], Drops] = field(default_factory=dict)
-    links: dict[tuple[str, str], Link] = field(default_factory=dict)
+    links: dict[tuple[str, str], LinkFigures] = field(default_factory=dict)
     undelivered: dict[str, int] = field(default_factory=dict)
     dead_letters: dict[str, int] = field(default_factory=dict)
 
@@ -149,20 +147,18 @@ class Rates:
         for task in figures.tasks:
             self._add_task(agent, task, figures.mission_s, t_s)
         for link in figures.links:
-            known = self.links.setdefault((agent, link.peer), Link(agent, link))
+            known = self.links.setdefault((agent, link.peer), LinkFigures(agent, link))
             known.last = link
-            if link.rtt_s is not None:
-                known.rtt.add(t_s, link.rtt_s)
         self.undelivered[agent], self.dead_letters[agent] = figures.undelivered, figures.dead_letters
 
     def _add_task(self, agent: str, task: OneTask, mission_s: float, t_s: float) -> None:
         drops = self.drops.setdefault((agent, task.task), Drops(agent, task.task))
-        drops.add(t_s, task.incarnation, task.dropped)
+        drops.add(t_s, task.dropped)
         for figures in task.timers:
             if figures.rate_hz <= 0 and not figures.ticks:
                 continue  # a driver that reads nothing by itself
             key = (agent, task.task, figures.timer)
-            timer = self.timers.setdefault(key, Timer(agent, task.task, task.task_id, figures.timer))
+            timer = self.timers.setdefault(key, TimerRates(agent, task.task, task.task_id, figures.timer))
             timer.add(t_s, mission_s, task.incarnation, figures)
 
     def only(self, task_id: str) -> None:

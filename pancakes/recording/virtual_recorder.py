@@ -1,4 +1,4 @@
-"""Records an agent in virtual time from outside of it: it asks nothing of anybody, so the run stays the same."""
+"""Records an agent in virtual time from outside: it sends no packets to the agent, so the run stays the same."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pancakes.service import Service
 from pancakes.slot import Slot
 
 WRITE_S: Final = 0.25
-"""How often, in virtual time, what has come is written."""
+"""How often, in virtual time, the packets that wait are written."""
 
 
 class VirtualRecorder:
@@ -61,7 +61,7 @@ class VirtualRecorder:
             self._recording.end()
 
     def _hear(self, packet: Packet) -> None:
-        """A task has come to run or has ended. In its service's turn, so that the task itself is in none."""
+        """A task has started or ended. In its service's turn, so that the task itself has none."""
         event = packet.body
         if not isinstance(event, Event) or agent_of(packet.source) != self._kernel.agent:
             return

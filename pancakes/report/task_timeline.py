@@ -1,4 +1,4 @@
-"""Who ran what: from what services say of their tasks, and from what tasks publish. Pure."""
+"""Which agent ran which task and when: from the events of services, and from the packets of tasks. Pure."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Span:
 
 
 @dataclass
-class Lane:
+class TaskLane:
     """A task on one agent.
 
     Attributes:
@@ -57,15 +57,15 @@ class Lane:
 
 
 @dataclass
-class Course:
-    """Who ran what.
+class TaskTimeline:
+    """Which agent ran which task, and when.
 
     Attributes:
         lanes: the tasks on agents, by agent, service and task.
         seen_s: when something was last seen of each agent.
     """
 
-    lanes: dict[tuple[str, str, str], Lane] = field(default_factory=dict)
+    lanes: dict[tuple[str, str, str], TaskLane] = field(default_factory=dict)
     seen_s: dict[str, float] = field(default_factory=dict)
 
     def add(self, agent: str, packet: Packet, t_s: float) -> None:
@@ -105,7 +105,7 @@ class Course:
     def _runs(self, agent: str, service: str, task: str, t_s: float, epoch: int | None, task_id: str) -> None:
         if service in INNER or not task:
             return
-        lane = self.lanes.setdefault((agent, service, task), Lane(agent, task, service))
+        lane = self.lanes.setdefault((agent, service, task), TaskLane(agent, task, service))
         lane.task_id = lane.task_id or task_id
         open_span = lane.spans[-1] if lane.spans and not lane.spans[-1].ended else None
         if open_span is None and lane.spans and t_s == lane.spans[-1].to_s:

@@ -9,20 +9,20 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.recording.chunks import MAGIC
-from pancakes.recording.entry import Entry, RecordingError
+from pancakes.recording.mcap_records import READ_ERRORS, Damage, is_being_written, opened, records_of
 from pancakes.recording.message import packet_from_data
 from pancakes.recording.mission_time import MissionTime
 from pancakes.recording.parts import SUFFIX, first_name, part_number, parts_of
-from pancakes.recording.records import READ_ERRORS, Damage, is_being_written, opened, records_of
+from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
 from pancakes.recording.schemas import SCHEMAS
 from pancakes.recording.writer import METADATA
 
 
 @dataclass
-class Reading:
+class FileReading:
     """What was found while a file was read; complete once its entries have been taken.
 
     Attributes:
@@ -62,9 +62,9 @@ class RecordingReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.files = files_of(path)
-        self.readings = [Reading(file) for file in self.files]
+        self.readings = [FileReading(file) for file in self.files]
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[RecordedPacket]:
         """Gives all packets, in the order in which they were recorded, over all files.
 
         Raises:
@@ -79,7 +79,7 @@ class RecordingReader:
         Raises:
             RecordingError: a file is no recording at all.
         """
-        again = [Reading(file) for file in self.files]
+        again = [FileReading(file) for file in self.files]
         return MissionTime.of((reading.about, _entries(reading)) for reading in again)
 
     def notes(self) -> Sequence[str]:
@@ -118,7 +118,7 @@ def files_of(path: Path) -> list[Path]:
     return sorted(files, key=lambda file: (first_name(file), part_number(file)))
 
 
-def _entries(reading: Reading) -> Iterator[Entry]:
+def _entries(reading: FileReading) -> Iterator[RecordedPacket]:
     with opened(reading.path) as file:
         for schema, channel, message in messages(reading, file):
             if not schema.startswith(SCHEMAS):
@@ -134,10 +134,10 @@ def _entries(reading: Reading) -> Iterator[Entry]:
             except RemoteProtocolError as error:
                 reading.strange[str(error)] = reading.strange.get(str(error), 0) + 1
                 continue
-            yield Entry(message.log_time, agent, packet)
+            yield RecordedPacket(message.log_time, agent, packet)
 
 
-def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
+def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
     """Gives all messages of a file as far as it is whole, each with the name of its schema and its channel.
 
     Raises:
@@ -174,4 +174,4 @@ def messages(reading: Reading, file: BinaryIO) -> Iterator[tuple[str, Channel, M
 def _was_begun(file: BinaryIO) -> bool:
     """Returns whether a recorder may have been killed the moment after it made the file."""
     file.seek(0)
-    return MAGIC.startswith(file.read(len(MAGIC)))
+    return MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC)))

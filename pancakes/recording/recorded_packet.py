@@ -16,14 +16,14 @@ class RecordingError(PancakesError):
     """A recording cannot be written or read; the message names the file."""
 
 
-class Entry(msgspec.Struct, frozen=True, gc=False):
+class RecordedPacket(msgspec.Struct, frozen=True, gc=False):
     """One packet as it was seen.
 
     Attributes:
         time_ns: when it was recorded, in nanoseconds: since 1970 where agents run live, since the agents were made
             in virtual time.
-        agent: the agent on whose channel it was seen; a packet that travels is seen where it comes from, and where it
-            comes to.
+        agent: the agent on whose channel it was seen; a packet that travels is seen on the agent that sends it, and
+            on the agent that gets it.
         packet: the packet.
     """
 

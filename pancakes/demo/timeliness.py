@@ -11,7 +11,7 @@ BEHIND_S: Final = 0.25
 MISSED_SHARE: Final = 0.01
 """So is a task that missed a larger share of its ticks, and more than one."""
 NAMED: Final = 3
-"""So many tasks are named, those that missed most; of the others the number is told."""
+"""The most tasks that are named, those that missed most; of the others the number is told."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,63 +8,12 @@ from typing import Any, Final
 
 from pancakes.report.findings import Findings
 from pancakes.report.happenings import Happening
-from pancakes.report.moves import Move
-from pancakes.report.picker import CSS as PICKER_CSS
+from pancakes.report.moves import TaskMove
 from pancakes.report.picker import picker_html
+from pancakes.report.static_text import static_text
 from pancakes.report.style import Picture
 
 MOST_ROWS: Final = 200
-
-_CSS: Final = """
-:root { color-scheme: light dark; --ink: #222; --faint: #666; --line: #ddd; --paper: #fff; --note: #fff4d6;
-  --edge: rgb(0 0 0 / .28); }
-@media (prefers-color-scheme: dark) {
-  :root { --ink: #e4e4e4; --faint: #a0a0a0; --line: #444; --paper: #16181a; --note: #40371d;
-    --edge: rgb(255 255 255 / .35); }
-}
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 62rem; padding: 1rem; color: var(--ink); background: var(--paper);
-  font: 16px/1.45 system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
-h1 { font-size: 1.5rem; margin: 0 0 .3rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; border-bottom: 1px solid var(--line); padding-bottom: .2rem; }
-h3 { font-size: 1rem; margin: 1.2rem 0 .3rem; }
-p { margin: .4rem 0; }
-nav a { margin-right: .9rem; white-space: nowrap; }
-a { color: inherit; }
-figure { margin: .8rem 0; text-align: center; }
-figure svg { width: 100%; height: auto; }
-figure svg.broad { min-width: 40rem; }
-figcaption, .faint { color: var(--faint); font-size: .87rem; }
-figcaption { text-align: left; }
-.note { background: var(--note); padding: .5rem .8rem; border-radius: .3rem; overflow-wrap: anywhere; }
-/* What is wider than the screen scrolls; a shade at an edge tells that there is more, as phones show no scroll bar. */
-.wide { overflow-x: auto; overscroll-behavior-x: contain; background:
-  linear-gradient(to right, var(--paper) 1.5rem, transparent) left / 3rem 100% no-repeat local,
-  linear-gradient(to left, var(--paper) 1.5rem, transparent) right / 3rem 100% no-repeat local,
-  linear-gradient(to right, var(--edge), transparent) left / .9rem 100% no-repeat scroll,
-  linear-gradient(to left, var(--edge), transparent) right / .9rem 100% no-repeat scroll; }
-table { border-collapse: collapse; font-size: .87rem; margin: .5rem 0; }
-th, td { padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th { font-weight: 600; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-dl { display: grid; grid-template-columns: max-content 1fr; gap: .1rem 1rem; margin: .5rem 0; font-size: .95rem; }
-dt { color: var(--faint); }
-dd { margin: 0; overflow-wrap: anywhere; }
-@media (max-width: 600px) {
-  table { font-size: .8rem; }
-  th, td { padding-right: .5rem; }
-}
-@media print {
-  :root { --ink: #000; --faint: #444; --line: #bbb; --paper: #fff; --note: #fff; }
-  body { max-width: none; font-size: 10pt; padding: 0; }
-  nav { display: none; }
-  figure, tr { break-inside: avoid; }
-  h2, h3 { break-after: avoid; }
-  .wide { overflow: visible; background: none; }
-  figure svg.broad { min-width: 0; }
-  .note { border: 1px solid var(--line); }
-}
-"""
 
 
 def make_page(
@@ -81,7 +30,7 @@ def make_page(
     """
     sections = [
         ("paths", "Paths", _shown(pictures, "paths", "Nothing in the recording has a place.")),
-        ("tasks", "Who ran what", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
+        ("tasks", "Which agent ran which task", _shown(pictures, "tasks", "No task of a mission is in the recording.")),
         ("moves", "Moves of tasks", _moves(findings, pictures)),
         ("batteries", "Batteries", _shown(pictures, "batteries", "No battery is in the recording.")),
         ("rates", "Rates", _rates(findings, pictures)),
@@ -95,10 +44,11 @@ def make_page(
     told = "".join(f"<dt>{escape(key)}</dt><dd>{escape(value)}</dd>" for key, value in about.items())
     noted = "".join(f'<p class="note">{escape(note)}</p>' for note in notes)
     body = "".join(f'<section id="{key}"><h2>{escape(name)}</h2>{html}</section>' for key, name, html in sections)
+    style = static_text("report.css") + static_text("picker.css")
     return (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{_CSS}{PICKER_CSS}</style></head><body>"
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
         f"<header><h1>{escape(title)}</h1><dl>{told}</dl></header>{noted}<nav>{links}</nav>"
         f"<main>{body}</main></body></html>\n"
     )
@@ -157,11 +107,11 @@ def _moves(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     return html + (_faint(f"{moves.left_out} more are left out.") if moves.left_out else "")
 
 
-def _move(move: Move) -> str:
+def _move(move: TaskMove) -> str:
     to = f" to {move.winner}" if move.winner else ""
-    who = "a rule of its own" if move.asked_by == "rule" else move.asked_by
+    asker = "a rule of its own" if move.asked_by == "rule" else move.asked_by
     only = f"Only {move.to} was asked. " if move.to else ""
-    parts = [f"Asked for by {who}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
+    parts = [f"Asked for by {asker}; cost: {move.cost}. {only}It took {_seconds(move.duration_s)} of host time."]
     if move.frozen_s is not None and move.started_s is not None:
         parts.append(f"In mission time it stood still for {_seconds(move.started_s - move.frozen_s)}.")
     if move.silence_s is not None:
@@ -169,7 +119,7 @@ def _move(move: Move) -> str:
             f"Between its last packet there and its first here were {_seconds(move.silence_s)} of mission time."
         )
     rows = [(it.peer, it.answer, it.cost, it.fate, it.reason) for it in move.answers]
-    asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("Nobody was asked.")
+    asked = _table(("asked", "answer", "cost", "fate", "reason"), rows) if rows else _faint("No neighbour was asked.")
     head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome} from {move.source}{to}"
     if move.outcome != "moved":
         head = f"{move.task_id} at {move.at_s:.1f} s: {move.outcome}{f', best: {move.winner}' if to else ''}"
@@ -240,7 +190,7 @@ def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         for agent in sorted(rates.undelivered)
         if rates.undelivered[agent] or rates.dead_letters[agent]
     ]
-    return html + (_table(("agent", "for nobody", "handler failed"), odd) if odd else "")
+    return html + (_table(("agent", "without a reader", "handler failed"), odd) if odd else "")
 
 
 def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
@@ -263,7 +213,7 @@ def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         ]
         head = ("agent", "link to", "round trip [ms]", "packets out", "bytes out", "packets in", "bytes in")
         html += _folded("Links as agents count them, since they stood", _table(head, links))
-    rows = [(it.agent, it.channel, it.type, it.packets) for _, it in sorted(findings.topics.items())]
+    rows = [(*topic, count) for topic, count in sorted(findings.topics.items())]
     return html + _folded("All that was recorded", _table(("agent", "channel", "type", "packets"), rows))
 
 

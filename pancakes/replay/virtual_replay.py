@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from msgspec.structs import replace
 
-from pancakes.agent import Agent
 from pancakes.config import Config
 from pancakes.config.model import RecordConfig
-from pancakes.control import Describe, Reply
 from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
 from pancakes.fleet import VirtualFleet
-from pancakes.packet import SYSCTRL, Packet, join, type_name
+from pancakes.packet import join
 from pancakes.plugins import Plugins
-from pancakes.recording.entry import NANOSECONDS, Entry
-from pancakes.recording.virtual import VirtualRecorder
+from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket
+from pancakes.recording.virtual_recorder import VirtualRecorder
 from pancakes.replay.selection import Live, Selection, Tally
+from pancakes.services.root import Root
 
 READY_S: Final = 30.0
 """How long, in virtual time, agents may take until they are ready."""
@@ -37,7 +36,7 @@ class VirtualReplay:
 
     Attributes:
         tally: what was fed so far.
-        refused: sentences on packets that nobody had room for, and on what could not be recorded.
+        refused: sentences on packets for which no mailbox had room, and on packets that could not be recorded.
 
     Raises:
         ConfigError: two of them have the same name.
@@ -84,13 +83,14 @@ class VirtualReplay:
         if not self._fleet.run_while(lambda: not all(agent.ready.is_set() for agent in agents), READY_S):
             late = ", ".join(agent.name for agent in agents if not agent.ready.is_set())
             raise PancakesError(f"{late} did not become ready within {READY_S:g} s of virtual time")
-        return {agent.name: Live.of(self._describe(agent)) for agent in agents}
+        roots = [agent.kernel.registry.get(join(agent.name, "kernel")) for agent in agents]
+        return {root.agent: Live.of(root.describe()) for root in roots if isinstance(root, Root)}
 
-    def feed(self, selection: Selection, entries: Iterable[Entry], first_ns: int, scale: float) -> None:
+    def feed(self, selection: Selection, entries: Iterable[RecordedPacket], first_ns: int, scale: float) -> None:
         """Feeds all packets, and lets the agents work on for a moment.
 
         Args:
-            selection: what is fed, and to whom.
+            selection: which packets are fed, and into which agent.
             entries: the recording, in the order of time.
             first_ns: when the first packet was seen that is fed; it goes in at once.
             scale: seconds of virtual time for each of the recording.
@@ -109,24 +109,6 @@ class VirtualReplay:
                 continue
             self.tally.add(fed)
         self._fleet.run_for(AFTER_S)
-
-    def _describe(self, agent: Agent) -> dict[str, Any]:
-        stream, asker = agent.kernel.stream, join(agent.name, "replay")
-        answers: list[Reply] = []
-
-        def hear(packet: Packet) -> None:
-            if packet.destination == asker and isinstance(packet.body, Reply):
-                answers.append(packet.body)
-
-        stream.tap(SYSCTRL, hear)
-        body = Describe()
-        stream.publish(Packet(SYSCTRL, type_name(body), asker, "", agent.kernel.mission.now(), 1, body))
-        self._fleet.run_while(lambda: not answers, READY_S)
-        stream.untap(SYSCTRL, hear)
-        if not answers:
-            raise PancakesError(f"{agent.name} does not say what it runs")
-        told: dict[str, Any] = answers[0].result
-        return told
 
 
 def _virtual(config: Config, seed: int) -> Config:
