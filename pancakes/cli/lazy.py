@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from pancakes.cli.piped import Piped
+from pancakes.cli.guarded import Guarded
 from pancakes.suggestion import suggestion
 
 
@@ -27,7 +27,7 @@ class Later:
     help: str
 
 
-class LazyGroup(Piped, click.Group):
+class LazyGroup(Guarded, click.Group):
     """A click group whose commands are imported late.
 
     Args:

@@ -9,7 +9,6 @@ from typing import Final
 import click
 
 from pancakes import __version__
-from pancakes.cli.errors import sentences
 from pancakes.cli.lazy import Later, LazyGroup
 
 PROGRAM: Final = "pancakes"
@@ -54,7 +53,6 @@ def pancakes() -> None:
     """
 
 
-@sentences
 def main() -> None:
     """The console script."""
     for name in ("stdout", "stderr"):

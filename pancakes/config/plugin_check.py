@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pancakes.config.address import parse_address
+from pancakes.address import parse_address
 from pancakes.config.model import Config, TaskConfig
 from pancakes.config.places import Places
 from pancakes.config.scanner import KeyPath

@@ -8,7 +8,7 @@ from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
 from pancakes import codecs
-from pancakes.config.address import parse_address
+from pancakes.address import parse_address
 from pancakes.config.model import (
     DEFAULT_SERVICES,
     SCHEMA,

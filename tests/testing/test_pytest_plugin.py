@@ -229,7 +229,7 @@ def test_it():
 
 
 def test_nothing_that_an_agent_imports_imports_pytest():
-    code = "import sys, pancakes.agent, pancakes.cli.agent, pancakes.cli.main, pancakes.testing; "
+    code = "import sys, pancakes.agent, pancakes.cli.agent_command, pancakes.cli.main, pancakes.testing; "
     code += "from pancakes.testing import FleetInTest, threaded_agent; print('pytest' in sys.modules)"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout == "False\n"

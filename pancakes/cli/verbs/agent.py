@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import survey
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents, the_agent
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show, show_json, show_sections
@@ -25,7 +24,6 @@ def agent() -> None:
 @agents
 @click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
 @asks_agents
-@sentences
 def list_(agents: tuple[str, ...], role: str, format_: str, at: Where, timeout: float) -> None:
     """List the agents that run, or those that are named.
 
@@ -56,7 +54,6 @@ def list_(agents: tuple[str, ...], role: str, format_: str, at: Where, timeout: 
 @agent.command()
 @the_agent
 @asks_agents
-@sentences
 def info(agent: str, format_: str, at: Where, timeout: float) -> None:
     """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
 

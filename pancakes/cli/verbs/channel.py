@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import ask_each, order
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import listen
 from pancakes.cli.names import ChannelName, a_channel, an_agent
 from pancakes.cli.options import Duration, asks_agents
@@ -39,7 +38,6 @@ for verb in (echo, hz, bw, pub):
 @channel.command("list")
 @an_agent
 @asks_agents
-@sentences
 def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
     """List the channels of all agents, or of AGENT.
 
@@ -77,7 +75,6 @@ def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
     help="How long to listen for who publishes.",
 )
 @asks_agents
-@sentences
 def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: float) -> None:
     """Show who subscribes to a channel, who follows it, and who publishes on it.
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pancakes.cli import interpreter
-from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import end_by_signals, event_at
 from pancakes.cli.options import FiniteRange
 from pancakes.cli.output import show_text
@@ -83,7 +82,6 @@ class DemoNames(click.ParamType):
 @click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
 @port_option
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
-@sentences
 def demo(
     name: str | None,
     list_: bool,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.errors import OK, REFUSED
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json, show_text
 from pancakes.errors import Unreachable
@@ -24,7 +24,6 @@ MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error"
 @click.command()
 @click.option("--no-machine", is_flag=True, help="Look only at the agents.")
 @asks_agents
-@sentences
 def doctor(no_machine: bool, format_: str, at: Where, timeout: float) -> None:
     """Look for what is wrong on this machine and with its agents, and say what to do.
 

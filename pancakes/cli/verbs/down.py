@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, sentences
+from pancakes.cli.errors import OK, REFUSED, UNREACHABLE
 from pancakes.cli.names import agents
 from pancakes.cli.options import dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_text
@@ -45,7 +45,6 @@ class _Target:
 @click.option("--all", "all_", is_flag=True, help="With --at: all agents that are found from there.")
 @dry_run_option
 @orders_agents
-@sentences
 def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
 

@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
@@ -37,7 +36,6 @@ HEADER: Final = "packet."
 @count_option("packets")
 @for_option
 @asks_agents
-@sentences
 def echo(
     name: ChannelName,
     types: tuple[str, ...],

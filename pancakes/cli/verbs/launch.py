@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.agent_options import SHOW_TRACEBACKS
-from pancakes.cli.errors import sentences
+from pancakes.cli.agent_process import SHOW_TRACEBACKS
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
 from pancakes.printable import printable_data
@@ -54,7 +53,6 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 )
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
-@sentences
 def launch(
     paths: tuple[Path, ...],
     sets: tuple[str, ...],

@@ -11,7 +11,6 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import order
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import from_any, from_option, listen, telling_losses
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
@@ -58,7 +57,6 @@ class Pattern(click.ParamType):
 @click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
 @click.option("--traceback", is_flag=True, help="Show failures with their whole tracebacks.")
 @asks_agents
-@sentences
 def log(
     agents: tuple[str, ...],
     follow: bool,

@@ -9,7 +9,6 @@ import click
 
 from pancakes.cli.asking import accepted, ask_each, meant
 from pancakes.cli.completing import costs, tasks_beside
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
 from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
@@ -54,7 +53,6 @@ MOVES = (
 )
 @click.option("--dry-run", is_flag=True, help="Only ask who would take it, and for what cost; move nothing.")
 @asks_agents_for(30.0)
-@sentences
 def migrate(
     name: TaskName,
     to: str,
@@ -93,7 +91,6 @@ def migrate(
 @click.command()
 @agents
 @asks_agents
-@sentences
 def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
     """List the moves that all agents, or those that are named, were asked for: the newest 100 of each, oldest first.
 
@@ -124,7 +121,6 @@ def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float)
 )
 @dry_run_option
 @orders_agents
-@sentences
 def adopt(
     name: TaskName,
     force: bool,
@@ -175,7 +171,6 @@ def adopt(
 )
 @dry_run_option
 @orders_agents
-@sentences
 def forget(name: TaskName, birthplace: str, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
     """Let a task rest on AGENT for good, because it runs elsewhere, and AGENT has lost its record of it.
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, meant, order, placed
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.errors import OK, REFUSED
 from pancakes.cli.names import TaskName, a_task
 from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
@@ -35,7 +35,6 @@ def param() -> None:
 @param.command("list")
 @click.argument("name", metavar="[AGENT[/TASK]]", required=False, type=AgentOrTask())
 @asks_agents
-@sentences
 def list_(name: TaskName | None, format_: str, at: Where, timeout: float) -> None:
     """List the settings of all tasks, of those of AGENT, or of one task.
 
@@ -53,7 +52,6 @@ def list_(name: TaskName | None, format_: str, at: Where, timeout: float) -> Non
 @a_task
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
-@sentences
 def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
     """Show the settings of a task; where NAME is given, only its value, as TOML.
 
@@ -77,7 +75,6 @@ def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -
 @click.argument("changes", metavar="NAME=VALUE...", nargs=-1, required=True, type=ParamName(equals=True))
 @dry_run_option
 @orders_agents
-@sentences
 def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change settings of a running task; all of them are good, or nothing changes.
 
@@ -114,7 +111,6 @@ def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, 
 @a_task
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
-@sentences
 def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
     """Say what may be set: type, default, bounds, unit and meaning of a task's settings.
 
@@ -140,7 +136,6 @@ def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: flo
 @param.command()
 @a_task_or_agent
 @asks_agents
-@sentences
 def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
     """Print the settings of a task, or of all tasks of AGENT that its configuration names, as a configuration has them.
 
@@ -164,7 +159,6 @@ def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path, allow_dash=True))
 @dry_run_option
 @orders_agents
-@sentences
 def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
 

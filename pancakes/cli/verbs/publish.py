@@ -10,7 +10,6 @@ import click
 
 from pancakes.cli.asking import order
 from pancakes.cli.bodies import BadBody, body_of
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import show
@@ -40,7 +39,6 @@ RATE_HZ: Final = 1.0
 @click.option("--count", "most", metavar="N", type=click.IntRange(min=1), help="N packets, at --rate or one a second.")
 @dry_run_option
 @orders_agents
-@sentences
 def pub(
     name: ChannelName,
     kind: str,

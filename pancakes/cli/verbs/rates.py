@@ -7,7 +7,6 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
 from pancakes.cli.names import ChannelName, a_channel
 from pancakes.cli.options import asks_agents
@@ -51,7 +50,6 @@ def _measures(function: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--wall-time", is_flag=True, help="Take the times at which packets come here, instead of those they were published."
 )
-@sentences
 def hz(wall_time: bool, **asked: Any) -> None:
     """Measure how often packets come on a channel: each second until Ctrl-C, or once with --count or --for.
 
@@ -70,7 +68,6 @@ def hz(wall_time: bool, **asked: Any) -> None:
 
 @click.command()
 @_measures
-@sentences
 def bw(**asked: Any) -> None:
     """Measure how many bytes come on a channel: each second until Ctrl-C, or once with --count or --for.
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import accepted
-from pancakes.cli.errors import REFUSED, sentences
+from pancakes.cli.errors import REFUSED
 from pancakes.cli.names import agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections, show_text
@@ -43,7 +43,6 @@ def record() -> None:
 @click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
 @dry_run_option
 @orders_agents
-@sentences
 def start(
     agents: tuple[str, ...],
     path: str,
@@ -94,7 +93,6 @@ def start(
 @agents
 @dry_run_option
 @orders_agents
-@sentences
 def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """End the recordings of all agents, or of those that are named, and wait until the files are complete.
 
@@ -119,7 +117,6 @@ def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeou
 @record.command("list")
 @agents
 @asks_agents
-@sentences
 def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
     """List which agents record, and where to.
 
@@ -143,7 +140,6 @@ def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> N
 @record.command()
 @click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
 @format_option
-@sentences
 def info(path: Path, format_: str) -> None:
     """Show what is in a recording: a file with its parts, or all files of a folder.
 
@@ -198,7 +194,6 @@ def info(path: Path, format_: str) -> None:
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
 @dry_run_option
 @format_option
-@sentences
 def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
     """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
 

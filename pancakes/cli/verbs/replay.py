@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import AgentNameType
 from pancakes.cli.options import Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
@@ -64,7 +63,6 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
 )
 @dry_run_option
 @orders_agents
-@sentences
 def replay(
     path: Path,
     speed: float,

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
 
@@ -20,7 +19,6 @@ from pancakes.cli.output import show, show_text
 )
 @click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
 @format_option
-@sentences
 def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.
 

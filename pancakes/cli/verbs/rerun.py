@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.errors import OK, REFUSED
 from pancakes.cli.options import Duration, FiniteRange, format_option
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import one_line, say
@@ -54,7 +54,6 @@ LONGEST: Final = 100
     help="How many differences of each stay are shown.",
 )  # fmt: skip
 @format_option
-@sentences
 def rerun(
     path: Path,
     task: str,

@@ -7,7 +7,6 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, survey
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import ServiceName, a_service, agents
 from pancakes.cli.options import Duration, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
@@ -33,7 +32,6 @@ def service() -> None:
 @agents
 @click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
 @asks_agents
-@sentences
 def list_(agents: tuple[str, ...], state: str | None, format_: str, at: Where, timeout: float) -> None:
     """List the services of all agents, or of those that are named.
 
@@ -52,7 +50,6 @@ def list_(agents: tuple[str, ...], state: str | None, format_: str, at: Where, t
 @service.command()
 @a_service
 @asks_agents
-@sentences
 def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
     """Show a service and its tasks.
 
@@ -82,7 +79,6 @@ def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
 @a_service
 @dry_run_option
 @orders_agents
-@sentences
 def start(name: ServiceName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Start a service that stands still, and wait until it and its tasks run.
 
@@ -100,7 +96,6 @@ def start(name: ServiceName, dry_run: bool, format_: str, at: Where, timeout: fl
 )
 @dry_run_option
 @orders_agents
-@sentences
 def stop(name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a service and all of its tasks, and wait for that.
 
@@ -124,7 +119,6 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at
 )
 @dry_run_option
 @orders_agents
-@sentences
 def restart(name: ServiceName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
 

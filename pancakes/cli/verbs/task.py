@@ -10,7 +10,6 @@ import click
 
 from pancakes.cli.asking import accepted, order, placed, survey
 from pancakes.cli.completing import timers
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import TaskName, a_task, agents
 from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
@@ -44,7 +43,6 @@ task.add_command(forget)
 @click.option("--state", type=click.Choice(STATES), help="Only tasks in this state.")
 @click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
 @asks_agents
-@sentences
 def list_(
     agents: tuple[str, ...],
     service: str,
@@ -79,7 +77,6 @@ def list_(
 @task.command()
 @a_task
 @asks_agents
-@sentences
 def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
     """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
     failed the last time, with the whole traceback.
@@ -105,7 +102,6 @@ def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
 @click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Start it with this setting. Repeatable.")
 @dry_run_option
 @orders_agents
-@sentences
 def start(name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Start a task that stands still, and wait until it runs.
 
@@ -127,7 +123,6 @@ def start(name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at
 @a_task
 @dry_run_option
 @orders_agents
-@sentences
 def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a task once it has finished what it has in hand, and wait for that.
 
@@ -153,7 +148,6 @@ def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float)
 )
 @dry_run_option
 @orders_agents
-@sentences
 def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Stop a task, start it, and wait until it runs.
 
@@ -179,7 +173,6 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: W
 )
 @dry_run_option
 @orders_agents
-@sentences
 def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
     """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
 

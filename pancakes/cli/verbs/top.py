@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.names import agents as some_agents
 from pancakes.cli.options import Duration, asks_agents
 from pancakes.cli.output import show_json, show_text
@@ -76,7 +75,6 @@ SLOW: Final = 0.8
     help="The order of the tasks; all but names begin with the largest.",
 )
 @asks_agents
-@sentences
 def top(
     agents: tuple[str, ...],
     once: bool,

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import asks_agents
 from pancakes.cli.output import show_json, show_text
@@ -31,7 +30,6 @@ port_option = click.option(
 @port_option
 @click.option("--open", "open_", is_flag=True, help="Open the page in the browser as well.")
 @asks_agents
-@sentences
 def view(
     control: bool,
     port: int | None,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.options import Duration, format_option
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import Printer, say
@@ -41,7 +40,6 @@ MOST_ALIKE: Final = 50
 @click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
 @click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
 @format_option
-@sentences
 def why(
     path: Path,
     agent: str,
