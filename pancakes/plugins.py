@@ -28,6 +28,7 @@ GROUPS: Final = {
     "pancakes.transports": "transport",
     "pancakes.packets": "packet module",
     "pancakes.demos": "demo",
+    "pancakes.commands": "command",
 }
 """The entry point groups, and what a person calls one of their entries."""
 
