@@ -25,6 +25,10 @@ class Address(msgspec.Struct, frozen=True):
     host: str
     port: int
 
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
     @property
     def loopback(self) -> bool:
         """Whether only this computer can reach it."""

@@ -40,7 +40,7 @@ _KINDS: Final = {
 }
 
 
-class Entry(msgspec.Struct, frozen=True):
+class RunningAgent(msgspec.Struct, frozen=True):
     """One agent that runs on this machine.
 
     Attributes:
@@ -58,7 +58,7 @@ class Entry(msgspec.Struct, frozen=True):
     pid: int
 
 
-_DECODE: Final = codecs.json_decoder(Entry)
+_DECODE: Final = codecs.json_decoder(RunningAgent)
 
 
 class Registration:
@@ -89,7 +89,7 @@ def runtime_dir() -> Path:
     return Path(f"/tmp/pancakes-{os.getuid()}")
 
 
-def register(entry: Entry) -> Registration:
+def register(entry: RunningAgent) -> Registration:
     """Writes an agent's entry: whoever reads finds all of it, or nothing.
 
     Raises:
@@ -123,12 +123,12 @@ class Found(msgspec.Struct, frozen=True):
         odd: a sentence for each thing there that no agent has written; it is left as it is.
     """
 
-    entries: list[Entry]
+    entries: list[RunningAgent]
     cleared: list[str]
     odd: list[str]
 
 
-def entries() -> list[Entry]:
+def entries() -> list[RunningAgent]:
     """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
 
     What else lies there is passed over, with a warning on standard error, once in a process.

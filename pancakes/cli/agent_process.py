@@ -11,7 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.cli import interpreter
-from pancakes.cli.errors import OK, REFUSED
+from pancakes.cli.exit_codes import OK, REFUSED
 from pancakes.cli.output import show_text
 from pancakes.clock import MonotonicClock
 
@@ -159,12 +159,12 @@ def _register(running: Agent) -> Registration | None:
     """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
     from pancakes.errors import PancakesError
     from pancakes.net.peers import reachable
-    from pancakes.runtime_dir import Entry, register
+    from pancakes.runtime_dir import RunningAgent, register
 
     agent = running.config.agent
     listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
     try:
-        return register(Entry(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()))
     except PancakesError as error:
         _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
         return None

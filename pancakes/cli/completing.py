@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 from click.shell_completion import CompletionItem
 
-from pancakes.cli.names import TaskName, TaskNameType
+from pancakes.cli.name_types import TaskName, TaskNameType
 from pancakes.control import Describe
 from pancakes.printable import printable
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from pancakes.cli.errors import sentences
+from pancakes.cli.exit_codes import sentences
 
 
 class Guarded(click.Command):

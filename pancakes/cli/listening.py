@@ -8,13 +8,14 @@ from contextlib import contextmanager
 
 import click
 
-from pancakes.cli.names import ChannelName
+from pancakes.cli.name_types import ChannelName
+from pancakes.cli.options import Ask
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client, Where
-from pancakes.client.following import Following, Heard
+from pancakes.client import Client
+from pancakes.client.following import Following, HeardPacket
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
@@ -31,20 +32,17 @@ from_option = click.option(
 
 
 @contextmanager
-def listening_to(
-    name: ChannelName, types: Sequence[str], at: Where, timeout_s: float
-) -> Iterator[tuple[Client, Following]]:
+def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Following]]:
     """Listens to a channel of an agent, until Ctrl-C at the latest.
 
     Args:
         name: the channel.
         types: only packets of these types; none: all.
-        at: where to ask; see `Client`.
-        timeout_s: how long to wait for answers.
+        ask: how to ask.
     """
     with (
         until_ended(),
-        Client(at, timeout_s) as client,
+        ask.client() as client,
         Following(client, name.channel, types, True, (name.agent,), say) as following,
         telling_losses(client, following),
     ):
@@ -53,7 +51,7 @@ def listening_to(
 
 def listen(
     client: Client, following: Following, for_s: float | None = None, bounded: bool = False
-) -> Iterator[Heard | None]:
+) -> Iterator[HeardPacket | None]:
     """Yields the packets as they come, and None now and then where none comes.
 
     Args:
@@ -121,6 +119,5 @@ def doubt_types(types: Sequence[str]) -> None:
     Plugins().load_packets()
     known = known_types()
     for name in types:
-        near = suggestion(name, known)
         if name not in known:
-            say(f"no packet type {name!r} is installed here" + (f", did you mean {near!r}?" if near else ""))
+            say(f"no packet type {name!r} is installed here{did_you_mean(name, known)}")

@@ -66,6 +66,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from pancakes.cli import entry  # noqa: F401 - a SIGINT ends it quietly
+    from pancakes.cli import console_scripts  # noqa: F401 - a SIGINT ends it quietly
 
     main()

@@ -80,7 +80,7 @@ class Printer:
 @contextmanager
 def until_ended() -> Iterator[None]:
     """Lets Ctrl-C, or whoever reads the output and has had enough, end what goes on: in good order, without a word."""
-    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.entry`
+    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.console_scripts`
     try:
         if quiet:
             signal.signal(signal.SIGINT, _interrupt)

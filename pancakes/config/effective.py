@@ -9,7 +9,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from pancakes.arrays import without_arrays
-from pancakes.config.model import SCHEMA, Config, DeviceConfig
+from pancakes.config.tables import SCHEMA, Config, DeviceConfig
 from pancakes.errors import PluginError
 from pancakes.plugins import Plugins
 from pancakes.settings import SettingsError, make_settings, plain_settings

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pancakes.address import parse_address
-from pancakes.config.model import Config, TaskConfig
-from pancakes.config.places import Places
+from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
+from pancakes.config.tables import Config, TaskConfig
 from pancakes.errors import Fault, PluginError
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import body_class, field_names, known_types

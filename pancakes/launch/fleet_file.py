@@ -8,10 +8,10 @@ from typing import Any, Final, TypeVar
 
 from pancakes import codecs
 from pancakes.config import SCHEMA
-from pancakes.config.places import Places
+from pancakes.config.config_schema import DRAFT, NAME, closed
+from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
-from pancakes.config.schema import DRAFT, NAME, closed
-from pancakes.config.source import tables_of, text_of
+from pancakes.config.toml_source import tables_of, text_of
 from pancakes.errors import ConfigError
 from pancakes.launch.member import ProcessRestart
 from pancakes.schema import schema_of
@@ -83,7 +83,7 @@ def load_fleet(path: str) -> FleetFile:
     Raises:
         ConfigError: it cannot be read, or is not sound; it carries every fault.
     """
-    reader = _Reader(*tables_of(text_of(path), path, named=("agent",)))
+    reader = _FleetReader(*tables_of(text_of(path), path, named=("agent",)))
     found = reader.read()
     if reader.faults:
         raise ConfigError(reader.places.in_order(reader.faults))
@@ -109,7 +109,7 @@ def fleet_schema() -> dict[str, Any]:
     }
 
 
-class _Reader:
+class _FleetReader:
     """Makes a `FleetFile` and collects faults."""
 
     def __init__(self, values: dict[str, Any], places: Places) -> None:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from pancakes.agent import Agent
 from pancakes.config import Config
-from pancakes.config.model import RecordConfig
+from pancakes.config.tables import RecordConfig
 from pancakes.control import Describe, Reply
 from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
 from pancakes.fleet import VirtualFleet

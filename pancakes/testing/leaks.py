@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pancakes.clock import MonotonicClock
 
 if TYPE_CHECKING:
-    from pancakes.testing.agent import AgentInTest
+    from pancakes.testing.agent_in_test import AgentInTest
 
 PATIENCE_S = 2.0
 """How long, in seconds of the host, what was told to end may take for that."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pancakes.packet import Packet, type_name
-from pancakes.testing.agent import PATIENCE_S, AgentInTest
-from pancakes.testing.probe import Probe, Where
+from pancakes.testing.agent_in_test import PATIENCE_S, AgentInTest
+from pancakes.testing.probe import BodyTest, Probe
 
 MOST_SHOWN = 20
 
@@ -14,7 +14,7 @@ MOST_SHOWN = 20
 def assert_published(
     probe: Probe | AgentInTest,
     body: type,
-    where: Where | None = None,
+    where: BodyTest | None = None,
     *,
     channel: str = "",
     source: str = "",

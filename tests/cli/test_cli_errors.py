@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.cli.errors import sentences
+from pancakes.cli.exit_codes import sentences
 from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, Unreachable
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from processes import PATIENCE_S, Rig
 
-ENTRY = "pancakes.cli.entry"
+ENTRY = "pancakes.cli.console_scripts"
 PANCAKES = f"import sys; from {ENTRY} import pancakes; sys.exit(pancakes())"
 AGENT = f"import sys; from {ENTRY} import agent; sys.exit(agent())"
 IMPORTED = "import time:"

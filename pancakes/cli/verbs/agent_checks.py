@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from pancakes import __version__
 from pancakes.cli.verbs.finding import Finding
-from pancakes.runtime_dir import Entry
+from pancakes.runtime_dir import RunningAgent
 from pancakes.supervision import tries
 
 MISSED_SHARE: Final = 0.01
@@ -17,7 +17,7 @@ Ask = Callable[[str, str], Any]
 """Returns the detailed description of a task (an agent's name, `service/task`); None where there is none."""
 
 
-def check_entries(entries: Sequence[Entry]) -> Iterator[Finding]:
+def check_entries(entries: Sequence[RunningAgent]) -> Iterator[Finding]:
     """Looks at the agents of this machine from outside: their names and processes."""
     for entry in entries:
         same = [other.pid for other in entries if (other.fleet, other.name) == (entry.fleet, entry.name)]

@@ -10,7 +10,7 @@ import sys
 import click
 from click.shell_completion import BashComplete, add_completion_class, get_completion_class, split_arg_string
 
-from pancakes.cli.errors import REFUSED, TRACEBACK
+from pancakes.cli.exit_codes import REFUSED, TRACEBACK
 from pancakes.cli.main import PROGRAM, VARIABLE, pancakes
 from pancakes.cli.output import show_text
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pancakes.cli.errors import BAD_CONFIGURATION, OK
+from pancakes.cli.exit_codes import BAD_CONFIGURATION, OK
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.errors import ConfigError
@@ -37,7 +37,7 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         pancakes config check configs/encirclement robot.toml
         pancakes config check robot.toml --format json
     """
-    from pancakes.launch.plan import make_fleet
+    from pancakes.launch.fleet_plan import make_fleet
     from pancakes.plugins import Plugins
 
     plugins = Plugins()
@@ -123,7 +123,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
         pancakes config schema --plugins > agent.schema.json
         pancakes config schema --format table
     """
-    from pancakes.config.schema import config_schema
+    from pancakes.config.config_schema import config_schema
     from pancakes.plugins import Plugins
 
     if fleet and with_plugins:

@@ -33,7 +33,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     "sets",
     multiple=True,
     metavar="[AGENT:]KEY=VALUE",
-    help="Change a key of one agent's configuration, or of all. Repeatable.",
+    help="SettingChange a key of one agent's configuration, or of all. Repeatable.",
 )
 @click.option(
     "--restart",
@@ -84,7 +84,7 @@ def launch(
         pancakes launch configs/encirclement --dry-run
     """
     from pancakes.launch.afresh import check_alone
-    from pancakes.launch.plan import check_free, make_fleet
+    from pancakes.launch.fleet_plan import check_free, make_fleet
     from pancakes.plugins import Plugins
 
     if traceback:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED
+from pancakes.cli.exit_codes import OK, REFUSED
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
 from pancakes.errors import PluginError

@@ -9,12 +9,11 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import order
-from pancakes.cli.bodies import BadBody, body_of
-from pancakes.cli.names import ChannelName, a_channel
-from pancakes.cli.options import FiniteRange, dry_run_option, orders_agents
-from pancakes.cli.output import show
+from pancakes.cli.json_bodies import BadBody, body_of
+from pancakes.cli.name_types import ChannelName, a_channel
+from pancakes.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client, Where
+from pancakes.client import Client
 from pancakes.control import CONTROLS, Channels, Describe
 from pancakes.errors import PeerLost, Unreachable
 from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
@@ -40,16 +39,7 @@ RATE_HZ: Final = 1.0
 @dry_run_option
 @orders_agents
 def pub(
-    name: ChannelName,
-    kind: str,
-    body: str,
-    to: str,
-    rate_hz: float | None,
-    most: int | None,
-    dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    name: ChannelName, kind: str, body: str, to: str, rate_hz: float | None, most: int | None, dry_run: bool, ask: Ask
 ) -> None:
     """Publish a packet of the type TYPE on a channel.
 
@@ -72,7 +62,7 @@ def pub(
     except BadBody as error:
         raise click.UsageError(str(error)) from None
     destination = _destination(name.agent, to)
-    with until_ended(), Client(at, timeout) as client:
+    with until_ended(), ask.client() as client:
         sender = Sender(client, name, made, destination)
         if not sender.subscribers:
             say(f"nobody on {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
@@ -84,7 +74,7 @@ def pub(
                     row["packets"] += 1
             except KeyboardInterrupt:
                 sender.settle()
-        show([row], COLUMNS, format_)
+        ask.show([row], COLUMNS)
 
 
 def _destination(agent: str, to: str) -> str:

@@ -9,12 +9,12 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.asking import accepted
-from pancakes.cli.errors import REFUSED
-from pancakes.cli.names import agents
-from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.cli.asking import accepted, surveyed
+from pancakes.cli.exit_codes import REFUSED
+from pancakes.cli.name_types import agents
+from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections, show_text
-from pancakes.client import Client, Where
+from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 
@@ -52,9 +52,7 @@ def start(
     limit_mib: float | None,
     split_mib: float | None,
     dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     """Begin to record on all agents, or on those that are named.
 
@@ -76,9 +74,9 @@ def start(
         "split_mib": split_mib,
     }
     settings = {key: value for key, value in given.items() if value not in ("", [], None)}
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
-        there = _survey(client, agents)
+        there = surveyed(client, *agents)
         _check_channels(channels, there)
         if task and not _runs(client, task, there):
             show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
@@ -86,21 +84,21 @@ def start(
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command()
 @agents
 @dry_run_option
 @orders_agents
-def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     """End the recordings of all agents, or of those that are named, and wait until the files are complete.
 
     \b
     Example:
         pancakes record stop
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
             running = accepted(client, agent, Describe(RECORDER)).result["state"] == "running"
@@ -111,20 +109,20 @@ def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeou
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
         raise ControlRefused("no agent records")
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command("list")
 @agents
 @asks_agents
-def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
+def list_(agents: tuple[str, ...], ask: Ask) -> None:
     """List which agents record, and where to.
 
     \b
     Example:
         pancakes record list
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
             told = accepted(client, agent, Describe(RECORDER)).result
@@ -134,7 +132,7 @@ def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> N
             elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
                 done, path = f"ended: {ended['reason']}", ended["path"]
             rows.append({"agent": agent, "done": done, "path": path})
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command()
@@ -234,15 +232,8 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
         sys.exit(REFUSED)
 
 
-def _survey(client: Client, agents: tuple[str, ...]) -> list[dict[str, Any]]:
-    found = client.survey(*agents)
-    for sentence in found.silent:
-        show_text(sentence, err=True)
-    return list(found.agents)
-
-
 def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
-    return [described["agent"] for described in _survey(client, agents)]
+    return [described["agent"] for described in surveyed(client, *agents)]
 
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:

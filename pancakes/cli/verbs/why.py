@@ -74,7 +74,7 @@ def why(
     for fault in Plugins().load_packets():
         say(str(fault))
     reader = RecordingReader(path)
-    question = _Question(reader, agent, type_, task)
+    question = _CommandQuestion(reader, agent, type_, task)
     if list_:
         with Printer(format_, True, _line) as printer:
             for command in question.commands():
@@ -91,7 +91,7 @@ def why(
         raise PancakesError(question.nothing())
 
 
-class _Question:
+class _CommandQuestion:
     """Which commands are meant, and what is found of all of them while they are read."""
 
     def __init__(self, reader: RecordingReader, agent: str, type_: str, task: str) -> None:
@@ -130,7 +130,7 @@ class _Question:
                 self._others.add(f"{command.agent} {command.packet.type}" + (f" of {task_id}" if task_id else ""))
 
 
-def _show_kinds(question: _Question, format_: str) -> None:
+def _show_kinds(question: _CommandQuestion, format_: str) -> None:
     for _ in question.commands():
         pass
     found = question.found
@@ -150,7 +150,9 @@ def _show_kinds(question: _Question, format_: str) -> None:
         show_text(f"{found.left_out:,} more have chains of rarer kinds")
 
 
-def _show_chains(question: _Question, at_s: float | None, seq: int | None, slowest: int | None, format_: str) -> None:
+def _show_chains(
+    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None, format_: str
+) -> None:
     chosen, more = _choose(question, at_s, seq, slowest)
     rows = [
         {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
@@ -170,7 +172,7 @@ def _show_chains(question: _Question, at_s: float | None, seq: int | None, slowe
 
 
 def _choose(
-    question: _Question, at_s: float | None, seq: int | None, slowest: int | None
+    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None
 ) -> tuple[list[ActuatorCommand], int]:
     """Returns the commands that are asked for, and how many more there would be."""
     if slowest is not None:
@@ -234,7 +236,7 @@ def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
     ]
 
 
-def _alike(question: _Question, command: ActuatorCommand) -> dict[str, Any] | None:
+def _alike(question: _CommandQuestion, command: ActuatorCommand) -> dict[str, Any] | None:
     reaction = question.found.alike(command.chain) if command.caused else None
     return _distribution(reaction) if reaction is not None else None
 

@@ -21,7 +21,7 @@ from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
 from pancakes.net.transport import Transport
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries, runtime_dir
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 from pancakes.wire.messages import Hello
 
 Answers = dict[tuple[str, str], Reply]
@@ -458,12 +458,9 @@ class Client:
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
         lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
-        near = suggestion(agent, names)
-        there = f"there is no agent {agent!r}" + (f", did you mean {near!r}?" if near else "")
+        there = f"there is no agent {agent!r}{hint_of(agent, names)}"
         if not names:
             there = self._nowhere() if not lines else f"nobody knows an agent {agent!r}"
-        elif not near:
-            there += f", only {', '.join(names)}"
         return "\n".join([*lines, there])
 
     def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:
