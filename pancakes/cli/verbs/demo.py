@@ -74,7 +74,7 @@ class DemoNames(click.ParamType):
     "sets",
     multiple=True,
     metavar="[AGENT:]KEY=VALUE",
-    help="SettingChange a key of one agent's configuration, or of all.",
+    help="Change a key of one agent's configuration, or of all.",
 )
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")

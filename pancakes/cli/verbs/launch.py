@@ -33,7 +33,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     "sets",
     multiple=True,
     metavar="[AGENT:]KEY=VALUE",
-    help="SettingChange a key of one agent's configuration, or of all. Repeatable.",
+    help="Change a key of one agent's configuration, or of all. Repeatable.",
 )
 @click.option(
     "--restart",

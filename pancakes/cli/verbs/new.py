@@ -62,7 +62,7 @@ def new() -> None:
     """Begin a task, driver, service or plug-in of one's own.
 
     Each command writes a distribution that works: with its entry points, tests that pass, a configuration that runs
-    it, and a README. SettingChange it from there.
+    it, and a README. Change it from there.
     """
 
 

@@ -76,7 +76,7 @@ def get(name: TaskName, setting: str, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
-    """SettingChange settings of a running task; all of them are good, or nothing changes.
+    """Change settings of a running task; all of them are good, or nothing changes.
 
     A value that reads as TOML is taken as such (5, true, [1, 2], { x = 1 }), anything else as a string. Inside of a
     table, NAME has dots: slow.PoseSharing=0.5.
@@ -159,7 +159,7 @@ def dump(name: TaskName, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
-    """SettingChange the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
+    """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
 
     FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
     each task all settings are good, or none of them changes; who refuses is named, and the exit code is then 1.

@@ -158,7 +158,7 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
 @dry_run_option
 @orders_agents
 def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) -> None:
-    """SettingChange the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
+    """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
 
     \b
     Example:
