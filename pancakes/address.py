@@ -69,7 +69,7 @@ def parse_address(text: str) -> Address:
 
 
 def dialled(text: str) -> str:
-    """Returns the address that a person means who writes `HOST:PORT`, or an address with its transport.
+    """Returns the address that `HOST:PORT` means, or an address with its transport as it is.
 
     Raises:
         ValueError: it is none, or none at which an agent could be reached; the message says why.

@@ -55,12 +55,12 @@ class Version(NamedTuple):
 
 
 class Offered(NamedTuple):
-    """One entry point, as whoever offers it has written it; it need not be good.
+    """One entry point, as its distribution states it; it need not be good.
 
     Attributes:
         name: its name.
         place: `module:attribute`; empty for one that was registered in code.
-        version: whoever offers it.
+        version: its distribution.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Plugins:
         """Returns a plug-in, imported at the first call.
 
         Raises:
-            UnknownPlugin: nobody offers it.
+            UnknownPlugin: no distribution offers it.
             PluginError: it cannot be imported, or two distributions offer it. The message names the distribution
                 and the reason.
         """
@@ -133,7 +133,7 @@ class Plugins:
         """Returns the distribution that offers a plug-in, and its version. Imports nothing.
 
         Raises:
-            UnknownPlugin: nobody offers it.
+            UnknownPlugin: no distribution offers it.
             PluginError: two distributions offer it.
         """
         return self._find(group, name).version

@@ -90,7 +90,7 @@ def runtime_dir() -> Path:
 
 
 def register(entry: RunningAgent) -> Registration:
-    """Writes an agent's entry: whoever reads finds all of it, or nothing.
+    """Writes an agent's entry: a reader finds all of it, or nothing.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -175,10 +175,10 @@ def look() -> Found:
 
 
 def usable(directory: Path) -> None:
-    """Sees to it that nobody else can put an entry there, which would lead our commands to them.
+    """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
 
     Raises:
-        PancakesError: somebody could; the sentence says why.
+        PancakesError: another user could; the sentence says why.
     """
     found = os.lstat(directory)
     if not stat.S_ISDIR(found.st_mode):

@@ -1,4 +1,4 @@
-"""What a person probably meant who wrote a word that nobody knows."""
+"""Finds the known word that a user probably meant by an unknown one."""
 
 from __future__ import annotations
 

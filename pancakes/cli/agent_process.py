@@ -98,7 +98,7 @@ class Orders:
     def _heard(self, number: int, frame: FrameType | None) -> None:
         if not self._begun:
             os._exit(OK)
-        # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
+        # A terminal and a launcher may both send a signal. Only a second signal of one kind means: do not wait.
         if number in self._seen:
             # `timeout` tells a process, and then its group, in which it is again: that is once.
             if self._now() - self._seen[number] >= TWICE_S:
@@ -128,7 +128,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if ready_fd is not None:
         _tell_when_ready(running, ready_fd)
     reason = orders.wait()
-    # Whoever looks from now on shall not find what is about to go.
+    # From now on no command finds the agent, which is about to end.
     if registration is not None:
         registration.remove()
     running.stop()
@@ -189,7 +189,7 @@ def _tell_when_ready(running: Agent, ready_fd: int) -> None:
 
 def _listen_to_libraries(running: Agent) -> Callable[[], None]:
     """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
-    for who asks for that.
+    where the settings ask for it.
 
     Returns:
         What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,

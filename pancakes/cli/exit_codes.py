@@ -19,16 +19,16 @@ REFUSED: Final = 1
 USAGE: Final = 2
 """The command line itself is wrong; click says so."""
 UNREACHABLE: Final = 3
-"""Nobody answered."""
+"""No agent answered."""
 BAD_CONFIGURATION: Final = 4
 UNREAD: Final = 141
-"""Nobody read its output to the end; what a shell says of other tools that SIGPIPE has ended then."""
+"""The reader of its output ended early. A shell gives other tools this exit code when SIGPIPE ends them."""
 
 EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
 """What is not installed with the core, by its module, and the extra that brings it."""
 
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
-"""The environment variable with which a defect shows its traceback, for whoever mends it."""
+"""The environment variable with which a defect shows its traceback, for the developer who mends it."""
 
 UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """What says that output cannot be written because of where it goes to: a full disk, for example."""
@@ -70,13 +70,13 @@ def fail(error: Exception) -> NoReturn:
 
 
 def end_unread() -> NoReturn:
-    """Exits without a word: whoever read the output, such as `head`, has had enough of it."""
+    """Exits without a message: the reader of the output, such as `head`, has ended."""
     _forget_output()
     sys.exit(UNREAD)
 
 
 def _forget_output() -> None:
-    """Sends nowhere what Python still keeps for standard output; it would else be an error at the process's end."""
+    """Discards the text that Python still holds for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 

@@ -58,7 +58,7 @@ def listen(
         client: reaches the agents.
         following: what is listened to.
         for_s: ends after this time; None: never.
-        bounded: whether the caller will end by itself, so that it should not wait for ever for those who went away.
+        bounded: whether the caller will end by itself, so that it should not wait for ever for agents that went away.
 
     Raises:
         Unreachable: at the end, or for as long as the client's time limit, none of the agents is there.
@@ -95,7 +95,7 @@ def _tell_losses(client: Client, following: Following) -> None:
     try:
         agents = client.survey(*following.agents(), timeout_s=1.0).agents
     except PancakesError:
-        return  # who is away cannot be asked
+        return  # an agent that is away cannot be asked
     for agent in agents:
         lost = sum(
             peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if peer["name"] == client.name
@@ -110,7 +110,7 @@ def from_any(source: str, addresses: Sequence[str]) -> bool:
 
 
 def doubt_types(types: Sequence[str]) -> None:
-    """Says which types nobody here knows: the agents may, but perhaps the user meant another one."""
+    """Names the types that are not installed here. The agents may know them; perhaps the user meant another one."""
     from pancakes.packet import known_types
     from pancakes.plugins import Plugins
 

@@ -48,8 +48,8 @@ def pancakes() -> None:
     It finds the agents of this machine by itself, others with --at HOST:PORT, and the rest of the fleet through any
     one of them. To run an agent: pancakes-agent.
 
-    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 where nobody
-    reads on (| head).
+    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 where the
+    reader of the output ends early (| head).
     """
 
 

@@ -1,4 +1,4 @@
-"""What verbs have in common that print one thing after the other, perhaps until somebody ends them."""
+"""What verbs share that print one thing after the other, perhaps until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Printer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        # Whoever ends the command early still gets a list; where it failed, there may be nothing to end.
+        # A user who ends the command early still gets a list. Where it failed, there may be nothing to end.
         if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
             if not isinstance(error, BrokenPipeError):
                 show_text("\n]" if self.printed else "[]")
@@ -79,7 +79,7 @@ class Printer:
 
 @contextmanager
 def until_ended() -> Iterator[None]:
-    """Lets Ctrl-C, or whoever reads the output and has had enough, end what goes on: in good order, without a word."""
+    """Ends its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
     quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.console_scripts`
     try:
         if quiet:
@@ -89,7 +89,7 @@ def until_ended() -> Iterator[None]:
         if sys.stdout.isatty():
             show_text()  # so that the shell's prompt does not stand behind the ^C
     except BrokenPipeError:
-        # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
+        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         if quiet:

@@ -1,4 +1,4 @@
-"""What is published on a channel of agents, as it happens: for verbs that go on until somebody ends them."""
+"""What is published on a channel of agents, as it happens: for verbs that go on until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class Following:
 
     @property
     def missed(self) -> int:
-        """How many packets fell out because nobody took them."""
+        """How many packets fell out because the caller was too slow."""
         return self._waiting.dropped
 
     def agents(self) -> list[str]:

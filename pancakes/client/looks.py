@@ -37,8 +37,8 @@ class Looks:
 
         Returns:
             A row for each agent, by fleet and name. `processor_share` (of one processor), `lateness_s` (mean of all
-            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. Who
-            answered before and does not now has the `state` "no answer".
+            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. An
+            agent that answered before and does not now has the `state` "no answer".
         """
         now = {(it["fleet"], it["agent"]): it for it in described}
         rows = [

@@ -15,7 +15,7 @@ from pancakes.plugins import Plugins
 from pancakes.settings import SettingsError, make_settings, plain_settings
 
 DEFAULT: Final = "default"
-"""Where a value comes from that nobody gave."""
+"""Where a value comes from that neither the file nor `--set` gives."""
 
 
 def effective(config: Config, plugins: Plugins) -> dict[str, Any]:

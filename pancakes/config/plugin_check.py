@@ -103,7 +103,7 @@ class _Check:
         return found
 
     def _check_transports(self) -> None:
-        """Faults in the form of an address have been reported; here it is only asked who could use it."""
+        """Looks only for the transport of each address: faults in its form have been reported."""
         agent = self._config.agent
         addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), agent.listen)] if agent.listen else []
         addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]

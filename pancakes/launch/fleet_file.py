@@ -169,7 +169,7 @@ class _FleetReader:
                 self._fault(key, f"there is no agent {other!r} in this fleet", suggestion(other, agents))
 
     def _check_circles(self, agents: Mapping[str, MemberTable]) -> None:
-        """Takes away whoever waits for nobody, over and over; who is left waits in a circle."""
+        """Takes away the agents that wait for none, over and over; those that are left wait in a circle."""
         waiting = {name: list(table.after) for name, table in agents.items()}
         while free := [name for name, after in waiting.items() if not after]:
             waiting = {

@@ -31,7 +31,8 @@ class Claim:
         """Claims ports; returns None where another launcher has claimed one of them."""
         directory = runtime_dir() / "ports"
         claim = cls([])
-        with contextlib.suppress(OSError):  # who cannot write there claims nothing, and may find the ports free
+        # A launcher that cannot write there claims nothing, and may find the ports free.
+        with contextlib.suppress(OSError):
             # One after the other: a directory made on the way would be open to others, and no agent would use it.
             for made in (runtime_dir(), directory):
                 made.mkdir(mode=0o700, parents=True, exist_ok=True)

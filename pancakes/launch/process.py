@@ -1,4 +1,4 @@
-"""The process of one launched agent: it ends with whoever launched it, whatever becomes of that."""
+"""The process of one launched agent: it ends with its launcher, however that ends."""
 
 from __future__ import annotations
 

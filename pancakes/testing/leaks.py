@@ -50,7 +50,7 @@ class Leaks:
             if not left or clock.now() >= until_s:
                 return left
             if not collected:
-                # Slow, and therefore not for tests that are clean: what nobody refers to any more is closed.
+                # Slow, and therefore not for tests that are clean: objects without a reference are closed.
                 gc.collect()
                 collected = True
                 continue

@@ -102,7 +102,7 @@ class Probe(Component):
     def wait(self, condition: Callable[[], bool], at_most_s: float) -> bool:
         """Waits until a condition holds; not to be called from an actor.
 
-        In virtual time it runs everybody meanwhile. On threads it looks at the condition with each packet, and every
+        In virtual time it runs all actors meanwhile. On threads it looks at the condition with each packet, and every
         now and then.
 
         Args:

@@ -27,11 +27,11 @@ def assert_published(
     is at the end of `within_s`: all that has been heard so far counts.
 
     Args:
-        probe: who listens, or the agent whose probe does.
+        probe: the probe that listens, or the agent that has it.
         body: its type.
         where: says yes to its body.
         channel: where it is published.
-        source: who publishes it.
+        source: the address of its publisher.
         times: how many there must be, neither more nor fewer; None: one or more.
         within_s: how long to wait, in virtual time or, on threads, in seconds of the host; None: 10 s, and with
             `times` not at all.

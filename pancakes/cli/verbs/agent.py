@@ -26,7 +26,7 @@ def agent() -> None:
 def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
     """List the agents that run, or those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:

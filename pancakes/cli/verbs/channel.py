@@ -71,13 +71,13 @@ def list_(agent: str, ask: Ask) -> None:
     type=Duration(),
     default="1s",
     show_default=True,
-    help="How long to listen for who publishes.",
+    help="How long to listen for publishers.",
 )
 @asks_agents
 def info(name: ChannelName, for_s: float, ask: Ask) -> None:
-    """Show who subscribes to a channel, who follows it, and who publishes on it.
+    """Show which components subscribe to a channel, which clients follow it, and which sources publish on it.
 
-    Nobody declares what it will publish, so that is listened for; whoever publishes seldom may need a longer --for.
+    No component declares what it will publish, so this command listens; a rare publisher may need a longer --for.
     Rates are packets for each second of the publisher's mission time, bytes are for each second here.
 
     \b

@@ -27,8 +27,9 @@ def doctor(no_machine: bool, ask: Ask) -> None:
     """Look for what is wrong on this machine and with its agents, and say what to do.
 
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
-    In agents: who does not answer, is suspended, or has another's name or version; peers that are away; services and
-    tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is an error.
+    In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
+    services and tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is
+    an error.
 
     \b
     Example:

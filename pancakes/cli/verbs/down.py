@@ -49,8 +49,8 @@ def down(agents: tuple[str, ...], all_: bool, dry_run: bool, ask: Ask) -> None:
     """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
 
     Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
-    in it. Who has not ended within the time limit is named on standard error, and the exit code is then 3. A launcher
-    does not start again what was ended in this way, unless it was told to with --restart always.
+    in it. An agent that has not ended within the time limit is named on standard error, and the exit code is then 3.
+    A launcher does not start an agent again that was ended in this way, unless it was told to with --restart always.
 
     \b
     Example:
@@ -119,7 +119,7 @@ class _Ending:
             except Unreachable as error:
                 described, silent = [], str(error).splitlines()
             answered = {(told["fleet"], told["agent"]) for told in described}
-            # Whoever is named with an address may be on another machine, and its namesake here another agent.
+            # An agent that was named together with an address may be on another machine. Its namesake here is another.
             mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
             for sentence in silent:
                 show_text(sentence, err=True)

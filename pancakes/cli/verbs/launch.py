@@ -133,7 +133,7 @@ def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> in
     try:
         sys.stdout.flush()
     except OSError:
-        # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
+        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 

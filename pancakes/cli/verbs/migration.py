@@ -50,13 +50,13 @@ MOVES = (
     shell_complete=costs,
     help="The cost function to bid with.",
 )
-@click.option("--dry-run", is_flag=True, help="Only ask who would take it, and for what cost; move nothing.")
+@click.option("--dry-run", is_flag=True, help="Only ask which agents would take it, and for what cost; move nothing.")
 @asks_agents_for(30.0)
 def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: Ask) -> None:
     """Move a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
 
-    Shows who was asked, what each answered, and why the others did not get it. The exit code is 1 where nobody takes
-    it; the task has then never stopped.
+    Shows which agents were asked, what each answered, and why the others did not get it. The exit code is 1 where no
+    agent takes it; the task has then never stopped.
 
     \b
     Example:

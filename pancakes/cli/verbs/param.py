@@ -162,7 +162,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
     """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
 
     FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
-    each task all settings are good, or none of them changes; who refuses is named, and the exit code is then 1.
+    each task all settings are good, or none of them changes; a task that refuses is named, and the exit code is then 1.
 
     \b
     Example:
@@ -194,7 +194,7 @@ def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
 
 
 def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
-    """Returns what is known of a task, of all tasks of an agent, or of all agents; names who does not answer."""
+    """Describes a task, all tasks of an agent, or those of all agents; names the agents that do not answer."""
     if name is not None and name.task:
         name = placed(client, name)
         return [order(client, name.agent, Describe(name.target))]

@@ -27,7 +27,7 @@ def plugin() -> None:
 @click.option("--broken", is_flag=True, help="Only those that cannot be used.")
 @format_option
 def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
-    """List all plug-ins of this Python environment: what each is called, who offers it, and whether it can be used.
+    """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
 
     All of them are imported for that. The exit code is 1 where one is broken.
 

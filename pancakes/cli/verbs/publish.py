@@ -44,7 +44,7 @@ def pub(
     """Publish a packet of the type TYPE on a channel.
 
     BODY is a JSON object with the type's fields, which are checked before anything is sent; a field that has a default
-    may be left out. A packet that nobody on the agent subscribes to is sent all the same, and that is said.
+    may be left out. A packet without a subscriber on the agent is sent all the same, and a line says so.
     An actuator takes commands from the task that holds it, so not from here. A control packet on sysctrl, such as stop
     or reschedule, is answered as it is to a task, and refused likewise.
 
@@ -78,7 +78,7 @@ def pub(
 
 
 def _destination(agent: str, to: str) -> str:
-    """Returns the address of whoever is to get the packets."""
+    """Returns the address that is to get the packets."""
     if not to:
         return agent
     if to == NEIGHBOURS or to.startswith(TO_TASK):
@@ -101,7 +101,7 @@ class Sender:
         destination: an address on the agent, or the agent's own name.
 
     Attributes:
-        subscribers: the addresses of those who will get it.
+        subscribers: the addresses that will get it.
 
     Raises:
         ControlRefused: the agent has no such channel.
@@ -151,7 +151,7 @@ class Sender:
             raise Unreachable(str(error)) from None
 
     def _look(self) -> list[str]:
-        """Returns who would get the packets now."""
+        """Returns the addresses that would get the packets now."""
         (found,) = order(self._client, self._name.agent, Channels(self._name.channel))
         kind = type_name(self._body)
         named = self._destination != self._name.agent

@@ -81,7 +81,7 @@ def replay(
 
     Without --only, these are the packets on system and on channels of your own: readings, and news of others. What a
     component says that runs in the fleet is left out, as it says that itself; a null device says nothing, so that its
-    readings are fed. Packets speak in the name of who published them then, and bear the mission time of the agent that
+    readings are fed. Packets keep their recorded source, and bear the mission time of the agent that
     gets them. Ctrl-C ends it.
 
     With --config the agents run in virtual time, in this process, and what they say is recorded into --out.

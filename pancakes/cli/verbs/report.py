@@ -22,9 +22,9 @@ from pancakes.cli.output import show, show_text
 def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.
 
-    It tells where everybody went, who ran what, how tasks moved, batteries, rates, lateness, drops, traffic, and what
-    led to the commands of actuators. The page, report.html, needs nothing but itself. Each picture is there as PNG and
-    SVG too, in the size of a paper's column, and report.json has the figures.
+    It tells where each robot went, which agent ran which task, how tasks moved, batteries, rates, lateness, drops,
+    traffic, and what led to the commands of actuators. The page, report.html, needs no other file. Each picture is also
+    there as PNG and SVG, in the size of a paper's column, and report.json has the figures.
 
     \b
     Example:

@@ -34,7 +34,7 @@ def service() -> None:
 def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
     """List the services of all agents, or of those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:
@@ -97,7 +97,7 @@ def start(name: ServiceName, dry_run: bool, ask: Ask) -> None:
 def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, and wait for that.
 
-    The Network Service of another agent can be stopped for a time only: nobody could start it again.
+    The Network Service of another agent can be stopped for a time only: no command could reach it to start it again.
 
     \b
     Example:

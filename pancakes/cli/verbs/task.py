@@ -46,7 +46,7 @@ task.add_command(forget)
 def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, long: bool, ask: Ask) -> None:
     """List the tasks of all agents, or of those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:

@@ -20,7 +20,7 @@ _ENCODER: Final = Encoder()
 
 
 def size_of(packet: Packet) -> int:
-    """Returns how many bytes a packet takes on the wire, apart from the name of whoever follows it.
+    """Returns how many bytes a packet takes on the wire, apart from the name of its follower.
 
     In the main thread only. A frame around one or several packets adds a few more.
     """

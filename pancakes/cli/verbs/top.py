@@ -119,7 +119,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
         client.wait(due_s, lambda: False)
         client.look_again()
         try:
-            # Who does not answer must not hold up the others' next look.
+            # An agent that does not answer must not delay the next look at the others.
             limit_s = client.timeout_s if once else min(client.timeout_s, max(every_s, SHORTEST_LOOK_S))
             described = client.survey(*agents, timeout_s=limit_s).agents
         except Unreachable:
