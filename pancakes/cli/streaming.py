@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -18,10 +18,10 @@ from pancakes.codecs import encode_json
 from pancakes.packet import body_to_plain
 from pancakes.printable import printable_data
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+if TYPE_CHECKING:
+    from pancakes.plugins import Plugins
 
-STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else one object a line."
-"""How all these verbs print JSON; for their help."""
+_F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def one_line(value: Any) -> str:
@@ -105,6 +105,14 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def say(text: str) -> None:
     """Says something about the stream on standard error, where it does not mix with it."""
     show_text(text, err=True)
+
+
+def load_packets(plugins: Plugins | None = None) -> None:
+    """Registers the packet types of all distributions; names on standard error those that cannot be loaded."""
+    from pancakes.plugins import Plugins
+
+    for fault in (plugins or Plugins()).load_packets():
+        say(str(fault))
 
 
 def count_option(what: str) -> Callable[[_F], _F]:

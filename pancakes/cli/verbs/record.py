@@ -14,6 +14,7 @@ from pancakes.cli.exit_codes import REFUSED
 from pancakes.cli.name_types import agents
 from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections, show_text
+from pancakes.cli.streaming import load_packets
 from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
@@ -147,7 +148,7 @@ def info(path: Path, format_: str) -> None:
     Example:
         pancakes record info runs/encirclement-1-virtual/recording
     """
-    _know_packets()
+    load_packets()
     from pancakes.recording.reader import RecordingReader
     from pancakes.recording.summary import Summary
 
@@ -273,13 +274,6 @@ def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
         after = records[-1]["entry"]
         found = next((one for one in reversed(records) if one["kind"] == kind), found)
     return found
-
-
-def _know_packets() -> None:
-    from pancakes.plugins import Plugins
-
-    for fault in Plugins().load_packets():
-        show_text(str(fault), err=True)
 
 
 def _moment(time_ns: int) -> str:

@@ -11,7 +11,7 @@ from pancakes.cli.asking import surveyed
 from pancakes.cli.name_types import AgentNameType
 from pancakes.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
-from pancakes.cli.streaming import say, until_ended
+from pancakes.cli.streaming import load_packets, say, until_ended
 from pancakes.client import Where
 
 if TYPE_CHECKING:
@@ -103,8 +103,7 @@ def replay(
     if to_s is not None and to_s <= (from_s or 0.0):
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
     plugins = Plugins()
-    for fault in plugins.load_packets():
-        say(str(fault))
+    load_packets(plugins)
     wanted = _ReplayRequest(RecordingReader(path), speed, only, from_s or 0.0, to_s, as_name)
     if out is not None:
         _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.format_)

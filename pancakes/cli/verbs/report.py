@@ -8,6 +8,7 @@ import click
 
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
+from pancakes.cli.streaming import load_packets
 
 
 @click.command()
@@ -31,11 +32,9 @@ def report(path: Path, out: Path | None, task: str, format_: str) -> None:
         pancakes report runs/encirclement-1-virtual/recording
         pancakes report recordings/agent1.mcap --out paper/figures --task agent1/ScanTarget
     """
-    from pancakes.plugins import Plugins
     from pancakes.report.making import make_report
 
-    for fault in Plugins().load_packets():
-        show_text(str(fault), err=True)
+    load_packets()
     given = path.resolve()
     made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
     for note in made.notes:

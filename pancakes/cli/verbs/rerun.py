@@ -12,7 +12,7 @@ import click
 from pancakes.cli.exit_codes import OK, REFUSED
 from pancakes.cli.options import Duration, FiniteRange, format_option
 from pancakes.cli.output import show, show_json, show_text
-from pancakes.cli.streaming import one_line, say
+from pancakes.cli.streaming import load_packets, one_line, say
 from pancakes.cli.verbs import param_file
 from pancakes.cli.verbs.param_names import Changes, set_option
 
@@ -86,8 +86,7 @@ def rerun(
     from pancakes.replay.stays import choose_stays, find_stays
 
     plugins = Plugins()
-    for fault in plugins.load_packets():
-        say(str(fault))
+    load_packets(plugins)
     reader = RecordingReader(path)
     stays = find_stays(reader.entries())
     for note in reader.notes():

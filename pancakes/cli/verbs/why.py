@@ -12,7 +12,7 @@ import click
 
 from pancakes.cli.options import Duration, format_option
 from pancakes.cli.output import show, show_json, show_text
-from pancakes.cli.streaming import Printer, say
+from pancakes.cli.streaming import Printer, load_packets, say
 from pancakes.errors import PancakesError
 
 if TYPE_CHECKING:
@@ -66,13 +66,11 @@ def why(
         pancakes why recordings --type motors --slowest 3
         pancakes why recordings --list --format json
     """
-    from pancakes.plugins import Plugins
     from pancakes.recording.reader import RecordingReader
 
     if sum((at_s is not None, seq is not None, slowest is not None, list_)) > 1:
         raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
-    for fault in Plugins().load_packets():
-        say(str(fault))
+    load_packets()
     reader = RecordingReader(path)
     question = _CommandQuestion(reader, agent, type_, task)
     if list_:
