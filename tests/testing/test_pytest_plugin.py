@@ -222,7 +222,7 @@ import sys
 
 def test_it():
     ours = [name for name in sys.modules if name.partition(".")[0] == "pancakes"]
-    assert sorted(ours) == ["pancakes", "pancakes.testing", "pancakes.pytest_plugin"]
+    assert sorted(ours) == ["pancakes", "pancakes.pytest_plugin"]
     assert "numpy" not in sys.modules and "pykka" not in sys.modules
 """
     ).assert_outcomes(passed=1)
