@@ -76,7 +76,7 @@ def dialled(text: str) -> str:
     """
     address = text if "://" in text else f"tcp://{text}"
     if parse_address(address).port == 0:
-        raise ValueError(f"{text!r} has the port 0, at which nobody can be reached")
+        raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
     return address
 
 

@@ -460,7 +460,7 @@ class Client:
         lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
         there = f"there is no agent {agent!r}{hint_of(agent, names)}"
         if not names:
-            there = self._nowhere() if not lines else f"nobody knows an agent {agent!r}"
+            there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"
         return "\n".join([*lines, there])
 
     def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:

@@ -205,7 +205,7 @@ class _ConfigReader:
             key = ("agent", "peers", index)
             try:
                 if parse_address(peer).port == 0:
-                    self._fault(key, f"{peer!r} has the port 0, at which nobody can be reached")
+                    self._fault(key, f"{peer!r} has the port 0, at which no agent can be reached")
             except ValueError as error:
                 self._fault(key, str(error))
             if peer in agent.peers[:index]:

@@ -109,12 +109,12 @@ def _show(row: dict[str, Any]) -> None:
     if subscribers:
         show(subscribers, SUBSCRIBERS, "table")
     else:
-        show_text("\nNobody on this agent subscribes to it.")
-    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "nobody") + ".")
+        show_text("\nNo component of this agent subscribes to it.")
+    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "none") + ".")
     if row["publishers"]:
         show([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS, "table")
     else:
-        show_text(f"Nobody published on it within {row['heard_s']:g} s.")
+        show_text(f"No packet was published on it within {row['heard_s']:g} s.")
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:

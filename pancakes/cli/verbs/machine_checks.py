@@ -246,6 +246,6 @@ def check_loopback() -> Finding:
                 connection.settimeout(2.0)
                 connection.recv(1)
     except OSError as error:
-        text = f"nobody can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
+        text = f"no program can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
         return Finding("error", "loopback", text, "look at the network of this machine or container: ip link set lo up")
     return Finding("ok", "loopback", "programs can listen at 127.0.0.1")

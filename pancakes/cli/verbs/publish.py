@@ -65,7 +65,7 @@ def pub(
     with until_ended(), ask.client() as client:
         sender = Sender(client, name, made, destination)
         if not sender.subscribers:
-            say(f"nobody on {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
+            say(f"no component of {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
         row = {**name._asdict(), "type": kind, "to": destination, "packets": 0, "subscribers": sender.subscribers}
         if not dry_run:
             packets = most if most is not None or rate_hz is not None else 1
