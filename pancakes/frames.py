@@ -13,7 +13,7 @@ _STANDARD: Final = os.path.dirname(os.path.abspath(os.__file__)) + os.sep
 _INSTALLED: Final = (f"{os.sep}site-packages{os.sep}", f"{os.sep}dist-packages{os.sep}")
 
 
-class Place:
+class CodeLine:
     """One line of code that was being run.
 
     Attributes:
@@ -50,7 +50,7 @@ def package_of(module: str) -> str:
     return module.partition(".")[0]
 
 
-def place_of_user(traceback: TracebackType | None, cls: type | None) -> Place | None:
+def place_of_user(traceback: TracebackType | None, cls: type | None) -> CodeLine | None:
     """Returns the innermost line of the user's code; None: there is none.
 
     A user's code is what lies in the user's own files and, because a plug-in may be installed, the package of the
@@ -69,17 +69,17 @@ def place_of_user(traceback: TracebackType | None, cls: type | None) -> Place | 
     return next((place for place in places if place.package in inherited), None)
 
 
-def place_of(traceback: TracebackType | None) -> Place | None:
+def place_of(traceback: TracebackType | None) -> CodeLine | None:
     """Returns the innermost line that is not of Python itself, else the innermost of all; None: there is none."""
     places = _places(traceback)
     return next((place for place in places if not place.standard), places[0] if places else None)
 
 
-def _places(traceback: TracebackType | None) -> list[Place]:
+def _places(traceback: TracebackType | None) -> list[CodeLine]:
     """The lines that an error has come by, the innermost first."""
     places = []
     while traceback is not None:
-        places.append(Place(traceback.tb_frame, traceback.tb_lineno))
+        places.append(CodeLine(traceback.tb_frame, traceback.tb_lineno))
         traceback = traceback.tb_next
     return places[::-1]
 

@@ -1,4 +1,4 @@
-"""Whom a server on the loopback interface answers: who asked for it under a name of that interface.
+"""Which requests a server on the loopback interface answers: those under a name of that interface.
 
 A browser says in the header `Host` which name led it there. Where a foreign name does, a foreign site's name server has
 pointed at this machine, and the site would read what it is given (DNS rebinding).

@@ -12,12 +12,11 @@ Nothing is imported until it is asked for, and one bad plug-in is named and harm
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from importlib.metadata import Distribution, distributions
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from pancakes import entry_points
 from pancakes.errors import PluginError
 from pancakes.suggestion import suggestion
 
@@ -29,6 +28,7 @@ GROUPS: Final = {
     "pancakes.transports": "transport",
     "pancakes.packets": "packet module",
     "pancakes.demos": "demo",
+    "pancakes.commands": "command",
 }
 """The entry point groups, and what a person calls one of their entries."""
 
@@ -55,12 +55,12 @@ class Version(NamedTuple):
 
 
 class Offered(NamedTuple):
-    """One entry point, as whoever offers it has written it; it need not be good.
+    """One entry point, as its distribution states it; it need not be good.
 
     Attributes:
         name: its name.
         place: `module:attribute`; empty for one that was registered in code.
-        version: whoever offers it.
+        version: its distribution.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Plugins:
         """Returns a plug-in, imported at the first call.
 
         Raises:
-            UnknownPlugin: nobody offers it.
+            UnknownPlugin: no distribution offers it.
             PluginError: it cannot be imported, or two distributions offer it. The message names the distribution
                 and the reason.
         """
@@ -133,7 +133,7 @@ class Plugins:
         """Returns the distribution that offers a plug-in, and its version. Imports nothing.
 
         Raises:
-            UnknownPlugin: nobody offers it.
+            UnknownPlugin: no distribution offers it.
             PluginError: two distributions offer it.
         """
         return self._find(group, name).version
@@ -229,7 +229,7 @@ def _way(error: BaseException) -> str:
     return " > ".join(way[-MOST_LINES:])
 
 
-_LOADING: Final = (__name__, "pancakes.entry_points", "importlib")
+_LOADING: Final = (__name__, "importlib", "importlib.metadata")
 MOST_CAUSES: Final = 4
 MOST_LINES: Final = 4
 
@@ -239,23 +239,30 @@ def _scan() -> tuple[dict[str, _Offers], list[PluginError]]:
     groups: dict[str, _Offers] = {group: {} for group in GROUPS}
     unreadable = []
     seen = []
-    for place, read in entry_points.distributions():
+    for distribution in distributions():
         try:
-            text = read("entry_points.txt") or ""
-            if "pancakes." not in text:
-                continue  # the commonest case, and much quicker than to parse its metadata
-            version = Version(entry_points.header(read, "Name"), entry_points.header(read, "Version"))
+            points = [point for point in distribution.entry_points if point.group in GROUPS]
+            if not points:
+                continue
+            version = _version(distribution)
         except Exception as error:  # foreign files: whatever is wrong with them is theirs
+            name = distribution.metadata.get_all("Name", ["a distribution"])[0]
+            place = f"{name} in {distribution.locate_file('')}"
             unreadable.append(PluginError(f"the entry points of {place} cannot be read: {_line(error)}"))
             continue
         if version.distribution in seen:
             continue  # found again further down sys.path, as an editable install is from its own directory
         seen.append(version.distribution)
-        for group, name, value in entry_points.points(text):
-            if group not in GROUPS:
-                continue
-            offer = _Offer(version, value, partial(entry_points.load, value))
-            same = groups[group].setdefault(name, [])
+        for point in points:
+            offer = _Offer(version, point.value, point.load)
+            same = groups[point.group].setdefault(point.name, [])
             if all(other.version != offer.version or other.value != offer.value for other in same):
                 same.append(offer)
     return groups, unreadable
+
+
+def _version(distribution: Distribution) -> Version:
+    metadata = distribution.metadata
+    if "Name" not in metadata or "Version" not in metadata:
+        raise ValueError("its metadata has no Name, or no Version")
+    return Version(metadata["Name"], metadata["Version"])

@@ -40,7 +40,7 @@ _KINDS: Final = {
 }
 
 
-class Entry(msgspec.Struct, frozen=True):
+class RunningAgent(msgspec.Struct, frozen=True):
     """One agent that runs on this machine.
 
     Attributes:
@@ -58,7 +58,7 @@ class Entry(msgspec.Struct, frozen=True):
     pid: int
 
 
-_DECODE: Final = codecs.json_decoder(Entry)
+_DECODE: Final = codecs.json_decoder(RunningAgent)
 
 
 class Registration:
@@ -89,8 +89,8 @@ def runtime_dir() -> Path:
     return Path(f"/tmp/pancakes-{os.getuid()}")
 
 
-def register(entry: Entry) -> Registration:
-    """Writes an agent's entry: whoever reads finds all of it, or nothing.
+def register(entry: RunningAgent) -> Registration:
+    """Writes an agent's entry: a reader finds all of it, or nothing.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
@@ -123,12 +123,12 @@ class Found(msgspec.Struct, frozen=True):
         odd: a sentence for each thing there that no agent has written; it is left as it is.
     """
 
-    entries: list[Entry]
+    entries: list[RunningAgent]
     cleared: list[str]
     odd: list[str]
 
 
-def entries() -> list[Entry]:
+def entries() -> list[RunningAgent]:
     """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
 
     What else lies there is passed over, with a warning on standard error, once in a process.
@@ -175,10 +175,10 @@ def look() -> Found:
 
 
 def usable(directory: Path) -> None:
-    """Sees to it that nobody else can put an entry there, which would lead our commands to them.
+    """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
 
     Raises:
-        PancakesError: somebody could; the sentence says why.
+        PancakesError: another user could; the sentence says why.
     """
     found = os.lstat(directory)
     if not stat.S_ISDIR(found.st_mode):

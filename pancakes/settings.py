@@ -174,7 +174,7 @@ def change_plain(cls: type[_T], plain: Mapping[str, Any], changes: Mapping[str, 
 
 
 def _hinted(problem: Problem, cls: type, changes: Mapping[str, Any]) -> Problem:
-    """Suggests a key that is set already: whoever changes settings means one of those."""
+    """Suggests a key that is set already: a change of settings means one of those."""
     if problem.text != UNKNOWN_KEY or problem.suggestion or len(problem.path) != 1:
         return problem
     keys = [name for name in known_keys(cls) if name not in changes]
@@ -362,7 +362,7 @@ def _choices(kind: Any) -> tuple[Any, ...]:
 
 
 def _phrase(message: str, value: Any) -> str:
-    """Turns an error of msgspec into the words of a person who writes TOML."""
+    """Turns an error of msgspec into words for a user who writes TOML."""
     message = re.sub(r" - at (`[^`]*`|.*)$", "", message)
     message = re.sub(r"`([^`]*)`", lambda found: " or ".join(_word(part) for part in found[1].split(" | ")), message)
     message = message.removesuffix(".")

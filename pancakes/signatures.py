@@ -38,7 +38,7 @@ def check_called(function: Any, given: Sequence[str], caller: str, write: str) -
 
 
 def check_runs(function: Any, write: str = "") -> None:
-    """Refuses a function that does nothing when it is called, because somebody would have to await or iterate it.
+    """Refuses a function that does nothing when it is called, because the caller would have to await or iterate it.
 
     Args:
         function: what is called.

@@ -1,8 +1,8 @@
-"""What a person probably meant who wrote a word that nobody knows."""
+"""Finds the known word that a user probably meant by an unknown one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
@@ -33,3 +33,14 @@ def suggestion(word: str, known: Iterable[str]) -> str:
             return families[near_family][near[0]]
     same = sorted(name for name in folded.values() if name.rpartition(".")[2] == word.rpartition(".")[2])
     return same[0] if same else ""
+
+
+def did_you_mean(word: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Returns the end of a sentence that refuses a word: `, did you mean 'x'?`; `otherwise` where no word is near."""
+    near = suggestion(word, known)
+    return f", did you mean {near!r}?" if near else otherwise
+
+
+def hint_of(word: str, known: Collection[str]) -> str:
+    """As `did_you_mean`; where no word is near, it lists all: `, only a, b`."""
+    return did_you_mean(word, known, f", only {', '.join(known)}" if known else "")

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pancakes.cli.bodies import BadBody, body_of
+from pancakes.cli.json_bodies import BadBody, body_of
 from pancakes.control import Stop
 from pancakes.demo.mission_record import read_events
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError

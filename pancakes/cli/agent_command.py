@@ -1,16 +1,19 @@
-"""`pancakes-agent` as click knows it: all of its options, its help, and what is wrong with a command line."""
+"""`pancakes-agent`: runs one agent from its configuration file, until it is told to stop."""
 
 from __future__ import annotations
+
+from typing import Final
 
 import click
 
 from pancakes import __version__
-from pancakes.cli.agent_options import LOWEST_READY_FD, Options
-from pancakes.cli.agent_process import run
-from pancakes.cli.piped import Piped
+from pancakes.cli.guarded import Guarded
+
+LOWEST_READY_FD: Final = 3
+"""Those below are the standard streams."""
 
 
-@click.command(cls=Piped)
+@click.command(cls=Guarded)
 @click.option("--config", "path", metavar="FILE", required=True, help="The agent's configuration, a TOML file.")
 @click.option(
     "--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says. Repeatable."
@@ -58,4 +61,19 @@ def agent(
     Example:
         pancakes-agent --config configs/single.toml --set clock.speed=5
     """
-    run(Options(path, sets, record, check, parent_pid, ready_fd, traceback))
+    from pancakes.cli.agent_process import SHOW_TRACEBACKS, run
+
+    if record is not None:
+        from pancakes.config.toml_text import value_text
+
+        path_set = [f"record.path={value_text(record)}"] if record else []
+        sets = (*sets, "record.start=true", *path_set)
+    if traceback:
+        sets = (*sets, SHOW_TRACEBACKS)
+    run(path, sets, check, parent_pid, ready_fd)
+
+
+if __name__ == "__main__":
+    from pancakes.cli import console_scripts  # noqa: F401 - a SIGINT ends it quietly
+
+    agent()

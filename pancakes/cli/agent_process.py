@@ -6,13 +6,13 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.cli import interpreter
-from pancakes.cli.agent_options import SHOW_TRACEBACKS, Options
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.exit_codes import OK, REFUSED
+from pancakes.cli.output import show_text
 from pancakes.clock import MonotonicClock
 
 if TYPE_CHECKING:
@@ -25,35 +25,36 @@ STOP_S: Final = 1.9
 """An agent that has not stopped in good order by then is ended all the same, in seconds."""
 TWICE_S: Final = 0.05
 """The same signal so soon again, in seconds, is the same wish; later, it ends the agent at once."""
+SHOW_TRACEBACKS: Final = "service.log.settings.traceback=true"
+"""What `--traceback` changes of a configuration."""
 
 
-@sentences
-def run(options: Options) -> None:
-    """Runs an agent until it is told to stop, or checks its configuration. Ends the process where it has run."""
-    orders = None if options.check else Orders()
+def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
+    """Runs an agent until it is told to stop, or checks its configuration. Ends the process where it has run.
+
+    Args:
+        path: the configuration file.
+        sets: what is changed of it, each as `table.key=value`.
+        check: whether the configuration is only checked.
+        parent_pid: the process with which the agent ends, 0 for the one that launched it; None: it ends with none.
+        ready_fd: the file descriptor that learns when the agent is ready; None: none.
+    """
+    orders = None if check else Orders()
     if orders is not None:
         interpreter.prepare()
-    if options.parent_pid is not None:
+    if parent_pid is not None:
         from pancakes.cli.parent import die_with_parent
 
-        die_with_parent(options.parent_pid)
+        die_with_parent(parent_pid)
     from pancakes.config import load
     from pancakes.plugins import Plugins
 
     plugins = Plugins()
-    sets = options.sets
-    if options.record is not None:
-        from pancakes.config.toml_text import value_text
-
-        path = [f"record.path={value_text(options.record)}"] if options.record else []
-        sets = (*sets, "record.start=true", *path)
-    if options.traceback:
-        sets = (*sets, SHOW_TRACEBACKS)
-    config = load(options.path, sets, plugins, must_load=options.check)
+    config = load(path, sets, plugins, must_load=check)
     if orders is None:
         _check(config, plugins)
     else:
-        sys.exit(_run(config, plugins, orders, options.ready_fd))
+        sys.exit(_run(config, plugins, orders, ready_fd))
 
 
 class Orders:
@@ -97,7 +98,7 @@ class Orders:
     def _heard(self, number: int, frame: FrameType | None) -> None:
         if not self._begun:
             os._exit(OK)
-        # A terminal and a launcher may both tell us to stop; only who says so twice does not want to wait.
+        # A terminal and a launcher may both send a signal. Only a second signal of one kind means: do not wait.
         if number in self._seen:
             # `timeout` tells a process, and then its group, in which it is again: that is once.
             if self._now() - self._seen[number] >= TWICE_S:
@@ -127,7 +128,7 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
     if ready_fd is not None:
         _tell_when_ready(running, ready_fd)
     reason = orders.wait()
-    # Whoever looks from now on shall not find what is about to go.
+    # From now on no command finds the agent, which is about to end.
     if registration is not None:
         registration.remove()
     running.stop()
@@ -139,8 +140,6 @@ def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None)
 
 def _check(config: Config, plugins: Plugins) -> None:
     """Says that a configuration is sound, and which plug-ins of this environment are not."""
-
-    from pancakes.cli.output import show_text
     from pancakes.errors import PluginError
     from pancakes.plugins import GROUPS
 
@@ -160,12 +159,12 @@ def _register(running: Agent) -> Registration | None:
     """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
     from pancakes.errors import PancakesError
     from pancakes.net.peers import reachable
-    from pancakes.runtime_dir import Entry, register
+    from pancakes.runtime_dir import RunningAgent, register
 
     agent = running.config.agent
     listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
     try:
-        return register(Entry(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()))
     except PancakesError as error:
         _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
         return None
@@ -190,7 +189,7 @@ def _tell_when_ready(running: Agent, ready_fd: int) -> None:
 
 def _listen_to_libraries(running: Agent) -> Callable[[], None]:
     """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
-    for who asks for that.
+    where the settings ask for it.
 
     Returns:
         What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,
@@ -228,6 +227,4 @@ def _listen_to_libraries(running: Agent) -> Callable[[], None]:
 
 
 def _warn(text: str) -> None:
-    from pancakes.cli.output import show_text  # only now: most agents have nothing to warn of
-
     show_text(text, err=True)

@@ -4,39 +4,42 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.cli.names import TaskName
+from pancakes.cli.name_types import TaskName
+from pancakes.cli.options import Ask
 from pancakes.cli.output import show_text
-from pancakes.client import Client, Where
+from pancakes.client import Client
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 
 
-def survey(at: Where, timeout_s: float, *agents: str) -> list[dict[str, Any]]:
-    """Returns what the agents say of themselves; names on standard error who said nothing.
+def survey(ask: Ask, *agents: str) -> list[dict[str, Any]]:
+    """Returns what the agents say of themselves; names on standard error those that said nothing.
 
     Args:
-        at: addresses to begin with; none: what runs on this machine.
-        timeout_s: the time limit.
+        ask: how to ask.
         agents: only these; empty strings do not count, so that an argument that was left out can be passed on.
 
     Raises:
-        Unreachable: nobody answers, or somebody is named who is not there.
-        PancakesError: ...
+        Unreachable: no agent answers, or there is none of a name.
     """
-    with Client(at, timeout_s) as client:
-        found = client.survey(*agents)
+    with ask.client() as client:
+        return surveyed(client, *agents)
+
+
+def surveyed(client: Client, *agents: str) -> list[dict[str, Any]]:
+    """As `survey`, with a client that is there."""
+    found = client.survey(*agents)
     for sentence in found.silent:
         show_text(sentence, err=True)
     return found.agents
 
 
-def ask_each(at: Where, timeout_s: float, body: Any, *agents: str) -> list[tuple[str, Any]]:
-    """Asks all agents, or those named, the same, all at once; names on standard error who gave no answer.
+def ask_each(ask: Ask, body: Any, *agents: str) -> list[tuple[str, Any]]:
+    """Asks all agents, or those named, the same, all at once; names on standard error those that gave no answer.
 
     Args:
-        at: addresses to begin with; none: what runs on this machine.
-        timeout_s: the time limit for all of it.
+        ask: how to ask.
         body: a control packet's body that changes nothing, such as `Channels()`.
         agents: only these; empty strings do not count.
 
@@ -44,10 +47,10 @@ def ask_each(at: Where, timeout_s: float, body: Any, *agents: str) -> list[tuple
         The agents' names, each with the result that it answered with.
 
     Raises:
-        Unreachable: nobody answers, or somebody is named who is not there.
+        Unreachable: no agent answers, or there is none of a name.
         ControlRefused: all of them refuse.
     """
-    with Client(at, timeout_s) as client:
+    with ask.client() as client:
         found = client.ask_each(body, *agents)
     sentences = [*found.silent, *(f"{agent} refused: {reply.reason}" for agent, reply in found.replies if not reply.ok)]
     answers = [(agent, reply.result) for agent, reply in found.replies if reply.ok]
@@ -112,5 +115,5 @@ def placed(client: Client, name: TaskName) -> TaskName:
         raise ControlRefused(f"{agent}/{name.task} is a service, not a task: see pancakes service --help")
     if any(row["state"] != "running" for row in described["services"]):
         order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
-    near = suggestion(name.task, [row["task"] for row in described["tasks"]])
-    raise ControlRefused(f"{agent} has no task {name.task!r}" + (f", did you mean {near!r}?" if near else ""))
+    hint = did_you_mean(name.task, [row["task"] for row in described["tasks"]])
+    raise ControlRefused(f"{agent} has no task {name.task!r}{hint}")

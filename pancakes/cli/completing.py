@@ -1,7 +1,7 @@
 """What a shell may put in place of a name that is not written to its end: what the running agents have.
 
-A completion comes while somebody types, so it takes `LIMIT_S` at most, and where something goes wrong there is just
-nothing to complete. Whatever ends in a slash is only a part of a name; a shell would end the word after it where there
+A completion comes while a user types, so it takes `LIMIT_S` at most. Where something goes wrong, it completes
+nothing. Whatever ends in a slash is only a part of a name; a shell would end the word after it where there
 is no other choice, so such a one is followed to what is behind it.
 """
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 from click.shell_completion import CompletionItem
 
-from pancakes.cli.names import TaskName, TaskNameType
+from pancakes.cli.name_types import TaskName, TaskNameType
 from pancakes.control import Describe
 from pancakes.printable import printable
 
@@ -89,13 +89,13 @@ def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[C
 
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
-    """Returns what the agents (or only those named) say of themselves; nothing where nobody answers in time."""
+    """Returns what the agents (or only those named) say of themselves; nothing where none answers in time."""
     from pancakes.client import Client
 
     try:
         with Client(_at(ctx), LIMIT_S) as client:
             return _printable(client.survey(*agents).agents)
-    except Exception:  # whatever it is: it must not come between somebody and what they type
+    except Exception:  # no error may disturb a user who types
         return []
 
 

@@ -1,6 +1,6 @@
 """What an agent that has a process to itself asks of its Python interpreter and of the system.
 
-Whoever runs agents in a program of their own has to decide this themselves, because it holds for the whole process.
+A program that runs agents itself must set this itself, because the settings are those of the whole process.
 """
 
 from __future__ import annotations
@@ -12,22 +12,17 @@ import sys
 from typing import Final
 
 SWITCH_S: Final = 0.0002
-"""A thread that computes lets another have the interpreter after this time, instead of Python's 5 ms. A tick waits for
-it twice, in the timer's thread and in the pool's: beside a task that computes without pause, 100 tasks at 100 Hz are
-late by 0.55 ms (p50) and not by 4, and their ticks come at all. With 0.5 ms that is 0.85, and beside a task that sends
-without pause the network's thread is overtaken 25 times before it runs: each system call lets go of the interpreter for
-a moment, too short to wake up in, and only who has waited for all of this time asks for more. Two threads that compute
-get up to a tenth less done for it."""
+"""A thread that computes gives the interpreter to another after this time, in seconds; Python's own time is 5 ms. A
+tick waits for it twice: in the timer's thread and in the pool's. With a longer time, the ticks of other tasks are late
+beside a task that computes without pause, and beside a task that sends without pause the network's thread hardly runs:
+each system call releases the interpreter, for a moment that is too short to wake up in. Two threads that compute are a
+little slower for it."""
 COLLECT_EACH: Final = (10_000, 10, 10)
-"""Python looks for rubbish once so many things more are alive than after the last look, instead of 700. Little that an
-agent throws away needs to be looked for. Until 10,000 tasks run, looking takes 0.1 s instead of 0.3 of processor time;
-and the start of a small agent is shorter by 5 per cent, or 7 ms."""
-
-
+"""Python's garbage collector runs when so many objects more are alive than after its last run. An agent makes little
+garbage that the collector must find, and a start makes many objects that stay."""
 FILES: Final = 4096
-"""So many files an agent may have open, where the system allows it: 256 agents, 64 clients and 256 connections that
-have not said hello yet are more than the 256 files that some systems begin with, and without a file no operator gets
-in."""
+"""So many files an agent may have open, where the system allows it. All agents, clients and new connections of a full
+mesh need more than the limit that some systems begin with; without a free file no operator can connect."""
 
 
 def prepare() -> None:
@@ -41,9 +36,8 @@ def prepare() -> None:
 
 
 def keep() -> None:
-    """Keeps what there is: from now on no look for rubbish goes through it. To be called when most is imported.
+    """Takes all present objects out of the garbage collector's sight. To be called when most modules are imported.
 
-    A whole look stops everybody. Of an idle agent's 28,000 objects all but 1,200 are modules, classes and functions: it
-    takes 0.1 ms instead of 3.
+    A full collection stops all threads, and most objects of an idle agent are modules, classes and functions.
     """
     gc.freeze()

@@ -23,7 +23,7 @@ class Interrupted(threading.Event):
         self.seen: list[int] = []
 
     def is_set(self) -> bool:
-        # The thread that wakes those who wait comes later than the handler.
+        # The thread that sets the event runs later than the handler.
         return bool(self.seen) or super().is_set()
 
 

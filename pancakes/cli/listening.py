@@ -8,13 +8,14 @@ from contextlib import contextmanager
 
 import click
 
-from pancakes.cli.names import ChannelName
+from pancakes.cli.name_types import ChannelName
+from pancakes.cli.options import Ask
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client, Where
-from pancakes.client.following import Following, Heard
+from pancakes.client import Client
+from pancakes.client.following import Following, HeardPacket
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.packet import covers
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 
 LOOK_S = 0.2
 """At least that often `listen` gives its caller a turn."""
@@ -31,20 +32,17 @@ from_option = click.option(
 
 
 @contextmanager
-def listening_to(
-    name: ChannelName, types: Sequence[str], at: Where, timeout_s: float
-) -> Iterator[tuple[Client, Following]]:
+def listening_to(name: ChannelName, types: Sequence[str], ask: Ask) -> Iterator[tuple[Client, Following]]:
     """Listens to a channel of an agent, until Ctrl-C at the latest.
 
     Args:
         name: the channel.
         types: only packets of these types; none: all.
-        at: where to ask; see `Client`.
-        timeout_s: how long to wait for answers.
+        ask: how to ask.
     """
     with (
         until_ended(),
-        Client(at, timeout_s) as client,
+        ask.client() as client,
         Following(client, name.channel, types, True, (name.agent,), say) as following,
         telling_losses(client, following),
     ):
@@ -53,14 +51,14 @@ def listening_to(
 
 def listen(
     client: Client, following: Following, for_s: float | None = None, bounded: bool = False
-) -> Iterator[Heard | None]:
+) -> Iterator[HeardPacket | None]:
     """Yields the packets as they come, and None now and then where none comes.
 
     Args:
         client: reaches the agents.
         following: what is listened to.
         for_s: ends after this time; None: never.
-        bounded: whether the caller will end by itself, so that it should not wait for ever for those who went away.
+        bounded: whether the caller will end by itself, so that it should not wait for ever for agents that went away.
 
     Raises:
         Unreachable: at the end, or for as long as the client's time limit, none of the agents is there.
@@ -97,7 +95,7 @@ def _tell_losses(client: Client, following: Following) -> None:
     try:
         agents = client.survey(*following.agents(), timeout_s=1.0).agents
     except PancakesError:
-        return  # who is away cannot be asked
+        return  # an agent that is away cannot be asked
     for agent in agents:
         lost = sum(
             peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if peer["name"] == client.name
@@ -112,7 +110,7 @@ def from_any(source: str, addresses: Sequence[str]) -> bool:
 
 
 def doubt_types(types: Sequence[str]) -> None:
-    """Says which types nobody here knows: the agents may, but perhaps the user meant another one."""
+    """Names the types that are not installed here. The agents may know them; perhaps the user meant another one."""
     from pancakes.packet import known_types
     from pancakes.plugins import Plugins
 
@@ -121,6 +119,5 @@ def doubt_types(types: Sequence[str]) -> None:
     Plugins().load_packets()
     known = known_types()
     for name in types:
-        near = suggestion(name, known)
         if name not in known:
-            say(f"no packet type {name!r} is installed here" + (f", did you mean {near!r}?" if near else ""))
+            say(f"no packet type {name!r} is installed here{did_you_mean(name, known)}")

@@ -9,7 +9,6 @@ from typing import Final
 import click
 
 from pancakes import __version__
-from pancakes.cli.errors import sentences
 from pancakes.cli.lazy import Later, LazyGroup
 
 PROGRAM: Final = "pancakes"
@@ -49,12 +48,11 @@ def pancakes() -> None:
     It finds the agents of this machine by itself, others with --at HOST:PORT, and the rest of the fleet through any
     one of them. To run an agent: pancakes-agent.
 
-    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 where nobody
-    reads on (| head).
+    Exit codes: 0 ok, 1 refused, 2 usage, 3 unreachable, 4 bad configuration; 130 interrupted, 141 where the
+    reader of the output ends early (| head).
     """
 
 
-@sentences
 def main() -> None:
     """The console script."""
     for name in ("stdout", "stderr"):
@@ -68,6 +66,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from pancakes.cli import entry  # noqa: F401 - a SIGINT ends it quietly
+    from pancakes.cli import console_scripts  # noqa: F401 - a SIGINT ends it quietly
 
     main()

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
-from typing import Any, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import click
 
-from pancakes.cli.names import the_fleet
+from pancakes.cli.name_types import the_fleet
+from pancakes.cli.output import show
+
+if TYPE_CHECKING:
+    from pancakes.client import Client, Where
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -21,7 +26,7 @@ class AgentAddress(click.ParamType):
     name = "address"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from pancakes.config.address import dialled
+        from pancakes.address import dialled
 
         try:
             return dialled(str(value))
@@ -68,11 +73,35 @@ format_option = click.option(
 """The option `--format` of every verb; its parameter is `format_`."""
 
 
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """How a verb asks agents, and prints what they answer: what its options `--at`, `--fleet` and so on say.
+
+    Attributes:
+        where: the addresses and the fleet, which may also stand in front of a name (see `pancakes.cli.name_types`).
+        timeout_s: how long to wait for answers.
+        format_: `table` or `json`.
+    """
+
+    where: Where
+    timeout_s: float
+    format_: str
+
+    def client(self) -> Client:
+        """Returns a new client."""
+        from pancakes.client import Client
+
+        return Client(self.where, self.timeout_s)
+
+    def show(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
+        """Prints rows; see `pancakes.cli.output.show`."""
+        show(rows, columns, self.format_)
+
+
 def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
     """Gives a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
 
-    Its parameters are `at`, a `Where` that has the addresses and the fleet, which may also stand in front of a name
-    (see `pancakes.cli.names`), `timeout`, and `format_`.
+    Its parameter is `ask`.
 
     Args:
         timeout_s: the time limit where none is given.
@@ -99,10 +128,10 @@ def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
 
     def decorate(function: _F) -> _F:
         @wraps(function)
-        def asking(*arguments: Any, at: tuple[str, ...], fleet: str, **others: Any) -> Any:
+        def asking(at: tuple[str, ...], fleet: str, timeout: float, format_: str, **others: Any) -> Any:
             from pancakes.client import Where
 
-            return function(*arguments, at=Where(at, the_fleet(fleet)), **others)
+            return function(ask=Ask(Where(at, the_fleet(fleet)), timeout, format_), **others)
 
         decorated: Any = asking
         for option in reversed(options):

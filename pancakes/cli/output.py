@@ -97,7 +97,7 @@ def _print(*things: Any) -> None:
 
     # Into a file or a pipe nothing is cut off or folded.
     console = Console(width=None if sys.stdout.isatty() else 1000)
-    # By way of click, because rich has an end of its own for an output that nobody reads any more.
+    # click prints it, because rich ends the process in its own way where the reader of the output has ended.
     with console.capture() as captured:
         for thing in things:
             console.print(thing)

@@ -19,7 +19,7 @@ def die_with_parent(expected_pid: int = 0) -> None:
     Linux counts the thread that launched us as the parent, so a launcher does it from one that stays.
 
     Args:
-        expected_pid: the parent; 0: whoever it is now. With it, a parent that died before this call is seen too.
+        expected_pid: the parent; 0: the present one. With it, a parent that died before this call is seen too.
 
     Raises:
         PancakesError: the parent has ended already, or this system cannot do it.

@@ -1,4 +1,4 @@
-"""What verbs have in common that print one thing after the other, perhaps until somebody ends them."""
+"""What verbs share that print one thing after the other, perhaps until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -18,10 +18,10 @@ from pancakes.codecs import encode_json
 from pancakes.packet import body_to_plain
 from pancakes.printable import printable_data
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+if TYPE_CHECKING:
+    from pancakes.plugins import Plugins
 
-STREAM_FORMAT_HELP = "JSON is a list where the command ends by itself, and else one object a line."
-"""How all these verbs print JSON; for their help."""
+_F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def one_line(value: Any) -> str:
@@ -71,7 +71,7 @@ class Printer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        # Whoever ends the command early still gets a list; where it failed, there may be nothing to end.
+        # A user who ends the command early still gets a list. Where it failed, there may be nothing to end.
         if self._list and (kind is None or issubclass(kind, KeyboardInterrupt) or self.printed):
             if not isinstance(error, BrokenPipeError):
                 show_text("\n]" if self.printed else "[]")
@@ -79,8 +79,8 @@ class Printer:
 
 @contextmanager
 def until_ended() -> Iterator[None]:
-    """Lets Ctrl-C, or whoever reads the output and has had enough, end what goes on: in good order, without a word."""
-    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.entry`
+    """Ends its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
+    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.console_scripts`
     try:
         if quiet:
             signal.signal(signal.SIGINT, _interrupt)
@@ -89,7 +89,7 @@ def until_ended() -> Iterator[None]:
         if sys.stdout.isatty():
             show_text()  # so that the shell's prompt does not stand behind the ^C
     except BrokenPipeError:
-        # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
+        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         if quiet:
@@ -105,6 +105,14 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def say(text: str) -> None:
     """Says something about the stream on standard error, where it does not mix with it."""
     show_text(text, err=True)
+
+
+def load_packets(plugins: Plugins | None = None) -> None:
+    """Registers the packet types of all distributions; names on standard error those that cannot be loaded."""
+    from pancakes.plugins import Plugins
+
+    for fault in (plugins or Plugins()).load_packets():
+        say(str(fault))
 
 
 def count_option(what: str) -> Callable[[_F], _F]:

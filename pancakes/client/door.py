@@ -23,11 +23,11 @@ Listener = Callable[[str, Packet], None]
 
 
 Unread = Callable[[str, Packet, str], None]
-"""Takes (agent, packet without its body, reason) of what an agent sent and nobody can read here. Likewise."""
+"""Takes (agent, packet without its body, reason) where a packet of an agent cannot be read here. Likewise."""
 
 
 class Door:
-    """One mesh of one fleet. It listens nowhere, is nobody's neighbour, and is never asked to take a task.
+    """One mesh of one fleet. It listens at no address, is no agent's neighbour, and is never asked to take a task.
 
     Args:
         name: the client's name; unique, as an agent's is.
@@ -65,7 +65,7 @@ class Door:
         self._mesh.learn((address,))
 
     def dial_again(self, addresses: Sequence[str]) -> None:
-        """Dials at once who is not connected, here or elsewhere, instead of when its next attempt is due."""
+        """Dials at once the agents that are not connected, instead of when the next attempt is due."""
         self._mesh.learn(tuple(addresses))
         self._mesh.redial()
 
@@ -84,7 +84,7 @@ class Door:
     def link(self, agent: str) -> int:
         """Returns the number of the link to an agent that stands now, 0 where none does.
 
-        An agent forgets who followed something when a link ends, so each link has a number of its own.
+        An agent forgets its followers when their link ends, so each link has a number of its own.
         """
         return self._links.get(agent, 0) if self.connected(agent) else 0
 
@@ -128,7 +128,7 @@ class Door:
             channel: its channel.
             body: the packet's body.
             stamp: the agent's mission time.
-            destination: an address on the agent; empty: whoever subscribes there.
+            destination: an address on the agent; empty: all subscribers there.
 
         Raises:
             PancakesError: it cannot travel, or the agent is not connected any more.
@@ -149,7 +149,7 @@ class Door:
         return sum(sum(peer["waiting"].values()) for peer in self._mesh.describe()["peers"] if peer["name"] == agent)
 
     def close(self) -> None:
-        """Says goodbye. The transport is closed by whoever made it."""
+        """Leaves the mesh. The caller closes the transport, which it has made."""
         self._mesh.stop()
 
     def _settle(self, number: int, answer: Answer) -> None:

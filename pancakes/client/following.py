@@ -1,4 +1,4 @@
-"""What is published on a channel of agents, as it happens: for verbs that go on until somebody ends them."""
+"""What is published on a channel of agents, as it happens: for verbs that go on until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from pancakes.client.client import LOOK_S, Client
 from pancakes.client.door import Door
+from pancakes.client.mesh_client import LOOK_S, Client
 from pancakes.control import Follow, Reply
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.kernel.backlog import Backlog
@@ -30,7 +30,7 @@ MOST_WAITING: Final = 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class HeardPacket:
     """A packet that came.
 
     Attributes:
@@ -120,7 +120,7 @@ class Following:
         self._fleet = fleet
         self._say = say
         self._followed: dict[tuple[str, str], _Followed] = {}
-        self._waiting: Backlog[Heard] = Backlog(MOST_WAITING)
+        self._waiting: Backlog[HeardPacket] = Backlog(MOST_WAITING)
         self._unread: dict[str, str] = {}  # the reasons, by type
         self._unread_said = 0
         self._listened: list[Door] = []
@@ -137,7 +137,7 @@ class Following:
         self._followed = {}
         self._waiting.clear()
 
-    def next(self, until_s: float) -> Heard | None:
+    def next(self, until_s: float) -> HeardPacket | None:
         """Returns the next packet, or None where none has come until then, in host time."""
         while True:
             self._tend()
@@ -151,7 +151,7 @@ class Following:
 
     @property
     def missed(self) -> int:
-        """How many packets fell out because nobody took them."""
+        """How many packets fell out because the caller was too slow."""
         return self._waiting.dropped
 
     def agents(self) -> list[str]:
@@ -278,7 +278,7 @@ class Following:
         if it is None or packet.channel != self.channel:
             return
         it.heard_s = self._client.now()
-        self._waiting.put(packet, Heard(agent, packet, it.heard_s))
+        self._waiting.put(packet, HeardPacket(agent, packet, it.heard_s))
 
     def _leave_out(self, fleet: str, agent: str, packet: Packet, reason: str) -> None:
         """Notes the first packet of a type that cannot be read. In the transport's thread."""

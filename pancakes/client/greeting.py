@@ -11,7 +11,7 @@ from pancakes.wire.link import Link, LinkTimes, Over
 from pancakes.wire.messages import Hello, Identity
 
 _NOBODY: Final = Identity("greeting", "greeting", role="client").hello()
-"""Only to have a link; it is never sent, so the agent there has nobody to refuse."""
+"""Only to have a link; it is never sent, so the agent there refuses nothing."""
 
 Told = Callable[[Hello | str], None]
 """Takes what the agent said about itself, or the reason why nothing is known. In the transport's thread, once."""

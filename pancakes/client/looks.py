@@ -17,7 +17,7 @@ Described = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
-class _Sample:
+class _TaskSample:
     """How far a task was at one look: mission time, ticks so far, and the sum of their lateness."""
 
     mission_s: float
@@ -30,15 +30,15 @@ class Looks:
 
     def __init__(self) -> None:
         self._agents: dict[tuple[str, str], Described] = {}
-        self._tasks: dict[tuple[Any, ...], deque[_Sample]] = {}
+        self._tasks: dict[tuple[Any, ...], deque[_TaskSample]] = {}
 
     def look(self, described: Iterable[Described]) -> list[dict[str, Any]]:
         """Takes what the agents say of themselves now.
 
         Returns:
             A row for each agent, by fleet and name. `processor_share` (of one processor), `lateness_s` (mean of all
-            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. Who
-            answered before and does not now has the `state` "no answer".
+            ticks) and a task's `achieved_hz` and `lateness_s` are None while there is nothing to compare with. An
+            agent that answered before and does not now has the `state` "no answer".
         """
         now = {(it["fleet"], it["agent"]): it for it in described}
         rows = [
@@ -78,7 +78,7 @@ class Looks:
         if samples is None or agent["mission_s"] < samples[-1].mission_s or task["ticks"] < samples[-1].ticks:
             self._tasks = {other: it for other, it in self._tasks.items() if other[:4] != name}
             samples = self._tasks[key] = deque()
-        samples.append(_Sample(agent["mission_s"], task["ticks"], task["lateness_sum_s"]))
+        samples.append(_TaskSample(agent["mission_s"], task["ticks"], task["lateness_sum_s"]))
         while samples[-1].mission_s - samples[0].mission_s > SPAN_S and len(samples) > 2:
             samples.popleft()
         first, last = samples[0], samples[-1]

@@ -38,7 +38,7 @@ def sentence_of(record: Mapping[str, Any]) -> str:
         try:
             return make(who, record)
         except (KeyError, TypeError, ValueError):
-            pass  # an event of somebody's own that bears the same name
+            pass  # an event of a user's own that bears the same name
     rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
     return f"{who}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
 

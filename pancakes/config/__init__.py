@@ -1,7 +1,9 @@
 """The configuration of an agent: read from TOML, checked as a whole, given out as frozen structures."""
 
-from pancakes.config.address import Address, parse_address
-from pancakes.config.model import (
+from pancakes.address import Address, parse_address
+from pancakes.config.config_reader import load, parse
+from pancakes.config.plugin_check import check_plugins
+from pancakes.config.tables import (
     DEFAULT_SERVICES,
     SCHEMA,
     AgentConfig,
@@ -12,8 +14,6 @@ from pancakes.config.model import (
     ServiceConfig,
     TaskConfig,
 )
-from pancakes.config.plugin_check import check_plugins
-from pancakes.config.reader import load, parse
 
 __all__ = [
     "DEFAULT_SERVICES",

@@ -9,13 +9,13 @@ import msgspec
 from msgspec.structs import asdict
 
 from pancakes.arrays import without_arrays
-from pancakes.config.model import SCHEMA, Config, DeviceConfig
+from pancakes.config.tables import SCHEMA, Config, DeviceConfig
 from pancakes.errors import PluginError
 from pancakes.plugins import Plugins
 from pancakes.settings import SettingsError, make_settings, plain_settings
 
 DEFAULT: Final = "default"
-"""Where a value comes from that nobody gave."""
+"""Where a value comes from that neither the file nor `--set` gives."""
 
 
 def effective(config: Config, plugins: Plugins) -> dict[str, Any]:

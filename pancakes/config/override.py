@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from typing import Any
 
-from pancakes.config.places import Places, key_text
+from pancakes.config.key_places import Places, key_text
 from pancakes.config.scanner import key_at
 from pancakes.errors import Fault
 
@@ -26,27 +26,35 @@ def apply_set(text: str, values: dict[str, Any], places: Places) -> Fault | None
     Returns:
         What is wrong with it, or None.
     """
-    try:
-        found = key_at(text.strip())
-    except tomllib.TOMLDecodeError:
-        found = None
-    rest = text.strip()[found[1] :].lstrip() if found else ""
-    if found is None or not rest.startswith("="):
+    change = change_of(text)
+    if change is None:
         return Fault(f"--set {text}", "--set", f"is no override: {EXAMPLE}")
-    key = tuple(found[0])
+    key, value = change
     table = values
     for depth, part in enumerate(key[:-1], start=1):
         inner = table.setdefault(part, {})
         if not isinstance(inner, dict):
             return Fault(f"--set {text}", key_text(key), f"{key_text(key[:depth])} is a value and has no keys in it")
         table = inner
-    table[key[-1]] = value_of(rest[1:].strip())
-    places.override(key, text, table[key[-1]])
+    table[key[-1]] = value
+    places.override(key, text, value)
     return None
 
 
-def value_of(text: str) -> Any:
-    """Returns the value that a person has typed: what reads as TOML is taken as such, anything else as a string."""
+def change_of(text: str) -> tuple[tuple[str, ...], Any] | None:
+    """Reads `table.key=value`; returns the keys and the value, None where it is no such text."""
+    try:
+        found = key_at(text.strip())
+    except tomllib.TOMLDecodeError:
+        return None
+    rest = text.strip()[found[1] :].lstrip() if found else ""
+    if found is None or not rest.startswith("="):
+        return None
+    return tuple(found[0]), _value_of(rest[1:].strip())
+
+
+def _value_of(text: str) -> Any:
+    """Returns the value that a person has typed: text that is TOML is taken as such, anything else as a string."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (tomllib.TOMLDecodeError, RecursionError):

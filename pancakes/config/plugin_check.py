@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pancakes.config.address import parse_address
-from pancakes.config.model import Config, TaskConfig
-from pancakes.config.places import Places
+from pancakes.address import parse_address
+from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
+from pancakes.config.tables import Config, TaskConfig
 from pancakes.errors import Fault, PluginError
 from pancakes.migration.rule import MigrationRule
 from pancakes.packet import body_class, field_names, known_types
@@ -103,7 +103,7 @@ class _Check:
         return found
 
     def _check_transports(self) -> None:
-        """Faults in the form of an address have been reported; here it is only asked who could use it."""
+        """Looks only for the transport of each address: faults in its form have been reported."""
         agent = self._config.agent
         addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), agent.listen)] if agent.listen else []
         addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]

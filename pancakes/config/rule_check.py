@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from math import isfinite
 
-from pancakes.config.model import TaskConfig
+from pancakes.config.tables import TaskConfig
 from pancakes.migration.cost import faults_of_weights
 from pancakes.migration.rule import MigrationRule
 from pancakes.suggestion import suggestion

@@ -14,7 +14,7 @@ from pancakes.journal import empty
 from pancakes.runtime_dir import entries
 
 ASK_S: Final = 2.0
-"""How long the peers of a fleet have to say who they are."""
+"""How long the peers of a fleet have to name themselves."""
 
 
 def check_alone(configs: Iterable[Config]) -> None:

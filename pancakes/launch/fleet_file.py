@@ -8,10 +8,10 @@ from typing import Any, Final, TypeVar
 
 from pancakes import codecs
 from pancakes.config import SCHEMA
-from pancakes.config.places import Places
+from pancakes.config.config_schema import DRAFT, NAME, closed
+from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
-from pancakes.config.schema import DRAFT, NAME, closed
-from pancakes.config.source import tables_of, text_of
+from pancakes.config.toml_source import tables_of, text_of
 from pancakes.errors import ConfigError
 from pancakes.launch.member import ProcessRestart
 from pancakes.life.restart import fault_of_pauses
@@ -83,7 +83,7 @@ def load_fleet(path: str) -> FleetFile:
     Raises:
         ConfigError: it cannot be read, or is not sound; it carries every fault.
     """
-    reader = _Reader(*tables_of(text_of(path), path, named=("agent",)))
+    reader = _FleetReader(*tables_of(text_of(path), path, named=("agent",)))
     found = reader.read()
     if reader.faults:
         raise ConfigError(reader.places.in_order(reader.faults))
@@ -109,7 +109,7 @@ def fleet_schema() -> dict[str, Any]:
     }
 
 
-class _Reader:
+class _FleetReader:
     """Makes a `FleetFile` and collects faults."""
 
     def __init__(self, values: dict[str, Any], places: Places) -> None:
@@ -169,7 +169,7 @@ class _Reader:
                 self._fault(key, f"there is no agent {other!r} in this fleet", suggestion(other, agents))
 
     def _check_circles(self, agents: Mapping[str, MemberTable]) -> None:
-        """Takes away whoever waits for nobody, over and over; who is left waits in a circle."""
+        """Takes away the agents that wait for none, over and over; those that are left wait in a circle."""
         waiting = {name: list(table.after) for name, table in agents.items()}
         while free := [name for name, after in waiting.items() if not after]:
             waiting = {

@@ -5,18 +5,16 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import re
 import socket
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pancakes.runtime_dir import runtime_dir
+from msgspec.structs import replace
 
-ADDRESS = re.compile(r"^(tcp|udp)://([^/]+):(\d+)$")
-_Place = tuple[str, str, int]
-"""Scheme, host and port."""
+from pancakes.address import Address, parse_address
+from pancakes.runtime_dir import runtime_dir
 
 
 class Claim:
@@ -33,7 +31,8 @@ class Claim:
         """Claims ports; returns None where another launcher has claimed one of them."""
         directory = runtime_dir() / "ports"
         claim = cls([])
-        with contextlib.suppress(OSError):  # who cannot write there claims nothing, and may find the ports free
+        # A launcher that cannot write there claims nothing, and may find the ports free.
+        with contextlib.suppress(OSError):
             # One after the other: a directory made on the way would be open to others, and no agent would use it.
             for made in (runtime_dir(), directory):
                 made.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -70,33 +69,33 @@ def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, l
             tables[agent] = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None, {}  # whatever is wrong with it, reading it as a configuration says so better
-    addresses = {text: None for table in tables.values() for _, text in _strings(table, ())}
-    places = [_place(match) for text in addresses if (match := ADDRESS.match(text))]
-    claim = Claim.to(dict.fromkeys(port for _, _, port in places))
+    found = [_address(text) for table in tables.values() for _, text in _strings(table, ())]
+    addresses = [address for address in dict.fromkeys(found) if address is not None]
+    claim = Claim.to(dict.fromkeys(address.port for address in addresses))
     if claim is not None:
-        if not any(listening_fault(host, port, scheme) for scheme, host, port in places):
+        if not any(listening_fault(it.host, it.port, it.scheme) for it in addresses):
             return claim, {}
         claim.release()
-    taken = [_take_free_port(host, scheme) for scheme, host, _ in places]
-    free = {place: port for place, (_, port) in zip(places, taken, strict=True)}
+    taken = [_take_free_port(address.host, address.scheme) for address in addresses]
+    free = {address: port for address, (_, port) in zip(addresses, taken, strict=True)}
     for held, _ in taken:
         held.close()
     return None, {agent: _moved(table, free) for agent, table in tables.items()}
 
 
-def _moved(table: Any, free: Mapping[_Place, int]) -> list[str]:
+def _moved(table: Any, free: Mapping[Address, int]) -> list[str]:
     """Returns what is to be set in one agent's file so that its addresses have other ports."""
     changes: list[str] = []
     lists: dict[tuple[str, ...], list[str]] = {}
     for keys, text in _strings(table, ()):
-        match = ADDRESS.match(text)
-        if match is None:
+        address = _address(text)
+        if address is None:
             continue
-        address = f'"{match[1]}://{match[2]}:{free[_place(match)]}"'
+        moved = f'"{replace(address, port=free[address])}"'
         if keys[-1] == "*":
-            lists.setdefault(keys[:-1], []).append(address)
+            lists.setdefault(keys[:-1], []).append(moved)
         else:
-            changes.append(f"{'.'.join(keys)}={address}")
+            changes.append(f"{'.'.join(keys)}={moved}")
     changes.extend(f"{'.'.join(keys)}=[{', '.join(items)}]" for keys, items in lists.items())
     return changes
 
@@ -113,8 +112,13 @@ def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
         yield path, value
 
 
-def _place(match: re.Match[str]) -> _Place:
-    return match[1], match[2], int(match[3])
+def _address(text: str) -> Address | None:
+    """Returns the address that a text is; None where it is none of TCP or UDP."""
+    try:
+        found = parse_address(text)
+    except ValueError:
+        return None
+    return found if found.scheme in ("tcp", "udp") else None
 
 
 def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:

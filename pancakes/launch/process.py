@@ -1,4 +1,4 @@
-"""The process of one launched agent: it ends with whoever launched it, whatever becomes of that."""
+"""The process of one launched agent: it ends with its launcher, however that ends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def start_agent(
     Raises:
         OSError: no process can be made.
     """
-    command = [sys.executable, "-m", "pancakes.cli.agent", "--config", str(config)]
+    command = [sys.executable, "-m", "pancakes.cli.agent_command", "--config", str(config)]
     command.append(f"--die-with-parent={os.getpid()}")
     for change in sets:
         command += ["--set", change]

@@ -215,7 +215,7 @@ class Runner:
         self._do(self._course.ended(name, code, self._now()))
 
     def _say(self, say: Callable[..., None], *what: Any) -> None:
-        """Says something; where nobody listens (`| head`, a closed terminal), the fleet is ended, in silence."""
+        """Says something. Where the reader of the output has ended (`| head`), the fleet ends, in silence."""
         if self._mute:
             return
         try:

@@ -7,7 +7,6 @@ not take is sent by the loop's thread. One lock for each connection keeps the or
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import os
 import socket
 import threading
@@ -16,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
+from pancakes.address import parse_address
 from pancakes.clock import Clock
 from pancakes.errors import PancakesError
 from pancakes.kernel.guest import Guest
@@ -35,34 +35,14 @@ _ACCEPT_PAUSE_S: Final = 0.5  # when the process is out of file descriptors
 _Place = tuple[socket.AddressFamily, Any]
 
 
-def parse_address(address: str) -> tuple[str, int]:
-    """Returns (host, port) of `tcp://host:port`; an IPv6 host stands in brackets.
-
-    Raises:
-        PancakesError: it is no such address.
-    """
-    scheme, _, place = address.partition("://")
-    host, colon, port = place.rpartition(":")
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    elif ":" in host:
-        host = ""
-    if scheme != "tcp" or not host or not colon or not (port.isascii() and port.isdigit()) or int(port) > 65_535:
-        raise PancakesError(f"{address!r} is no address: it must read tcp://host:port, such as tcp://127.0.0.1:7401")
-    return host, int(port)
-
-
-def is_loopback(address: str) -> bool:
-    """Returns whether only this machine can reach an address.
-
-    Raises:
-        PancakesError: it is no address.
-    """
-    host, _ = parse_address(address)
+def _host_and_port(address: str) -> tuple[str, int]:
     try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+        found = parse_address(address)
+    except ValueError as error:
+        raise PancakesError(str(error)) from None
+    if found.scheme != "tcp":
+        raise PancakesError(f"{address!r} is no address of TCP: write it as tcp://host:port")
+    return found.host, found.port
 
 
 def _address(place: Any) -> str:
@@ -92,7 +72,7 @@ class TcpTransport(Transport):
         self.read_buffer = memoryview(bytearray(_READ_BYTES))
 
     def listen(self, address: str, accept: Callable[[], Handler]) -> str:
-        host, port = parse_address(address)
+        host, port = _host_and_port(address)
         sock: socket.socket | None = None
         try:
             family, place = _resolve(host, port)[0]
@@ -186,7 +166,7 @@ class _Dial(_Socket):
         late = f"{self._address} did not answer within {self._transport.dial_s:g} s"
         self._timer = loop.call_later(self._transport.dial_s, lambda: self.dispose(late))
         try:
-            host, port = parse_address(self._address)
+            host, port = _host_and_port(self._address)
         except PancakesError as error:
             self.dispose(str(error))
             return

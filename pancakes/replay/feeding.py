@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 from msgspec.structs import replace
 
-from pancakes.client.client import Client
 from pancakes.client.door import Door
+from pancakes.client.mesh_client import Client
 from pancakes.control import Describe
 from pancakes.errors import ControlRefused, PancakesError, Unreachable
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordedPacket

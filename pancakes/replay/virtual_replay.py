@@ -9,7 +9,7 @@ from typing import Final
 from msgspec.structs import replace
 
 from pancakes.config import Config
-from pancakes.config.model import RecordConfig
+from pancakes.config.tables import RecordConfig
 from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.packet import join

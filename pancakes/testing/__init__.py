@@ -12,29 +12,21 @@
         assert_published(agent, Load, times=20, within_s=10.0)
         assert agent.ask(Stop("Blink")).ok
 
-This package is a pytest plug-in, found by entry point: its fixtures (`pancakes.testing.plugin`, docs/testing.md) are
-there wherever Pancakes is installed. All that they use can be had without pytest too: `FleetInTest` runs any number of
+pytest finds `pancakes.pytest_plugin` by entry point: its fixtures (docs/testing.md) are there wherever Pancakes is
+installed. All that they use can be had without pytest too: `FleetInTest` runs any number of
 agents in virtual time, on one thread; `threaded_agent` runs one as it runs on a robot. Both hand out an `AgentInTest`,
 so a test may be written once for both. Nothing here sleeps, and no shipped module imports this one.
-
-The names below are imported when they are first used: pytest loads its plug-ins also where nobody needs them.
 """
 
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from pancakes.clock import VirtualClock
-    from pancakes.net.memory import Quality
-    from pancakes.testing.agent import AgentInTest, threaded_agent
-    from pancakes.testing.configuration import config_of, registered
-    from pancakes.testing.faults import Faults
-    from pancakes.testing.fleet import FleetInTest
-    from pancakes.testing.leaks import no_leak, no_thread_left
-    from pancakes.testing.probe import Probe
-    from pancakes.testing.published import assert_published
+from pancakes.clock import VirtualClock
+from pancakes.net.memory import Quality
+from pancakes.testing.agent_in_test import AgentInTest, threaded_agent
+from pancakes.testing.configuration import config_of, registered
+from pancakes.testing.faults import Faults
+from pancakes.testing.fleet_in_test import FleetInTest
+from pancakes.testing.leaks import no_leak, no_thread_left
+from pancakes.testing.probe import Probe
+from pancakes.testing.published import assert_published
 
 __all__ = [
     "AgentInTest",
@@ -50,24 +42,3 @@ __all__ = [
     "registered",
     "threaded_agent",
 ]
-
-_PLACES = {
-    "AgentInTest": "pancakes.testing.agent",
-    "Faults": "pancakes.testing.faults",
-    "FleetInTest": "pancakes.testing.fleet",
-    "Probe": "pancakes.testing.probe",
-    "Quality": "pancakes.net.memory",
-    "VirtualClock": "pancakes.clock",
-    "assert_published": "pancakes.testing.published",
-    "config_of": "pancakes.testing.configuration",
-    "no_leak": "pancakes.testing.leaks",
-    "no_thread_left": "pancakes.testing.leaks",
-    "registered": "pancakes.testing.configuration",
-    "threaded_agent": "pancakes.testing.agent",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)

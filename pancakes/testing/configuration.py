@@ -20,7 +20,7 @@ _QUIET = ServiceConfig("log", "log", {"console": False})
 
 
 @dataclass(frozen=True)
-class Parts:
+class AgentParts:
     """A configuration, and the classes that it names: what `parts` makes of its arguments."""
 
     config: Config
@@ -47,7 +47,7 @@ def parts(
     devices: Mapping[str, Any] | None,
     services: Mapping[str, Any] | None,
     agent: Mapping[str, Any],
-) -> Parts:
+) -> AgentParts:
     """Returns a configuration made of text and of classes; see `FleetInTest.start` for the arguments."""
     config = parse(text if "[agent]" in text else _HEAD.format(name=name) + text, f"{name}.toml")
     classes: dict[str, type] = {}
@@ -73,7 +73,7 @@ def parts(
         devices={**config.devices, **tables(devices, DeviceConfig, "driver")},
         services={**config.services, **tables(services, ServiceConfig, "type")},
     )
-    return Parts(config if "log" in (services or {}) else silent(config), classes)
+    return AgentParts(config if "log" in (services or {}) else silent(config), classes)
 
 
 def silent(config: Config) -> Config:

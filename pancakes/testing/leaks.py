@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pancakes.clock import MonotonicClock
 
 if TYPE_CHECKING:
-    from pancakes.testing.agent import AgentInTest
+    from pancakes.testing.agent_in_test import AgentInTest
 
 PATIENCE_S = 2.0
 """How long, in seconds of the host, what was told to end may take for that."""
@@ -50,7 +50,7 @@ class Leaks:
             if not left or clock.now() >= until_s:
                 return left
             if not collected:
-                # Slow, and therefore not for tests that are clean: what nobody refers to any more is closed.
+                # Slow, and therefore not for tests that are clean: objects without a reference are closed.
                 gc.collect()
                 collected = True
                 continue

@@ -17,7 +17,7 @@ KEEP = queue(1_000_000)
 LOOK_S = 0.02
 """How often, in host time, a wait on threads looks at its condition where no packet comes."""
 
-Where = Callable[[Any], bool]
+BodyTest = Callable[[Any], bool]
 """Says of a packet's body whether it is the one that is meant."""
 
 
@@ -72,7 +72,7 @@ class Probe(Component):
             self._news.notify_all()
 
     def packets(
-        self, body: type | None = None, where: Where | None = None, *, channel: str = "", source: str = ""
+        self, body: type | None = None, where: BodyTest | None = None, *, channel: str = "", source: str = ""
     ) -> list[Packet]:
         """Returns what has been heard so far.
 
@@ -102,7 +102,7 @@ class Probe(Component):
     def wait(self, condition: Callable[[], bool], at_most_s: float) -> bool:
         """Waits until a condition holds; not to be called from an actor.
 
-        In virtual time it runs everybody meanwhile. On threads it looks at the condition with each packet, and every
+        In virtual time it runs all actors meanwhile. On threads it looks at the condition with each packet, and every
         now and then.
 
         Args:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from pancakes.packet import Packet, type_name
-from pancakes.testing.agent import PATIENCE_S, AgentInTest
-from pancakes.testing.probe import Probe, Where
+from pancakes.testing.agent_in_test import PATIENCE_S, AgentInTest
+from pancakes.testing.probe import BodyTest, Probe
 
 MOST_SHOWN = 20
 
@@ -14,7 +14,7 @@ MOST_SHOWN = 20
 def assert_published(
     probe: Probe | AgentInTest,
     body: type,
-    where: Where | None = None,
+    where: BodyTest | None = None,
     *,
     channel: str = "",
     source: str = "",
@@ -27,11 +27,11 @@ def assert_published(
     is at the end of `within_s`: all that has been heard so far counts.
 
     Args:
-        probe: who listens, or the agent whose probe does.
+        probe: the probe that listens, or the agent that has it.
         body: its type.
         where: says yes to its body.
         channel: where it is published.
-        source: who publishes it.
+        source: the address of its publisher.
         times: how many there must be, neither more nor fewer; None: one or more.
         within_s: how long to wait, in virtual time or, on threads, in seconds of the host; None: 10 s, and with
             `times` not at all.

@@ -147,7 +147,7 @@ class Rig:
 
     def agent(self, config: Path | str, *options: str, ours: bool = False) -> Running:
         """Starts `pancakes-agent`; see `Running` for `ours`."""
-        return self.run("-m", "pancakes.cli.agent", "--config", str(config), *options, ours=ours)
+        return self.run("-m", "pancakes.cli.agent_command", "--config", str(config), *options, ours=ours)
 
     def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
         """Starts an agent and waits until it is ready."""

@@ -92,9 +92,9 @@ def test_a_channel_shows_who_reads_follows_and_publishes_on_it(rig: Rig, agent: 
 def test_a_channel_on_which_nothing_happens_says_so(rig: Rig, agent: Running):
     text = rig.pancakes("channel", "info", "a/dry", "--for", "100ms").stdout
 
-    assert "Nobody on this agent subscribes to it." in text
-    assert "Followed from elsewhere by nobody." in text
-    assert "Nobody published on it within 0.1 s." in text
+    assert "No component of this agent subscribes to it." in text
+    assert "Followed from elsewhere by none." in text
+    assert "No packet was published on it within 0.1 s." in text
 
 
 @pytest.mark.parametrize("verb", ["info", "echo", "hz", "bw"])
@@ -355,7 +355,7 @@ def test_a_packet_goes_to_one_task_only(rig: Rig, agent: Running):
 
     result = rig.pancakes("channel", "pub", "a/pond", "battery", FULL, "--to", "client/Walk")
     assert result.returncode == 0
-    assert result.stderr == "nobody on a subscribes to battery on pond at client/Walk\n"
+    assert result.stderr == "no component of a subscribes to battery on pond at client/Walk\n"
     assert rig.pancakes("channel", "pub", "a/pond", "battery", FULL, "--to", "b/client/Watch").returncode == 2
     assert rig.pancakes("channel", "pub", "a/pond", "battery", FULL, "--to", "*").returncode == 2
 
@@ -373,7 +373,7 @@ def test_a_packet_for_nobody_is_said(rig: Rig, agent: Running):
     result = rig.pancakes("channel", "pub", "a/dry", "battery", FULL)
 
     assert result.returncode == 0
-    assert result.stderr == "nobody on a subscribes to battery on dry\n"
+    assert result.stderr == "no component of a subscribes to battery on dry\n"
 
 
 def test_a_control_packet_is_answered(rig: Rig, agent: Running):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.cli.errors import sentences
+from pancakes.cli.exit_codes import sentences
 from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, Unreachable
 
 
@@ -26,7 +26,7 @@ from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, U
     ],
 )
 def test_an_error_that_was_meant(error: PancakesError, code: int, said: str, capsys: pytest.CaptureFixture[str]):
-    @sentences
+    @sentences()
     def command() -> None:
         raise error
 
@@ -37,7 +37,7 @@ def test_an_error_that_was_meant(error: PancakesError, code: int, said: str, cap
 
 
 def test_a_defect_is_a_sentence_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
-    @sentences
+    @sentences()
     def command() -> None:
         raise KeyError("wheel")
 
@@ -55,7 +55,7 @@ def test_a_defect_is_a_sentence_too(capsys: pytest.CaptureFixture[str], monkeypa
 
 
 def test_a_full_disk_is_no_defect(capsys: pytest.CaptureFixture[str]):
-    @sentences
+    @sentences()
     def command() -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "runs/summary.json")
 
@@ -66,7 +66,7 @@ def test_a_full_disk_is_no_defect(capsys: pytest.CaptureFixture[str]):
 
 
 def test_an_extra_that_is_not_installed_is_named(capsys: pytest.CaptureFixture[str]):
-    @sentences
+    @sentences()
     def command() -> None:
         raise ModuleNotFoundError("No module named 'mcap.reader'", name="mcap.reader")
 
@@ -90,7 +90,7 @@ def verb_into(output: int, *verb: str) -> tuple[int, bytes]:
 def checked(tmp_path: Path) -> tuple[str, ...]:
     config = tmp_path / "a.toml"
     config.write_text('schema = 1\n[agent]\nname = "a"\n')
-    return "pancakes.cli.agent", "--config", str(config), "--check"
+    return "pancakes.cli.agent_command", "--config", str(config), "--check"
 
 
 LIST = ("pancakes.cli.main", "plugin", "list")
@@ -98,7 +98,7 @@ HELP = (
     ("pancakes.cli.main", "--help"),
     ("pancakes.cli.main", "--version"),
     ("pancakes.cli.main", "plugin", "list", "--help"),
-    ("pancakes.cli.agent", "--help"),
+    ("pancakes.cli.agent_command", "--help"),
 )
 
 

@@ -106,7 +106,7 @@ def test_services_and_agents_are_completed(rig: Rig, pair: tuple[Running, Runnin
 def test_channels_are_completed(rig: Rig, pair: tuple[Running, Running]):
     from click import Argument, Command, Context
 
-    from pancakes.cli.names import ChannelNameType
+    from pancakes.cli.name_types import ChannelNameType
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))

@@ -23,10 +23,10 @@ from pancakes.cli.verbs.machine_checks import (
     check_runtime_dir,
     check_state_dirs,
 )
-from pancakes.journal import Entry as JournalEntry
 from pancakes.journal import FileJournal
+from pancakes.journal import RunningAgent as JournalEntry
 from pancakes.plugins import Plugins
-from pancakes.runtime_dir import VARIABLE, Entry
+from pancakes.runtime_dir import VARIABLE, RunningAgent
 
 
 def diagnosis(rig: Rig, *arguments: str) -> tuple[int, list[tuple[str, str, str]]]:
@@ -397,8 +397,8 @@ def test_a_network_that_sleeps_is_told_and_no_error(rig: Rig):
 
 def test_names_that_are_borne_twice():
     own = os.getpid()
-    twins = [Entry("a", "north", "agent", "", own), Entry("a", "north", "agent", "", own)]
+    twins = [RunningAgent("a", "north", "agent", "", own), RunningAgent("a", "north", "agent", "", own)]
     assert levels(check_entries([*twins]))[0] == ("error", "a")
-    namesakes = [Entry("a", "north", "agent", "", own), Entry("a", "south", "agent", "", own)]
+    namesakes = [RunningAgent("a", "north", "agent", "", own), RunningAgent("a", "south", "agent", "", own)]
     assert levels(check_entries(namesakes)) == [("warning", "a")]
     assert levels(check_entries(namesakes[:1])) == []

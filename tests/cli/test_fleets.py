@@ -130,7 +130,7 @@ def test_a_client_takes_an_address_as_a_person_writes_it(rig: Rig, fleets: tuple
     ("at", "text"),
     [
         ("nonsense", "'tcp://nonsense' has no port"),
-        (["127.0.0.1:0"], "'127.0.0.1:0' has the port 0, at which nobody can be reached"),
+        (["127.0.0.1:0"], "'127.0.0.1:0' has the port 0, at which no agent can be reached"),
         (["127.0.0.1:70000"], "a port is a number from 0 to 65535"),
     ],
 )

@@ -44,4 +44,4 @@ def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_aga
 
 
 def test_who_only_imports_pancakes_keeps_what_python_has():
-    assert said("import pancakes.agent, pancakes.testing, pancakes.cli.agent") == said("pass")
+    assert said("import pancakes.agent, pancakes.testing, pancakes.cli.agent_command") == said("pass")

@@ -18,9 +18,17 @@ def outcome(source: str) -> int:
 def test_a_signal_in_the_middle_of_the_wait_for_it_is_heard():
     source = """
 ended = event_at(signal.SIGINT)
-with ended._cond:  # what wait() holds before it sleeps
-    os.kill(os.getpid(), signal.SIGINT)
-    sum(range(1000))
+lines = []
+
+def interrupt(frame, event, argument):
+    if frame.f_code is threading.Event.wait.__code__:
+        lines.append(event)
+        if lines.count("line") == 2:  # the event's lock is held from here on
+            os.kill(os.getpid(), signal.SIGINT)
+            sum(range(1000))
+        return interrupt
+
+sys.settrace(interrupt)
 sys.exit(7 if ended.wait(10) else 1)
 """
     assert outcome(source) == 7

@@ -66,7 +66,7 @@ class TestWhatIsWritten:
         configs = sorted((folder / "configs").glob("*.toml"))
         assert len(configs) == (2 if kind == "plugin" else 1)
         for config in configs:
-            checked = run(folder, environment, "pancakes.cli.agent", "--config", str(config), "--check")
+            checked = run(folder, environment, "pancakes.cli.agent_command", "--config", str(config), "--check")
             assert checked.returncode == 0, checked.stderr
             assert checked.stderr == ""
             assert "is sound: the agent " in checked.stdout

@@ -11,9 +11,9 @@ import pytest
 from processes import Rig
 
 from pancakes.errors import PancakesError
-from pancakes.runtime_dir import Entry, entries, register, runtime_dir
+from pancakes.runtime_dir import RunningAgent, entries, register, runtime_dir
 
-ENTRY = Entry("a", "default", "agent", "tcp://127.0.0.1:7401", 42)
+ENTRY = RunningAgent("a", "default", "agent", "tcp://127.0.0.1:7401", 42)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_an_entry_stands_until_it_is_removed(directory: Path):
 
 
 def test_two_agents_of_one_name_have_an_entry_each(directory: Path):
-    other = Entry("a", "other", "agent", "", 43)
+    other = RunningAgent("a", "other", "agent", "", 43)
     registrations = [register(other), register(ENTRY)]
 
     assert entries() == [ENTRY, other]

@@ -195,7 +195,7 @@ class TestAddresses:
         )
         assert faults(text) == [
             "a.toml:6: [agent] peers[1]: '127.0.0.1:7401' is no address: write it as tcp://host:port",
-            "a.toml:7: [agent] peers[2]: 'tcp://10.0.0.1:0' has the port 0, at which nobody can be reached",
+            "a.toml:7: [agent] peers[2]: 'tcp://10.0.0.1:0' has the port 0, at which no agent can be reached",
             "a.toml:8: [agent] peers[3]: 'tcp://10.0.0.1:7401' stands in the list for the second time",
         ]
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from pancakes.config import AgentConfig, DeviceConfig, TaskConfig, load, parse
+from pancakes.config.config_schema import config_schema
 from pancakes.config.effective import effective, origin
-from pancakes.config.schema import config_schema
 from pancakes.config.toml_text import document_text
 from pancakes.plugins import Plugins
 from pancakes.task import Task

@@ -86,7 +86,7 @@ class LiveDemo:
 
     def name_of(self, words: list[str]) -> str:
         """Returns the name of a process by its command line; an empty string: it is none of ours."""
-        if "pancakes.cli.agent" in words and "--config" in words:
+        if "pancakes.cli.agent_command" in words and "--config" in words:
             return Path(words[words.index("--config") + 1]).stem
         return ""
 

@@ -8,9 +8,9 @@ import pytest
 
 from pancakes.errors import ConfigError, PancakesError
 from pancakes.launch.fleet_file import fleet_schema
+from pancakes.launch.fleet_plan import check_free, make_fleet
 from pancakes.launch.member import Member, ProcessRestart
-from pancakes.launch.plan import check_free, make_fleet
-from pancakes.runtime_dir import VARIABLE, Entry, Registration, register
+from pancakes.runtime_dir import VARIABLE, Registration, RunningAgent, register
 
 
 def write(path: Path, name: str = "", rest: str = "") -> Path:
@@ -218,7 +218,7 @@ def test_what_the_schema_of_a_fleet_file_knows() -> None:
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registration]:
     """An agent `a` of the fleet `default` that runs on this machine."""
     monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
-    registration = register(Entry("a", "default", "agent", "tcp://127.0.0.1:1", 4711))
+    registration = register(RunningAgent("a", "default", "agent", "tcp://127.0.0.1:1", 4711))
     yield registration
     registration.remove()
 

@@ -24,7 +24,7 @@ def test_the_examples_of_the_guide_run(pytester: pytest.Pytester):
 
 def test_the_guide_names_every_fixture_and_option(pytester: pytest.Pytester):
     listed = pytester.runpytest_subprocess("--fixtures", "-q").stdout.str()
-    fixtures = re.findall(r"^(\w+) -- .*pancakes.testing.plugin\.py", listed.replace("/", "."), re.MULTILINE)
+    fixtures = re.findall(r"^(\w+) -- .*pancakes.pytest_plugin\.py", listed.replace("/", "."), re.MULTILINE)
     text = GUIDE.read_text(encoding="utf-8")
     assert len(fixtures) == 8
     assert [name for name in fixtures if f"| `{name}` |" not in text] == []

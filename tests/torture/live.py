@@ -252,7 +252,7 @@ class LiveFleet:
 
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left. It ends with this thread."""
-        command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.cli.agent"]
+        command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.cli.agent_command"]
         command += ["--config", str(self._configs[name])]
         self.running[name] = Running(command, self.rig.environment, self.directory, ours=True)
         if wait:

@@ -7,11 +7,9 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import survey
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import agents, the_agent
-from pancakes.cli.options import asks_agents
-from pancakes.cli.output import show, show_json, show_sections
-from pancakes.client import Client, Where
+from pancakes.cli.name_types import agents, the_agent
+from pancakes.cli.options import Ask, asks_agents
+from pancakes.cli.output import show_json, show_sections
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
 
@@ -25,11 +23,10 @@ def agent() -> None:
 @agents
 @click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
 @asks_agents
-@sentences
-def list_(agents: tuple[str, ...], role: str, format_: str, at: Where, timeout: float) -> None:
+def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
     """List the agents that run, or those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:
@@ -47,17 +44,16 @@ def list_(agents: tuple[str, ...], role: str, format_: str, at: Where, timeout: 
             "tasks": len(found["tasks"]),
             "neighbours": found["neighbours"],
         }
-        for found in survey(at, timeout, *agents)
+        for found in survey(ask, *agents)
         if role in ("", found["role"])
     ]
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @agent.command()
 @the_agent
 @asks_agents
-@sentences
-def info(agent: str, format_: str, at: Where, timeout: float) -> None:
+def info(agent: str, ask: Ask) -> None:
     """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
 
     As JSON, it is the answer of the agent as it stands.
@@ -67,10 +63,10 @@ def info(agent: str, format_: str, at: Where, timeout: float) -> None:
         pancakes agent info agent1
         pancakes agent info agent1 --format json
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         (found,) = client.survey(agent).agents
         own = client.name
-    if format_ == "json":
+    if ask.format_ == "json":
         show_json([found])
     else:
         show_sections(_sections(found, own))

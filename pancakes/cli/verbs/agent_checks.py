@@ -8,7 +8,7 @@ from typing import Any, Final
 from pancakes import __version__
 from pancakes.cli.verbs.finding import Finding
 from pancakes.life.restart import tries
-from pancakes.runtime_dir import Entry
+from pancakes.runtime_dir import RunningAgent
 
 MISSED_SHARE: Final = 0.01
 """A task that misses more than this share of its ticks is named."""
@@ -17,7 +17,7 @@ Ask = Callable[[str, str], Any]
 """Returns the detailed description of a task (an agent's name, `service/task`); None where there is none."""
 
 
-def check_entries(entries: Sequence[Entry]) -> Iterator[Finding]:
+def check_entries(entries: Sequence[RunningAgent]) -> Iterator[Finding]:
     """Looks at the agents of this machine from outside: their names and processes."""
     for entry in entries:
         same = [other.pid for other in entries if (other.fleet, other.name) == (entry.fleet, entry.name)]
@@ -87,7 +87,7 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
         yield from _check_tries(f"{name}/{service['service']}", "service", service)
     if agent["dead_letters"]:
         text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
-        yield Finding("warning", name, text, f"see who and why: pancakes log --from {name} --level warning")
+        yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
 
 
 def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
@@ -139,7 +139,7 @@ def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:
     for read in described["reads"] if described is not None else ():
         if read["dropped"]:
             text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
-            yield Finding("warning", about, text, f"see who publishes: pancakes channel hz {agent}/{read['channel']}")
+            yield Finding("warning", about, text, f"see its publishers: pancakes channel hz {agent}/{read['channel']}")
 
 
 def _count(number: int, noun: str) -> str:

@@ -7,17 +7,15 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import ask_each, order
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import listen
-from pancakes.cli.names import ChannelName, a_channel, an_agent
-from pancakes.cli.options import Duration, asks_agents
+from pancakes.cli.name_types import ChannelName, a_channel, an_agent
+from pancakes.cli.options import Ask, Duration, asks_agents
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import say
+from pancakes.cli.verbs.channel_rates import bw, hz
 from pancakes.cli.verbs.echo import echo
 from pancakes.cli.verbs.publish import pub
-from pancakes.cli.verbs.rates import bw, hz
 from pancakes.cli.verbs.throughput import Throughput, size_of
-from pancakes.client import Client, Where
 from pancakes.client.following import Following
 from pancakes.control import Channels
 from pancakes.packet import agent_of
@@ -39,8 +37,7 @@ for verb in (echo, hz, bw, pub):
 @channel.command("list")
 @an_agent
 @asks_agents
-@sentences
-def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
+def list_(agent: str, ask: Ask) -> None:
     """List the channels of all agents, or of AGENT.
 
     For each: how many components subscribe to it, how many packets wait for those and how many they have lost, and how
@@ -59,10 +56,10 @@ def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
             "dropped": sum(reader["dropped"] for reader in found["subscribers"]),
             "followers": len(found["followers"]),
         }
-        for _, result in ask_each(at, timeout, Channels(), agent)
+        for _, result in ask_each(ask, Channels(), agent)
         for found in result
     ]
-    show(rows, LISTED, format_)
+    ask.show(rows, LISTED)
 
 
 @channel.command()
@@ -74,14 +71,13 @@ def list_(agent: str, format_: str, at: Where, timeout: float) -> None:
     type=Duration(),
     default="1s",
     show_default=True,
-    help="How long to listen for who publishes.",
+    help="How long to listen for publishers.",
 )
 @asks_agents
-@sentences
-def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: float) -> None:
-    """Show who subscribes to a channel, who follows it, and who publishes on it.
+def info(name: ChannelName, for_s: float, ask: Ask) -> None:
+    """Show which components subscribe to a channel, which clients follow it, and which sources publish on it.
 
-    Nobody declares what it will publish, so that is listened for; whoever publishes seldom may need a longer --for.
+    No component declares what it will publish, so this command listens; a rare publisher may need a longer --for.
     Rates are packets for each second of the publisher's mission time, bytes are for each second here.
 
     \b
@@ -89,7 +85,7 @@ def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: floa
         pancakes channel info agent1/system
         pancakes channel info agent1/ctrl --for 10s --format json
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         (found,) = order(client, name.agent, Channels(name.channel))
         heard = Throughput(client.now())
         with Following(client, name.channel, foreign=True, agents=(name.agent,), say=say) as following:
@@ -98,7 +94,7 @@ def info(name: ChannelName, for_s: float, format_: str, at: Where, timeout: floa
                     heard.add(packet.packet, packet.at_s, size_of(packet.packet))
         publishers = [row for row in heard.rows(client.now()) if agent_of(row["source"]) != client.name]
     row = {**found, "publishers": publishers, "heard_s": for_s}
-    if format_ == "json":
+    if ask.format_ == "json":
         show_json([row])
     else:
         _show(row)
@@ -113,12 +109,12 @@ def _show(row: dict[str, Any]) -> None:
     if subscribers:
         show(subscribers, SUBSCRIBERS, "table")
     else:
-        show_text("\nNobody on this agent subscribes to it.")
-    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "nobody") + ".")
+        show_text("\nNo component of this agent subscribes to it.")
+    show_text("Followed from elsewhere by " + (", ".join(row["followers"]) or "none") + ".")
     if row["publishers"]:
         show([{**it, "publisher": it["source"]} for it in row["publishers"]], PUBLISHERS, "table")
     else:
-        show_text(f"Nobody published on it within {row['heard_s']:g} s.")
+        show_text(f"No packet was published on it within {row['heard_s']:g} s.")
 
 
 def _types(types: list[str] | None, open_types: list[str] | None) -> str:

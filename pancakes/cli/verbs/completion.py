@@ -10,7 +10,7 @@ import sys
 import click
 from click.shell_completion import BashComplete, add_completion_class, get_completion_class, split_arg_string
 
-from pancakes.cli.errors import REFUSED, TRACEBACK
+from pancakes.cli.exit_codes import REFUSED, TRACEBACK
 from pancakes.cli.main import PROGRAM, VARIABLE, pancakes
 from pancakes.cli.output import show_text
 
@@ -71,7 +71,7 @@ def answer_shell() -> None:
     try:
         with contextlib.redirect_stderr(io.StringIO()):  # a warning would stand between the words
             pancakes(prog_name=PROGRAM, complete_var=VARIABLE)
-    except Exception:  # nothing of ours may come between somebody and what they type
+    except Exception:  # no error of ours may disturb a user who types
         if os.environ.get(TRACEBACK):
             raise
         sys.exit(REFUSED)

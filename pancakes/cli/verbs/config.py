@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pancakes.cli.errors import BAD_CONFIGURATION, OK, sentences
+from pancakes.cli.exit_codes import BAD_CONFIGURATION, OK
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.errors import ConfigError
@@ -26,7 +26,6 @@ def config() -> None:
 @config.command()
 @click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @format_option
-@sentences
 def check(paths: tuple[Path, ...], format_: str) -> None:
     """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
 
@@ -38,7 +37,7 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
         pancakes config check configs/encirclement robot.toml
         pancakes config check robot.toml --format json
     """
-    from pancakes.launch.plan import make_fleet
+    from pancakes.launch.fleet_plan import make_fleet
     from pancakes.plugins import Plugins
 
     plugins = Plugins()
@@ -73,7 +72,6 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says.")
 @format_option
-@sentences
 def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     """Show what an agent's configuration comes to: with all defaults, and where each value was said.
 
@@ -117,7 +115,6 @@ def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     show_default=True,
     help="As a JSON Schema, or as a table of all keys.",
 )
-@sentences
 def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
     """Print the JSON Schema of an agent's configuration, for editors that check and complete.
 
@@ -126,7 +123,7 @@ def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
         pancakes config schema --plugins > agent.schema.json
         pancakes config schema --format table
     """
-    from pancakes.config.schema import config_schema
+    from pancakes.config.config_schema import config_schema
     from pancakes.plugins import Plugins
 
     if fleet and with_plugins:

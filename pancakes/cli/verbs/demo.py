@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pancakes.cli import interpreter
-from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import end_by_signals, event_at
 from pancakes.cli.options import FiniteRange
 from pancakes.cli.output import show_text
@@ -83,7 +82,6 @@ class DemoNames(click.ParamType):
 @click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
 @port_option
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
-@sentences
 def demo(
     name: str | None,
     list_: bool,
@@ -123,13 +121,16 @@ def demo(
     if control and virtual:
         raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
     interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
-    options = _Options(virtual, seed, speed, duration, configs, sets, headless, record, faults)
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
+    out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
+    options = _Options(
+        plugins, virtual, seed, speed, duration, configs, sets, headless, record, faults, interrupted, page
+    )
     try:
         try:
-            code = _run(plugins, found, name, out, options, interrupted, page)
+            code = _run(found, out, options)
         except PancakesError:
             if not interrupted.is_set():  # else it follows from that
                 raise
@@ -152,8 +153,9 @@ def _list(plugins: Plugins) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """What the command line says about how to run a mission."""
+    """What the command line says about how to run a mission, and what ends and shows it."""
 
+    plugins: Plugins
     virtual: bool
     seed: int
     speed: float
@@ -163,6 +165,8 @@ class _Options:
     headless: bool
     record: bool
     faults: bool
+    interrupted: threading.Event
+    page: DemoPage | None
 
 
 def _find(plugins: Plugins, name: str) -> Demo | Comparison:
@@ -173,28 +177,19 @@ def _find(plugins: Plugins, name: str) -> Demo | Comparison:
     return found
 
 
-def _run(
-    plugins: Plugins,
-    found: Demo | Comparison,
-    name: str,
-    out: Path | None,
-    options: _Options,
-    interrupted: threading.Event,
-    page: DemoPage | None,
-) -> int:
+def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
     from pancakes.demo import Comparison
     from pancakes.demo.timeliness import how_slow
 
-    out = (out or Path("runs") / f"{name}-{options.seed}-{'virtual' if options.virtual else 'live'}").absolute()
     if isinstance(found, Comparison):
-        return _compare(plugins, found, out, options, interrupted, page)
-    flown = _fly(plugins, found, out, options, interrupted, page)
+        return _compare(found, out, options)
+    flown = _fly(found, out, options)
     if flown is None:
         return INTERRUPTED
     run, summary, timing = flown
-    if found.draw is not None and not interrupted.is_set():
+    if found.draw is not None and not options.interrupted.is_set():
         found.draw(run, summary)
-    if interrupted.is_set():
+    if options.interrupted.is_set():
         return _interrupted_late(out)
     _say_pace(timing)
     results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}"
@@ -206,14 +201,7 @@ def _interrupted_late(out: Path) -> int:
     return INTERRUPTED
 
 
-def _fly(
-    plugins: Plugins,
-    found: Demo,
-    out: Path,
-    options: _Options,
-    interrupted: threading.Event,
-    page: DemoPage | None,
-) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
+def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
     """Runs one mission, and judges it; returns None where it was interrupted."""
     from pancakes.demo.conductor import Mission
     from pancakes.demo.demo_plan import find_configs, make_plan
@@ -222,12 +210,13 @@ def _fly(
     from pancakes.demo.timeliness import how_slow
 
     virtual, seed = options.virtual, options.seed
+    interrupted, page = options.interrupted, options.page
     duration_s = options.duration_s if options.duration_s is not None else found.duration_s
     configs = find_configs(found, options.configs)
     speed = 1.0 if virtual else options.speed
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
     sets = (*recording, *options.sets)
-    plan = make_plan(found, configs, out, seed, speed, duration_s, sets, not virtual, plugins)
+    plan = make_plan(found, configs, out, seed, speed, duration_s, sets, not virtual, options.plugins)
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()
@@ -241,7 +230,9 @@ def _fly(
     with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
         if virtual:
             faults = NetworkFaults(seed) if options.faults else None
-            timing = run_virtual(plan, mission, interrupted, faults, onlooker, lambda text: show_text(text, err=True))
+            timing = run_virtual(
+                plan, mission, options.interrupted, faults, onlooker, lambda text: show_text(text, err=True)
+            )
         else:
             timing = run_live(plan, mission, interrupted)
     if mission.phase == "interrupted":
@@ -255,14 +246,7 @@ def _fly(
     return run, summary, timing
 
 
-def _compare(
-    plugins: Plugins,
-    found: Comparison,
-    out: Path,
-    options: _Options,
-    interrupted: threading.Event,
-    page: DemoPage | None,
-) -> int:
+def _compare(found: Comparison, out: Path, options: _Options) -> int:
     """Runs all variants of a mission one after the other, and judges what is different about them."""
     from pancakes.demo.launcher import fresh, write_results
     from pancakes.demo.timeliness import how_slow
@@ -275,16 +259,16 @@ def _compare(
         mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
         # What the command line says comes last, and so goes before what is different by itself.
         own = replace(options, sets=(*variant.sets, *options.sets))
-        flown = _fly(plugins, mission, out / variant.name, own, interrupted, page)
-        if flown is None or interrupted.is_set():
+        flown = _fly(mission, out / variant.name, own)
+        if flown is None or options.interrupted.is_set():
             return INTERRUPTED if flown is None else _interrupted_late(out)
         runs[variant.name], summaries[variant.name], timings[variant.name] = flown
         _say_pace(timings[variant.name])
     summary = found.judge(out, runs, summaries)
     write_results(out, summary, timings)
-    if not interrupted.is_set():
+    if not options.interrupted.is_set():
         found.draw(out, runs, summary)
-    if interrupted.is_set():
+    if options.interrupted.is_set():
         return _interrupted_late(out)
     slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
     folders = _listed(variant.name for variant in found.variants)

@@ -39,7 +39,7 @@ class DemoPage:
 
     @property
     def address(self) -> str:
-        """Where it is; empty while it is nowhere."""
+        """Its address; empty while it is not served."""
         return self._server.address if self._server is not None else ""
 
     def beside_live(self, plan: DemoPlan, mission: Mission) -> None:
@@ -59,7 +59,7 @@ class DemoPage:
         watch.start()
 
     def beside_virtual(self, title: str) -> VirtualWatch:
-        """Shows a mission in virtual time; returns who watches that."""
+        """Shows a mission in virtual time; returns the watch that the mission feeds."""
         from pancakes.web.page import Shown
         from pancakes.web.virtual_watch import VirtualWatch
 
@@ -74,7 +74,7 @@ class DemoPage:
             self._feed.end(sentence)
 
     def stay(self) -> None:
-        """Lets people look at the timeline until they have had enough."""
+        """Serves the page until Ctrl-C."""
         if self._server is not None:
             show_text(f"the page stays at {self._server.address} until Ctrl-C")
             self._interrupted.wait()

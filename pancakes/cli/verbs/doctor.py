@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, sentences
-from pancakes.cli.options import asks_agents
+from pancakes.cli.exit_codes import OK, REFUSED
+from pancakes.cli.options import Ask, asks_agents
 from pancakes.cli.output import show_json, show_text
 from pancakes.errors import Unreachable
 
 if TYPE_CHECKING:
     from pancakes.cli.verbs.finding import Finding
-    from pancakes.client import Where
 
 MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error": ("error", "red")}
 
@@ -24,13 +23,13 @@ MARKS: Final = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "error"
 @click.command()
 @click.option("--no-machine", is_flag=True, help="Look only at the agents.")
 @asks_agents
-@sentences
-def doctor(no_machine: bool, format_: str, at: Where, timeout: float) -> None:
+def doctor(no_machine: bool, ask: Ask) -> None:
     """Look for what is wrong on this machine and with its agents, and say what to do.
 
     On the machine: Python and its libraries, plug-ins, the directories that agents use, open files, clock, loopback.
-    In agents: who does not answer, is suspended, or has another's name or version; peers that are away; services and
-    tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is an error.
+    In agents: those that do not answer, are suspended, or have another's name or version; peers that are away;
+    services and tasks that were given up or are stuck; missed ticks and lost packets. The exit code is 1 where there is
+    an error.
 
     \b
     Example:
@@ -38,11 +37,11 @@ def doctor(no_machine: bool, format_: str, at: Where, timeout: float) -> None:
         pancakes doctor --at 192.168.1.20:7401 --no-machine --format json
     """
     found: list[Finding] = []
-    for finding in _look(not no_machine, at, timeout):
+    for finding in _look(not no_machine, ask):
         found.append(finding)
-        if format_ == "table":
+        if ask.format_ == "table":
             _print(finding)
-    if format_ == "json":
+    if ask.format_ == "json":
         columns = ("level", "about", "text", "advice")
         show_json([{column: getattr(finding, column) for column in columns} for finding in found])
     else:
@@ -58,35 +57,34 @@ def _print(finding: Finding) -> None:
         show_text(f"{'':8} → {finding.advice}")
 
 
-def _look(machine: bool, at: Where, timeout_s: float) -> Iterator[Finding]:
+def _look(machine: bool, ask: Ask) -> Iterator[Finding]:
     if machine:
         from pancakes.cli.verbs.machine_checks import check_machine
         from pancakes.plugins import Plugins
 
         yield from check_machine(Plugins())
-    yield from _look_at_agents(at, timeout_s)
+    yield from _look_at_agents(ask)
 
 
-def _look_at_agents(at: Where, timeout_s: float) -> Iterator[Finding]:
+def _look_at_agents(ask: Ask) -> Iterator[Finding]:
     from pancakes.cli.verbs.agent_checks import check_entries, check_fleet
     from pancakes.cli.verbs.finding import Finding
-    from pancakes.client import Client
     from pancakes.control import Describe
     from pancakes.errors import PancakesError
     from pancakes.runtime_dir import entries
 
-    if not at.addresses:
+    if not ask.where.addresses:
         try:
-            there = [it for it in entries() if it.role != "client" and at.fleet in ("", it.fleet)]
+            there = [it for it in entries() if it.role != "client" and ask.where.fleet in ("", it.fleet)]
         except PancakesError as error:
             yield Finding("error", "agents", str(error), "without it no agent of this machine can be found")
             return
         if not there:
-            of = f" of the fleet {at.fleet}" if at.fleet else ""
+            of = f" of the fleet {ask.where.fleet}" if ask.where.fleet else ""
             yield Finding("ok", "agents", f"no agent{of} runs on this machine")
             return
         yield from check_entries(there)
-    with Client(at, timeout_s) as client:
+    with ask.client() as client:
         try:
             found = client.survey()
         except Unreachable as error:
@@ -94,10 +92,10 @@ def _look_at_agents(at: Where, timeout_s: float) -> Iterator[Finding]:
                 yield Finding("error", "agents", sentence, "see whether it runs, and whether its computer is away")
             return
 
-        def ask(agent: str, target: str) -> Any:
+        def told(agent: str, target: str) -> Any:
             try:
                 return client.request(agent, Describe(target)).result
             except PancakesError:
                 return None
 
-        yield from check_fleet(found.agents, found.silent, ask, found.asleep)
+        yield from check_fleet(found.agents, found.silent, told, found.asleep)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, UNREACHABLE, sentences
-from pancakes.cli.names import agents
-from pancakes.cli.options import dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_text
+from pancakes.cli.exit_codes import OK, REFUSED, UNREACHABLE
+from pancakes.cli.name_types import agents
+from pancakes.cli.options import Ask, dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show_text
 from pancakes.client import Client, Where
 from pancakes.control import Shutdown
 from pancakes.errors import NoAnswer, Unreachable
-from pancakes.runtime_dir import Entry, entries
+from pancakes.runtime_dir import RunningAgent, entries
 
 if TYPE_CHECKING:
     import psutil
@@ -45,13 +45,12 @@ class _Target:
 @click.option("--all", "all_", is_flag=True, help="With --at: all agents that are found from there.")
 @dry_run_option
 @orders_agents
-@sentences
-def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def down(agents: tuple[str, ...], all_: bool, dry_run: bool, ask: Ask) -> None:
     """End agents: those that are named, or else all of this machine (with --fleet, of that fleet), until they are gone.
 
     Their tasks stop, their actuators hold, and their peers are told. A simulated world ends after the agents that act
-    in it. Who has not ended within the time limit is named on standard error, and the exit code is then 3. A launcher
-    does not start again what was ended in this way, unless it was told to with --restart always.
+    in it. An agent that has not ended within the time limit is named on standard error, and the exit code is then 3.
+    A launcher does not start an agent again that was ended in this way, unless it was told to with --restart always.
 
     \b
     Example:
@@ -60,25 +59,25 @@ def down(agents: tuple[str, ...], all_: bool, dry_run: bool, format_: str, at: W
         pancakes down --fleet field
         pancakes down --at 192.168.1.20:7401 --all --dry-run
     """
-    if at.addresses and not agents and not all_:
+    if ask.where.addresses and not agents and not all_:
         raise click.UsageError("name the agents to end, or say --all for those that are found through --at")
-    if all_ and (agents or not at.addresses):
+    if all_ and (agents or not ask.where.addresses):
         raise click.UsageError("--all goes with --at alone: without both, all agents of this machine end")
     here = {
         (entry.fleet, entry.name): entry
         for entry in entries()
-        if entry.role != "client" and at.fleet in ("", entry.fleet)
+        if entry.role != "client" and ask.where.fleet in ("", entry.fleet)
     }
-    ending = _Ending(timeout, dry_run)
-    if at.addresses or agents:
-        ending.end(at, agents, here)
+    ending = _Ending(ask.timeout_s, dry_run)
+    if ask.where.addresses or agents:
+        ending.end(ask.where, agents, here)
     else:
         if not here:
-            of = f" of the fleet {at.fleet}" if at.fleet else ""
+            of = f" of the fleet {ask.where.fleet}" if ask.where.fleet else ""
             show_text(f"no agent{of} runs on this machine", err=True)
-        ending.end_all(here, at.fleet)
-    if ending.rows or format_ == "json":
-        show(ending.rows, COLUMNS, format_)
+        ending.end_all(here, ask.where.fleet)
+    if ending.rows or ask.format_ == "json":
+        ask.show(ending.rows, COLUMNS)
     sys.exit(ending.code)
 
 
@@ -96,7 +95,7 @@ class _Ending:
         self.rows: list[dict[str, Any]] = []
         self.code = OK
 
-    def end_all(self, here: dict[tuple[str, str], Entry], fleet: str) -> None:
+    def end_all(self, here: dict[tuple[str, str], RunningAgent], fleet: str) -> None:
         """Ends the agents of this machine, or of one fleet on it; those on other machines are left alone."""
         for entry in here.values():
             if not entry.listen:
@@ -111,7 +110,7 @@ class _Ending:
         elif names:
             self.end(Where(fleet=fleet), names, here)
 
-    def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], Entry]) -> None:
+    def end(self, at: Where, names: Sequence[str], here: dict[tuple[str, str], RunningAgent]) -> None:
         """Ends agents that are found from some addresses (none: on this machine)."""
         with Client(at, self._timeout_s) as client:
             try:
@@ -120,7 +119,7 @@ class _Ending:
             except Unreachable as error:
                 described, silent = [], str(error).splitlines()
             answered = {(told["fleet"], told["agent"]) for told in described}
-            # Whoever is named with an address may be on another machine, and its namesake here another agent.
+            # An agent that was named together with an address may be on another machine. Its namesake here is another.
             mute = [] if at.addresses else [it for key, it in here.items() if it.name in names and key not in answered]
             for sentence in silent:
                 show_text(sentence, err=True)
@@ -132,7 +131,7 @@ class _Ending:
             for group in ([target for target in targets if target not in worlds], worlds):
                 self._await(client, [target for target in group if self._ask(client, target)])
 
-    def _end_processes(self, client: Client, mute: Sequence[Entry]) -> None:
+    def _end_processes(self, client: Client, mute: Sequence[RunningAgent]) -> None:
         """Ends agents of this machine that do not answer, such as those whose network sleeps: by their processes."""
         import psutil
 
@@ -191,7 +190,7 @@ class _Ending:
         self.code = max(self.code, code)
 
 
-def _target(described: dict[str, Any], here: dict[tuple[str, str], Entry]) -> _Target:
+def _target(described: dict[str, Any], here: dict[tuple[str, str], RunningAgent]) -> _Target:
     import psutil
 
     name, fleet = described["agent"], described["fleet"]

@@ -7,14 +7,12 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
-from pancakes.cli.names import ChannelName, a_channel
-from pancakes.cli.options import asks_agents
+from pancakes.cli.name_types import ChannelName, a_channel
+from pancakes.cli.options import Ask, asks_agents
 from pancakes.cli.streaming import Printer, count_option, for_option, one_line, say
-from pancakes.client import Where
 from pancakes.packet import Packet, body_class, body_to_plain, field_names
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 
 WIDE: Final = 100
 """A list or mapping that takes more characters than this is shown on several lines."""
@@ -37,7 +35,6 @@ HEADER: Final = "packet."
 @count_option("packets")
 @for_option
 @asks_agents
-@sentences
 def echo(
     name: ChannelName,
     types: tuple[str, ...],
@@ -45,9 +42,7 @@ def echo(
     fields: tuple[str, ...],
     count: int | None,
     for_s: float | None,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     """Show the packets on a channel, those too that come from other agents, until Ctrl-C.
 
@@ -62,12 +57,12 @@ def echo(
         pancakes channel echo agent1/log --from agent1/client --format json
     """
     bounded = count is not None or for_s is not None
-    paths = Paths(fields)
+    paths = FieldPaths(fields)
     doubt_types(types)
     _check_fields(types, fields)
     with (
-        listening_to(name, types, at, timeout) as (client, following),
-        Printer(format_, bounded, paths.text if fields else text_of) as printer,
+        listening_to(name, types, ask) as (client, following),
+        Printer(ask.format_, bounded, paths.text if fields else text_of) as printer,
     ):
         for heard in listen(client, following, for_s, bounded):
             if heard is None or not from_any(heard.packet.source, sources):
@@ -89,8 +84,7 @@ def _check_fields(types: Sequence[str], fields: Sequence[str]) -> None:
     for path in fields:
         first = path.split(".")[0]
         if not path.startswith(HEADER) and first not in known:
-            near = suggestion(first, known)
-            hint = f", did you mean {near!r}?" if near else f", only {', '.join(dict.fromkeys(known))}"
+            hint = hint_of(first, list(dict.fromkeys(known)))
             raise click.UsageError(f"{' and '.join(types)} has no field {first!r}{hint}")
 
 
@@ -139,7 +133,7 @@ def _scalar(value: Any) -> str:
     return one_line(value)
 
 
-class Paths:
+class FieldPaths:
     """Picks fields out of packets.
 
     Args:

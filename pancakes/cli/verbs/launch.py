@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.agent_options import SHOW_TRACEBACKS
-from pancakes.cli.errors import sentences
+from pancakes.cli.agent_process import SHOW_TRACEBACKS
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
 from pancakes.printable import printable_data
@@ -54,7 +53,6 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 )
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
-@sentences
 def launch(
     paths: tuple[Path, ...],
     sets: tuple[str, ...],
@@ -86,7 +84,7 @@ def launch(
         pancakes launch configs/encirclement --dry-run
     """
     from pancakes.launch.afresh import check_alone
-    from pancakes.launch.plan import check_free, make_fleet
+    from pancakes.launch.fleet_plan import check_free, make_fleet
     from pancakes.plugins import Plugins
 
     if traceback:
@@ -135,7 +133,7 @@ def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> in
     try:
         sys.stdout.flush()
     except OSError:
-        # What is still in the buffer has nobody to go to, and would be a second error at the end of the process.
+        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 

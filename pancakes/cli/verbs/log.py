@@ -10,13 +10,12 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.asking import order
-from pancakes.cli.errors import sentences
+from pancakes.cli.asking import order, surveyed
 from pancakes.cli.listening import from_any, from_option, listen, telling_losses
-from pancakes.cli.names import agents as some_agents
-from pancakes.cli.options import Duration, asks_agents
+from pancakes.cli.name_types import agents as some_agents
+from pancakes.cli.options import Ask, Duration, asks_agents
 from pancakes.cli.streaming import Printer, say, until_ended
-from pancakes.client import Client, Where
+from pancakes.client import Client
 from pancakes.client.following import Following
 from pancakes.control import History
 from pancakes.errors import ControlRefused, PancakesError
@@ -58,7 +57,6 @@ class Pattern(click.ParamType):
 @click.option("--grep", metavar="REGEX", type=Pattern(), help="Only lines in which this regular expression is found.")
 @click.option("--traceback", is_flag=True, help="Show failures with their whole tracebacks.")
 @asks_agents
-@sentences
 def log(
     agents: tuple[str, ...],
     follow: bool,
@@ -67,9 +65,7 @@ def log(
     since_s: float | None,
     grep: re.Pattern[str] | None,
     traceback: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     """Show what all agents, or only those named, have said and done.
 
@@ -86,7 +82,7 @@ def log(
     """
     asks = Asks(level, sources, grep)
     show = with_traceback if traceback else text_of
-    with until_ended(), Client(at, timeout) as client, Printer(format_, not follow, show, colour_of) as printer:
+    with until_ended(), ask.client() as client, Printer(ask.format_, not follow, show, colour_of) as printer:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
             if asks.wants(record):
@@ -153,10 +149,7 @@ def with_traceback(record: Record) -> str:
 
 def _history(client: Client, agents: Sequence[str], since_s: float | None) -> Iterator[Record]:
     """Yields what was said until now, in its order."""
-    found = client.survey(*agents)
-    for sentence in found.silent:
-        say(sentence)
-    yield from _merged(client, found.agents, since_s)
+    yield from _merged(client, surveyed(client, *agents), since_s)
 
 
 def _merged(client: Client, described: Sequence[Mapping[str, Any]], since_s: float | None) -> list[Record]:

@@ -148,7 +148,7 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 
 
 def _check_journal(directory: Path) -> Finding:
-    """Looks at one agent's journal without opening it: whoever opens it counts a boot and locks others out."""
+    """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
     from pancakes.journal.directory import fault_of
     from pancakes.journal.entry import Unbelievable, unseal
     from pancakes.journal.journal import BAD, SUFFIX
@@ -246,6 +246,6 @@ def check_loopback() -> Finding:
                 connection.settimeout(2.0)
                 connection.recv(1)
     except OSError as error:
-        text = f"nobody can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
+        text = f"no program can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
         return Finding("error", "loopback", text, "look at the network of this machine or container: ip link set lo up")
     return Finding("ok", "loopback", "programs can listen at 127.0.0.1")

@@ -9,11 +9,9 @@ import click
 
 from pancakes.cli.asking import accepted, ask_each, meant
 from pancakes.cli.completing import costs, tasks_beside
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import AgentNameType, TaskName, a_task, agents
-from pancakes.cli.options import asks_agents, asks_agents_for, dry_run_option, orders_agents
+from pancakes.cli.name_types import AgentNameType, TaskName, a_task, agents
+from pancakes.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
-from pancakes.client import Client, Where
 from pancakes.control import Adopt, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
 
@@ -52,30 +50,20 @@ MOVES = (
     shell_complete=costs,
     help="The cost function to bid with.",
 )
-@click.option("--dry-run", is_flag=True, help="Only ask who would take it, and for what cost; move nothing.")
+@click.option("--dry-run", is_flag=True, help="Only ask which agents would take it, and for what cost; move nothing.")
 @asks_agents_for(30.0)
-@sentences
-def migrate(
-    name: TaskName,
-    to: str,
-    then: str,
-    cost: str,
-    dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
-) -> None:
+def migrate(name: TaskName, to: str, then: str, cost: str, dry_run: bool, ask: Ask) -> None:
     """Move a running task to the neighbour that takes it for the lowest cost, and wait until it runs there.
 
-    Shows who was asked, what each answered, and why the others did not get it. The exit code is 1 where nobody takes
-    it; the task has then never stopped.
+    Shows which agents were asked, what each answered, and why the others did not get it. The exit code is 1 where no
+    agent takes it; the task has then never stopped.
 
     \b
     Example:
         pancakes task migrate agent1/ScanTarget --dry-run
         pancakes task migrate agent1/ScanTarget --to agent2 --then GoHome
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         name = meant(client, name)
         try:
             reply = client.request(name.agent, Migrate(name.target, to, then, cost, dry_run))
@@ -85,7 +73,7 @@ def migrate(
             hint = f"the move may go on all the same, pancakes task migrations {name.agent} shows what becomes of it"
             raise NoAnswer(f"{error}\n{hint}") from None
     if reply.result is not None:
-        _show_ledger(reply.result, format_)
+        _show_ledger(reply.result, ask.format_)
     if not reply.ok:
         raise ControlRefused(reply.reason)
 
@@ -93,8 +81,7 @@ def migrate(
 @click.command()
 @agents
 @asks_agents
-@sentences
-def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
+def migrations(agents: tuple[str, ...], ask: Ask) -> None:
     """List the moves that all agents, or those that are named, were asked for: the newest 100 of each, oldest first.
 
     They come from the journals of the agents that the tasks were to leave. As JSON, each has a line for every
@@ -105,11 +92,11 @@ def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float)
         pancakes task migrations
         pancakes task migrations agent1 --format json
     """
-    moves: list[dict[str, Any]] = [move for _, moves in ask_each(at, timeout, Migrations(), *agents) for move in moves]
-    if format_ == "json":
+    moves: list[dict[str, Any]] = [move for _, moves in ask_each(ask, Migrations(), *agents) for move in moves]
+    if ask.format_ == "json":
         show_json(moves)
     else:
-        show(moves, MOVES, format_)
+        ask.show(moves, MOVES)
 
 
 @click.command()
@@ -124,16 +111,7 @@ def migrations(agents: tuple[str, ...], format_: str, at: Where, timeout: float)
 )
 @dry_run_option
 @orders_agents
-@sentences
-def adopt(
-    name: TaskName,
-    force: bool,
-    birthplace: str,
-    dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
-) -> None:
+def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask) -> None:
     """Run a task on AGENT that rests there because AGENT cannot know where it is. You know: it runs nowhere else.
 
     This is the one act that can make two of a task: where it runs elsewhere after all, or comes back on an agent that
@@ -151,7 +129,7 @@ def adopt(
         pancakes task adopt agent1/ScanTarget
         pancakes task adopt agent1/ScanTarget --force
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         name = meant(client, name)
         reply = accepted(client, name.agent, Adopt(name.target, force, birthplace, dry_run))
     row = {
@@ -161,7 +139,7 @@ def adopt(
         "instead_of": reply.result["peer"],
         "number": reply.number,
     }
-    show([row], tuple(row), format_)
+    ask.show([row], tuple(row))
 
 
 @click.command()
@@ -175,8 +153,7 @@ def adopt(
 )
 @dry_run_option
 @orders_agents
-@sentences
-def forget(name: TaskName, birthplace: str, dry_run: bool, format_: str, at: tuple[str, ...], timeout: float) -> None:
+def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
     """Let a task rest on AGENT for good, because it runs elsewhere, and AGENT has lost its record of it.
 
     An agent whose record of a task is damaged cannot know whether it gave the task away. It does not start it, however
@@ -190,7 +167,7 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, format_: str, at: tup
         pancakes task forget agent1/ScanTarget --dry-run
         pancakes task forget agent1/ScanTarget
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run))
     row = {
         "agent": name.agent,
@@ -198,7 +175,7 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, format_: str, at: tup
         "done": DRY_RUN if dry_run else "forgotten",
         "number": reply.number,
     }
-    show([row], tuple(row), format_)
+    ask.show([row], tuple(row))
 
 
 def _show_ledger(ledger: Mapping[str, Any], format_: str) -> None:

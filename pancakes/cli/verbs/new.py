@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_json, show_text
 
@@ -81,7 +80,6 @@ def _command(kind: str) -> click.Command:
     )
     @click.option("--dry-run", is_flag=True, help="Only list what would be written.")
     @format_option
-    @sentences
     def command(name: Names, into: Path, dry_run: bool, format_: str) -> None:
         _make(kind, name, into, dry_run, format_)
 

@@ -8,18 +8,18 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, meant, order, placed
-from pancakes.cli.errors import OK, REFUSED, sentences
-from pancakes.cli.names import TaskName, a_task
-from pancakes.cli.options import asks_agents, dry_run_option, orders_agents
+from pancakes.cli.asking import accepted, meant, order, placed, surveyed
+from pancakes.cli.exit_codes import OK, REFUSED
+from pancakes.cli.name_types import TaskName, a_task
+from pancakes.cli.options import Ask, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.cli.verbs import param_file
-from pancakes.cli.verbs.param_names import AgentOrTask, ParamName, a_task_or_agent
-from pancakes.client import Client, Where
+from pancakes.cli.verbs.param_names import AgentOrTask, Changes, ParamName, SettingChange, a_task_or_agent
+from pancakes.client import Client
 from pancakes.control import Configure, Describe
 from pancakes.errors import ControlRefused
 from pancakes.printable import printable_data
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 
 COLUMNS = ("agent", "service", "task", "param", "value")
 CHANGED = ("agent", "service", "task", "param", "before", "value", "done", "number")
@@ -35,8 +35,7 @@ def param() -> None:
 @param.command("list")
 @click.argument("name", metavar="[AGENT[/TASK]]", required=False, type=AgentOrTask())
 @asks_agents
-@sentences
-def list_(name: TaskName | None, format_: str, at: Where, timeout: float) -> None:
+def list_(name: TaskName | None, ask: Ask) -> None:
     """List the settings of all tasks, of those of AGENT, or of one task.
 
     \b
@@ -44,17 +43,16 @@ def list_(name: TaskName | None, format_: str, at: Where, timeout: float) -> Non
         pancakes param list
         pancakes param list agent1/ScanTarget --format json
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = [row for described in _described(client, name) for row in _rows(described)]
-    _show(rows, COLUMNS, ("value",), format_)
+    _show(rows, COLUMNS, ("value",), ask.format_)
 
 
 @param.command()
 @a_task
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
-@sentences
-def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
+def get(name: TaskName, setting: str, ask: Ask) -> None:
     """Show the settings of a task; where NAME is given, only its value, as TOML.
 
     \b
@@ -62,23 +60,22 @@ def get(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -
         pancakes param get agent1/ScanTarget
         pancakes param get agent1/ScanTarget radius_m
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         (described,) = _described(client, name)
     known = _known(described, setting)
     rows = [row for row in _rows(described) if not known or row["param"] == known]
-    if known and format_ == "table":
+    if known and ask.format_ == "table":
         show_text(printable_data(_text(rows[0]["value"])))
     else:
-        _show(rows, COLUMNS, ("value",), format_)
+        _show(rows, COLUMNS, ("value",), ask.format_)
 
 
 @param.command("set")
 @a_task
-@click.argument("changes", metavar="NAME=VALUE...", nargs=-1, required=True, type=ParamName(equals=True))
+@click.argument("changes", metavar="NAME=VALUE...", nargs=-1, required=True, type=SettingChange())
 @dry_run_option
 @orders_agents
-@sentences
-def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
     """Change settings of a running task; all of them are good, or nothing changes.
 
     A value that reads as TOML is taken as such (5, true, [1, 2], { x = 1 }), anything else as a string. Inside of a
@@ -89,11 +86,10 @@ def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, 
         pancakes param set agent1/ScanTarget radius_m=0.8 speed_mps=0.05
         pancakes param set agent1/ScanTarget radius_m=-1 --dry-run
     """
-    values = dict(_change(text) for text in changes)
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         (described,) = _described(client, name)
         before = described["settings"]
-        wanted = param_file.changes_of(before, values)
+        wanted = param_file.changes_of(before, dict(changes))
         target = f"{described['service']}/{described['task']}"
         reply = accepted(client, name.agent, Configure(target, wanted, dry_run))
     rows = [
@@ -107,15 +103,14 @@ def set_(name: TaskName, changes: tuple[str, ...], dry_run: bool, format_: str, 
         }
         for key, value in wanted.items()
     ]
-    _show(rows, CHANGED, ("before", "value"), format_)
+    _show(rows, CHANGED, ("before", "value"), ask.format_)
 
 
 @param.command()
 @a_task
 @click.argument("setting", metavar="[NAME]", default="", type=ParamName())
 @asks_agents
-@sentences
-def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: float) -> None:
+def describe(name: TaskName, setting: str, ask: Ask) -> None:
     """Say what may be set: type, default, bounds, unit and meaning of a task's settings.
 
     \b
@@ -125,7 +120,7 @@ def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: flo
     """
     from pancakes.cli.verbs.schema_rows import rows_of
 
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         (described,) = _described(client, name)
     known = _known(described, setting)
     rows = [
@@ -133,15 +128,14 @@ def describe(name: TaskName, setting: str, format_: str, at: Where, timeout: flo
         for row in rows_of(described["settings_schema"])
         if not setting or row["param"] == known or row["param"].startswith(f"{known}.")
     ]
-    columns = DESCRIBED if format_ == "table" else ("agent", "service", "task", *DESCRIBED, "required")
-    _show(rows, columns, ("value", "default"), format_)
+    columns = DESCRIBED if ask.format_ == "table" else ("agent", "service", "task", *DESCRIBED, "required")
+    _show(rows, columns, ("value", "default"), ask.format_)
 
 
 @param.command()
 @a_task_or_agent
 @asks_agents
-@sentences
-def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
+def dump(name: TaskName, ask: Ask) -> None:
     """Print the settings of a task, or of all tasks of AGENT that its configuration names, as a configuration has them.
 
     `pancakes param load` reads them again, and they can be pasted into the agent's file.
@@ -151,9 +145,9 @@ def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
         pancakes param dump agent1 > agent1-settings.toml
         pancakes param dump agent1/ScanTarget
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = [row for row in _described(client, name) if row["settings"] and (name.task or not row["own"])]
-    if format_ == "json":
+    if ask.format_ == "json":
         show_json([{**_place(row), "settings": row["settings"]} for row in rows])
     else:
         show_text(printable_data(param_file.dumped(rows)), nl=False)
@@ -164,12 +158,11 @@ def dump(name: TaskName, format_: str, at: Where, timeout: float) -> None:
 @click.argument("file", metavar="FILE", type=click.Path(path_type=Path, allow_dash=True))
 @dry_run_option
 @orders_agents
-@sentences
-def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
     """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
 
     FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
-    each task all settings are good, or none of them changes; who refuses is named, and the exit code is then 1.
+    each task all settings are good, or none of them changes; a task that refuses is named, and the exit code is then 1.
 
     \b
     Example:
@@ -182,7 +175,7 @@ def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, tim
             raise ControlRefused(f"{file} has no settings of {name.task!r}, only of {', '.join(settings)}")
         settings = {name.task: settings[name.task]}
     rows = []
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         name = meant(client, name)
         for task, values in settings.items():
             row = {"agent": name.agent, "service": name.service, "task": task, "params": list(values)}
@@ -196,20 +189,17 @@ def load(name: TaskName, file: Path, dry_run: bool, format_: str, at: Where, tim
     for row in rows:
         if row["reason"]:
             show_text(f"{name.agent}/{row['task']}: {row['reason']}", err=True)
-    show(rows, LOADED, format_)
+    ask.show(rows, LOADED)
     sys.exit(REFUSED if any(row["reason"] for row in rows) else OK)
 
 
 def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
-    """Returns what is known of a task, of all tasks of an agent, or of all agents; names who does not answer."""
+    """Describes a task, all tasks of an agent, or those of all agents; names the agents that do not answer."""
     if name is not None and name.task:
         name = placed(client, name)
         return [order(client, name.agent, Describe(name.target))]
-    found = client.survey(*([name.agent] if name is not None else []))
-    for sentence in found.silent:
-        show_text(sentence, err=True)
     described = []
-    for agent in found.agents:
+    for agent in surveyed(client, name.agent if name is not None else ""):
         for task in agent["tasks"]:
             try:
                 described.append(order(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
@@ -226,17 +216,9 @@ def _known(described: dict[str, Any], setting: str) -> str:
     """
     names = list(described["settings_schema"].get("properties", described["settings"]))
     if setting and setting not in names:
-        near = suggestion(setting, names)
-        hint = f", did you mean {near!r}?" if near else f", only {', '.join(names)}" if names else ""
+        hint = hint_of(setting, names)
         raise ControlRefused(f"{described['agent']}/{described['task']} has no setting {setting!r}{hint}")
     return setting
-
-
-def _change(text: str) -> tuple[tuple[str, ...], Any]:
-    found = param_file.parse_change(text)
-    if found is None:
-        raise click.BadParameter(f"{text!r} is no setting: write it as NAME=VALUE", param_hint="NAME=VALUE")
-    return found
 
 
 def _rows(described: dict[str, Any]) -> list[dict[str, Any]]:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pancakes.config.source import tables_of, text_of
+from pancakes.config.toml_source import tables_of, text_of
 from pancakes.config.toml_text import document_text
 from pancakes.errors import PancakesError
 
@@ -84,18 +83,3 @@ def changes_of(present: Mapping[str, Any], texts: Mapping[tuple[str, ...], Any])
                 raise PancakesError(f"{'.'.join(keys[:depth])} is a value and has no keys in it")
         table[keys[-1]] = value
     return changes
-
-
-def parse_change(text: str) -> tuple[tuple[str, ...], Any] | None:
-    """Reads `NAME=VALUE`, with a value as `--set` takes it; None where it is none."""
-    from pancakes.config.override import value_of
-    from pancakes.config.scanner import key_at
-
-    try:
-        found = key_at(text.strip())
-    except tomllib.TOMLDecodeError:
-        return None
-    rest = text.strip()[found[1] :].lstrip() if found else ""
-    if found is None or not rest.startswith("="):
-        return None
-    return tuple(found[0]), value_of(rest[1:].strip())

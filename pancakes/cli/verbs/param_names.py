@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pancakes.cli.names import TaskName, TaskNameType
+from pancakes.cli.name_types import TaskName, TaskNameType
 from pancakes.control import Describe
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
+
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+Changes = tuple[tuple[tuple[str, ...], Any], ...]
+"""Changes of settings: for each the keys that lead to the setting, and its value."""
 
 
 class AgentOrTask(click.ParamType):
@@ -34,14 +41,12 @@ class AgentOrTask(click.ParamType):
 class ParamName(click.ParamType):
     """The name of a setting of the task that stands before it.
 
-    Args:
-        equals: whether `=` and a value are to follow.
+    Attributes:
+        end: the text that completes the name.
     """
 
     name = "NAME"
-
-    def __init__(self, equals: bool = False) -> None:
-        self._end = "=" if equals else ""
+    end = ""
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
@@ -54,11 +59,31 @@ class ParamName(click.ParamType):
         told = answer(ctx, name.agent, Describe(name.target)) if isinstance(name, TaskName) else None
         settings = told.get("settings", {}) if isinstance(told, dict) else {}
         return [
-            CompletionItem(f"{key}{self._end}", help=value_text(value))
+            CompletionItem(f"{key}{self.end}", help=value_text(value))
             for key, value in settings.items()
             if key.startswith(incomplete)
         ]
 
 
+class SettingChange(ParamName):
+    """Reads `NAME=VALUE`, with a value as `--set` takes it, as the keys that lead to a setting, and its value."""
+
+    name = "NAME=VALUE"
+    end = "="
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from pancakes.config.override import change_of
+
+        found = change_of(value)
+        if found is None:
+            self.fail(f"{value!r} is no setting: write it as {self.name}", param, ctx)
+        return found
+
+
 a_task_or_agent = click.argument("name", metavar="AGENT[/TASK]", type=AgentOrTask())
 """The argument `name` of a verb about one task, or all tasks of one agent."""
+
+
+def set_option(help_: str) -> Callable[[_F], _F]:
+    """Returns the option `--set` for settings of a task; its parameter is `sets`, of the type `Changes`."""
+    return click.option("--set", "sets", metavar="NAME=VALUE", type=SettingChange(), multiple=True, help=help_)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.exit_codes import OK, REFUSED
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
 from pancakes.errors import PluginError
@@ -26,9 +26,8 @@ def plugin() -> None:
 @click.option("--group", type=click.Choice(NAMES), multiple=True, help="Only plug-ins of this group. Repeatable.")
 @click.option("--broken", is_flag=True, help="Only those that cannot be used.")
 @format_option
-@sentences
 def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
-    """List all plug-ins of this Python environment: what each is called, who offers it, and whether it can be used.
+    """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
 
     All of them are imported for that. The exit code is 1 where one is broken.
 

@@ -9,13 +9,11 @@ from typing import Any, Final
 import click
 
 from pancakes.cli.asking import order
-from pancakes.cli.bodies import BadBody, body_of
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import ChannelName, a_channel
-from pancakes.cli.options import FiniteRange, dry_run_option, orders_agents
-from pancakes.cli.output import show
+from pancakes.cli.json_bodies import BadBody, body_of
+from pancakes.cli.name_types import ChannelName, a_channel
+from pancakes.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client, Where
+from pancakes.client import Client
 from pancakes.control import CONTROLS, Channels, Describe
 from pancakes.errors import PeerLost, Unreachable
 from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
@@ -40,23 +38,13 @@ RATE_HZ: Final = 1.0
 @click.option("--count", "most", metavar="N", type=click.IntRange(min=1), help="N packets, at --rate or one a second.")
 @dry_run_option
 @orders_agents
-@sentences
 def pub(
-    name: ChannelName,
-    kind: str,
-    body: str,
-    to: str,
-    rate_hz: float | None,
-    most: int | None,
-    dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    name: ChannelName, kind: str, body: str, to: str, rate_hz: float | None, most: int | None, dry_run: bool, ask: Ask
 ) -> None:
     """Publish a packet of the type TYPE on a channel.
 
     BODY is a JSON object with the type's fields, which are checked before anything is sent; a field that has a default
-    may be left out. A packet that nobody on the agent subscribes to is sent all the same, and that is said.
+    may be left out. A packet without a subscriber on the agent is sent all the same, and a line says so.
     An actuator takes commands from the task that holds it, so not from here. A control packet on sysctrl, such as stop
     or reschedule, is answered as it is to a task, and refused likewise.
 
@@ -74,10 +62,10 @@ def pub(
     except BadBody as error:
         raise click.UsageError(str(error)) from None
     destination = _destination(name.agent, to)
-    with until_ended(), Client(at, timeout) as client:
+    with until_ended(), ask.client() as client:
         sender = Sender(client, name, made, destination)
         if not sender.subscribers:
-            say(f"nobody on {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
+            say(f"no component of {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
         row = {**name._asdict(), "type": kind, "to": destination, "packets": 0, "subscribers": sender.subscribers}
         if not dry_run:
             packets = most if most is not None or rate_hz is not None else 1
@@ -86,11 +74,11 @@ def pub(
                     row["packets"] += 1
             except KeyboardInterrupt:
                 sender.settle()
-        show([row], COLUMNS, format_)
+        ask.show([row], COLUMNS)
 
 
 def _destination(agent: str, to: str) -> str:
-    """Returns the address of whoever is to get the packets."""
+    """Returns the address that is to get the packets."""
     if not to:
         return agent
     if to == NEIGHBOURS or to.startswith(TO_TASK):
@@ -113,7 +101,7 @@ class Sender:
         destination: an address on the agent, or the agent's own name.
 
     Attributes:
-        subscribers: the addresses of those who will get it.
+        subscribers: the addresses that will get it.
 
     Raises:
         ControlRefused: the agent has no such channel.
@@ -163,7 +151,7 @@ class Sender:
             raise Unreachable(str(error)) from None
 
     def _look(self) -> list[str]:
-        """Returns who would get the packets now."""
+        """Returns the addresses that would get the packets now."""
         (found,) = order(self._client, self._name.agent, Channels(self._name.channel))
         kind = type_name(self._body)
         named = self._destination != self._name.agent

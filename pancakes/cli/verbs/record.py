@@ -9,12 +9,13 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.asking import accepted
-from pancakes.cli.errors import REFUSED, sentences
-from pancakes.cli.names import agents
-from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.cli.asking import accepted, surveyed
+from pancakes.cli.exit_codes import REFUSED
+from pancakes.cli.name_types import agents
+from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections, show_text
-from pancakes.client import Client, Where
+from pancakes.cli.streaming import load_packets
+from pancakes.client import Client
 from pancakes.control import Describe, History, Start, Stop
 from pancakes.errors import ControlRefused
 
@@ -43,7 +44,6 @@ def record() -> None:
 @click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
 @dry_run_option
 @orders_agents
-@sentences
 def start(
     agents: tuple[str, ...],
     path: str,
@@ -53,9 +53,7 @@ def start(
     limit_mib: float | None,
     split_mib: float | None,
     dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     """Begin to record on all agents, or on those that are named.
 
@@ -77,9 +75,9 @@ def start(
         "split_mib": split_mib,
     }
     settings = {key: value for key, value in given.items() if value not in ("", [], None)}
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
-        there = _survey(client, agents)
+        there = surveyed(client, *agents)
         _check_channels(channels, there)
         if task and not _runs(client, task, there):
             show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
@@ -87,22 +85,21 @@ def start(
             accepted(client, agent, Start(RECORDER, settings, dry_run))
             done = DRY_RUN if dry_run else "recording"
             rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command()
 @agents
 @dry_run_option
 @orders_agents
-@sentences
-def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
     """End the recordings of all agents, or of those that are named, and wait until the files are complete.
 
     \b
     Example:
         pancakes record stop
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
             running = accepted(client, agent, Describe(RECORDER)).result["state"] == "running"
@@ -113,21 +110,20 @@ def stop(agents: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeou
             rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
     if not rows:
         raise ControlRefused("no agent records")
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command("list")
 @agents
 @asks_agents
-@sentences
-def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> None:
+def list_(agents: tuple[str, ...], ask: Ask) -> None:
     """List which agents record, and where to.
 
     \b
     Example:
         pancakes record list
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         rows = []
         for agent in _names(client, agents):
             told = accepted(client, agent, Describe(RECORDER)).result
@@ -137,13 +133,12 @@ def list_(agents: tuple[str, ...], format_: str, at: Where, timeout: float) -> N
             elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
                 done, path = f"ended: {ended['reason']}", ended["path"]
             rows.append({"agent": agent, "done": done, "path": path})
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @record.command()
 @click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
 @format_option
-@sentences
 def info(path: Path, format_: str) -> None:
     """Show what is in a recording: a file with its parts, or all files of a folder.
 
@@ -153,7 +148,7 @@ def info(path: Path, format_: str) -> None:
     Example:
         pancakes record info runs/encirclement-1-virtual/recording
     """
-    _know_packets()
+    load_packets()
     from pancakes.recording.recording_reader import RecordingReader
     from pancakes.recording.summary import Summary
 
@@ -198,7 +193,6 @@ def info(path: Path, format_: str) -> None:
 @click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
 @dry_run_option
 @format_option
-@sentences
 def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
     """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
 
@@ -239,15 +233,8 @@ def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: st
         sys.exit(REFUSED)
 
 
-def _survey(client: Client, agents: tuple[str, ...]) -> list[dict[str, Any]]:
-    found = client.survey(*agents)
-    for sentence in found.silent:
-        show_text(sentence, err=True)
-    return list(found.agents)
-
-
 def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
-    return [described["agent"] for described in _survey(client, agents)]
+    return [described["agent"] for described in surveyed(client, *agents)]
 
 
 def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
@@ -287,13 +274,6 @@ def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
         after = records[-1]["entry"]
         found = next((one for one in reversed(records) if one["kind"] == kind), found)
     return found
-
-
-def _know_packets() -> None:
-    from pancakes.plugins import Plugins
-
-    for fault in Plugins().load_packets():
-        show_text(str(fault), err=True)
 
 
 def _moment(time_ns: int) -> str:

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import AgentNameType
-from pancakes.cli.options import Duration, FiniteRange, dry_run_option, orders_agents
+from pancakes.cli.asking import surveyed
+from pancakes.cli.name_types import AgentNameType
+from pancakes.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
-from pancakes.cli.streaming import say, until_ended
-from pancakes.client import Client, Where
+from pancakes.cli.streaming import load_packets, say, until_ended
+from pancakes.client import Where
 
 if TYPE_CHECKING:
     from pancakes.plugins import Plugins
@@ -64,7 +64,6 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
 )
 @dry_run_option
 @orders_agents
-@sentences
 def replay(
     path: Path,
     speed: float,
@@ -76,15 +75,13 @@ def replay(
     out: Path | None,
     seed: int,
     dry_run: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     """Feed a recording into a fleet: each packet goes to the agent that it was seen on, at its time.
 
     Without --only, these are the packets on system and on channels of your own: readings, and news of others. What a
     component says that runs in the fleet is left out, as it says that itself; a null device says nothing, so that its
-    readings are fed. Packets speak in the name of who published them then, and bear the mission time of the agent that
+    readings are fed. Packets keep their recorded source, and bear the mission time of the agent that
     gets them. Ctrl-C ends it.
 
     With --config the agents run in virtual time, in this process, and what they say is recorded into --out.
@@ -101,21 +98,20 @@ def replay(
 
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out go together: the result is recorded into --out")
-    if configs and at != Where():
+    if configs and ask.where != Where():
         raise click.UsageError("--at and --fleet name agents that run, --config such as are to run: say one of them")
     if to_s is not None and to_s <= (from_s or 0.0):
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
     plugins = Plugins()
-    for fault in plugins.load_packets():
-        say(str(fault))
-    wanted = _Wanted(RecordingReader(path), speed, only, from_s or 0.0, to_s, as_name)
+    load_packets(plugins)
+    wanted = _ReplayRequest(RecordingReader(path), speed, only, from_s or 0.0, to_s, as_name)
     if out is not None:
-        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, format_)
+        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.format_)
     else:
-        _feed_live(wanted, at, timeout, dry_run, format_)
+        _feed_live(wanted, dry_run, ask)
 
 
-class _Wanted:
+class _ReplayRequest:
     """What the command line says of what is to be fed."""
 
     def __init__(
@@ -154,18 +150,15 @@ class _Wanted:
         return next(iter(speeds))
 
 
-def _feed_live(wanted: _Wanted, at: Where, timeout: float, dry_run: bool, format_: str) -> None:
+def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
     from pancakes.replay.feeding import Feeder
     from pancakes.replay.selection import Live
 
-    with until_ended(), Client(at, timeout) as client:
-        found = client.survey()
-        for sentence in found.silent:
-            say(sentence)
-        agents = {told["agent"]: Live.of(told) for told in found.agents}
+    with until_ended(), ask.client() as client:
+        agents = {told["agent"]: Live.of(told) for told in surveyed(client)}
         selection, tally = wanted.select(agents)
         if dry_run:
-            show(_rows(tally, tally, True), COLUMNS, format_)
+            ask.show(_rows(tally, tally, True), COLUMNS)
             return
         assert tally.first_ns is not None
         feeder = Feeder(client, selection, say)
@@ -174,11 +167,11 @@ def _feed_live(wanted: _Wanted, at: Where, timeout: float, dry_run: bool, format
         except KeyboardInterrupt:
             say("the replay was ended")
         feeder.settle()
-        show(_rows(tally, feeder.tally, False), COLUMNS, format_)
+        ask.show(_rows(tally, feeder.tally, False), COLUMNS)
 
 
 def _feed_virtual(
-    wanted: _Wanted, paths: tuple[Path, ...], out: Path, plugins: Plugins, seed: int, dry_run: bool, format_: str
+    wanted: _ReplayRequest, paths: tuple[Path, ...], out: Path, plugins: Plugins, seed: int, dry_run: bool, format_: str
 ) -> None:
     from pancakes.config import load
     from pancakes.errors import PancakesError

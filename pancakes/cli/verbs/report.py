@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
+from pancakes.cli.streaming import load_packets
 
 
 @click.command()
@@ -20,24 +20,21 @@ from pancakes.cli.output import show, show_text
 )
 @click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
 @format_option
-@sentences
 def report(path: Path, out: Path | None, task: str, format_: str) -> None:
     """Make a report of a recording: a file with its parts, or all files of a folder.
 
-    It tells where everybody went, who ran what, how tasks moved, batteries, rates, lateness, drops, traffic, and what
-    led to the commands of actuators. The page, report.html, needs nothing but itself. Each picture is there as PNG and
-    SVG too, in the size of a paper's column, and report.json has the figures.
+    It tells where each robot went, which agent ran which task, how tasks moved, batteries, rates, lateness, drops,
+    traffic, and what led to the commands of actuators. The page, report.html, needs no other file. Each picture is also
+    there as PNG and SVG, in the size of a paper's column, and report.json has the figures.
 
     \b
     Example:
         pancakes report runs/encirclement-1-virtual/recording
         pancakes report recordings/agent1.mcap --out paper/figures --task agent1/ScanTarget
     """
-    from pancakes.plugins import Plugins
     from pancakes.report.making import make_report
 
-    for fault in Plugins().load_packets():
-        show_text(str(fault), err=True)
+    load_packets()
     given = path.resolve()
     made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
     for note in made.notes:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import OK, REFUSED, sentences
+from pancakes.cli.exit_codes import OK, REFUSED
 from pancakes.cli.options import Duration, FiniteRange, format_option
 from pancakes.cli.output import show, show_json, show_text
-from pancakes.cli.streaming import one_line, say
+from pancakes.cli.streaming import load_packets, one_line, say
 from pancakes.cli.verbs import param_file
+from pancakes.cli.verbs.param_names import Changes, set_option
 
 if TYPE_CHECKING:
     from pancakes.replay.comparison import Difference, RunComparison, StreamKey
@@ -31,7 +32,7 @@ LONGEST: Final = 100
 @click.argument("task", metavar="TASK")
 @click.option("--stay", "number", metavar="N", type=click.IntRange(min=1), help="Only the task's Nth stay, from 1.")
 @click.option("--agent", metavar="AGENT", default="", help="Only its stays on this agent.")
-@click.option("--set", "sets", metavar="NAME=VALUE", multiple=True, help="Run it with another setting. Repeatable.")
+@set_option("Run it with another setting. Repeatable.")
 @click.option(
     "--tolerance",
     metavar="SHARE",
@@ -54,13 +55,12 @@ LONGEST: Final = 100
     help="How many differences of each stay are shown.",
 )  # fmt: skip
 @format_option
-@sentences
 def rerun(
     path: Path,
     task: str,
     number: int | None,
     agent: str,
-    sets: tuple[str, ...],
+    sets: Changes,
     tolerance: float,
     time_s: float,
     most: int,
@@ -86,18 +86,16 @@ def rerun(
     from pancakes.replay.stays import choose_stays, find_stays
 
     plugins = Plugins()
-    for fault in plugins.load_packets():
-        say(str(fault))
+    load_packets(plugins)
     reader = RecordingReader(path)
     stays = find_stays(reader.entries())
     for note in reader.notes():
         say(note)
     about = {reading.about.get("agent", ""): reading.about for reading in reader.readings}
-    changes = dict(_change(text) for text in sets)
     rows = []
     for stay in choose_stays(stays, task, agent, number):
         cls = class_of(stay, plugins)
-        settings = param_file.changes_of(stay.task.settings, changes)
+        settings = param_file.changes_of(stay.task.settings, dict(sets))
         told = about.get(stay.agent, {})
         speed, virtual = float(told.get("speed", 1.0)), told.get("clock") == "mission time"
         script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual)
@@ -110,13 +108,6 @@ def rerun(
     if format_ == "json":
         show_json(rows)
     sys.exit(OK if all(row["agrees"] for row in rows) else REFUSED)
-
-
-def _change(text: str) -> tuple[tuple[str, ...], Any]:
-    found = param_file.parse_change(text)
-    if found is None:
-        raise click.BadParameter(f"{text!r} is no setting: write it as NAME=VALUE", param_hint="--set")
-    return found
 
 
 def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison, most: int) -> dict[str, Any]:

@@ -7,15 +7,13 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, survey
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import ServiceName, a_service, agents
-from pancakes.cli.options import Duration, asks_agents, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
-from pancakes.client import Client, Where
+from pancakes.cli.name_types import ServiceName, a_service, agents
+from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, orders_agents
+from pancakes.cli.output import DRY_RUN, show_json, show_sections
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.life.restart import tries
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
 DONE = ("agent", "service", "done", "number")
@@ -33,42 +31,39 @@ def service() -> None:
 @agents
 @click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
 @asks_agents
-@sentences
-def list_(agents: tuple[str, ...], state: str | None, format_: str, at: Where, timeout: float) -> None:
+def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
     """List the services of all agents, or of those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:
         pancakes service list
         pancakes service list agent1 --state failed --format json
     """
-    found = survey(at, timeout, *agents)
+    found = survey(ask, *agents)
     rows = [row for agent in found for row in agent["services"] if state in (None, row["state"])]
-    show(rows, COLUMNS, format_)
+    ask.show(rows, COLUMNS)
 
 
 @service.command()
 @a_service
 @asks_agents
-@sentences
-def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
+def info(name: ServiceName, ask: Ask) -> None:
     """Show a service and its tasks.
 
     \b
     Example:
         pancakes service info agent1/device
     """
-    (agent,) = survey(at, timeout, name.agent)
+    (agent,) = survey(ask, name.agent)
     rows = {row["service"]: row for row in agent["services"]}
     if name.service not in rows:
-        meant = suggestion(name.service, rows)
-        hint = f", did you mean {meant!r}?" if meant else f", only {', '.join(rows)}"
+        hint = hint_of(name.service, list(rows))
         raise ControlRefused(f"{name.agent} has no service {name.service!r}{hint}")
     tasks = [row for row in agent["tasks"] if row["service"] == name.service]
     found: dict[str, Any] = {**rows[name.service], "tasks": tasks}
-    if format_ == "json":
+    if ask.format_ == "json":
         show_json([found])
         return
     facts = {**{key: found[key] for key in ("type", "state", "reason")}, "tries": tries(found)}
@@ -82,15 +77,14 @@ def info(name: ServiceName, format_: str, at: Where, timeout: float) -> None:
 @a_service
 @dry_run_option
 @orders_agents
-@sentences
-def start(name: ServiceName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def start(name: ServiceName, dry_run: bool, ask: Ask) -> None:
     """Start a service that stands still, and wait until it and its tasks run.
 
     \b
     Example:
         pancakes service start agent1/client
     """
-    _ask(name, Start(name.target, dry_run=dry_run), "started", format_, at, timeout)
+    _order(ask, name, "started", Start(name.target, dry_run=dry_run))
 
 
 @service.command()
@@ -100,18 +94,17 @@ def start(name: ServiceName, dry_run: bool, format_: str, at: Where, timeout: fl
 )
 @dry_run_option
 @orders_agents
-@sentences
-def stop(name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, and wait for that.
 
-    The Network Service of another agent can be stopped for a time only: nobody could start it again.
+    The Network Service of another agent can be stopped for a time only: no command could reach it to start it again.
 
     \b
     Example:
         pancakes service stop agent1/client
         pancakes service stop agent1/network --for 30s
     """
-    _ask(name, Stop(name.target, for_s, dry_run), "stopped", format_, at, timeout, for_s=for_s)
+    _order(ask, name, "stopped", Stop(name.target, for_s, dry_run), for_s=for_s)
 
 
 @service.command()
@@ -124,8 +117,7 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, format_: str, at
 )
 @dry_run_option
 @orders_agents
-@sentences
-def restart(name: ServiceName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a service and all of its tasks, start it, and wait until it runs.
 
     \b
@@ -133,20 +125,12 @@ def restart(name: ServiceName, keep_state: bool, dry_run: bool, format_: str, at
         pancakes service restart agent1/device
         pancakes service restart agent1/client --drop-state
     """
-    _ask(name, Restart(name.target, keep_state, dry_run), "restarted", format_, at, timeout)
+    _order(ask, name, "restarted", Restart(name.target, keep_state, dry_run))
 
 
-def _ask(
-    name: ServiceName,
-    body: Start | Stop | Restart,
-    done: str,
-    format_: str,
-    at: Where,
-    timeout: float,
-    **others: Any,
-) -> None:
+def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop | Restart, **others: Any) -> None:
     """Has an agent do something with a service, and shows that it was done."""
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         number = accepted(client, name.agent, body).number
     row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": number, **others}
-    show([row], (*DONE, *others), format_)
+    ask.show([row], (*DONE, *others))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -10,12 +10,11 @@ import click
 
 from pancakes.cli.asking import accepted, order, placed, survey
 from pancakes.cli.completing import timers
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import TaskName, a_task, agents
-from pancakes.cli.options import FiniteRange, asks_agents, dry_run_option, orders_agents
+from pancakes.cli.name_types import TaskName, a_task, agents
+from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
-from pancakes.client import Client, Where
+from pancakes.cli.verbs.param_names import Changes, set_option
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 from pancakes.life.restart import tries
 
@@ -44,20 +43,10 @@ task.add_command(forget)
 @click.option("--state", type=click.Choice(STATES), help="Only tasks in this state.")
 @click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
 @asks_agents
-@sentences
-def list_(
-    agents: tuple[str, ...],
-    service: str,
-    type_: str,
-    state: str | None,
-    long: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
-) -> None:
+def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, long: bool, ask: Ask) -> None:
     """List the tasks of all agents, or of those that are named.
 
-    Who does not answer in time is named on standard error; the exit code is 3 where nobody answers.
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
 
     \b
     Example:
@@ -67,20 +56,19 @@ def list_(
     """
     rows = [
         row
-        for found in survey(at, timeout, *agents)
+        for found in survey(ask, *agents)
         for row in found["tasks"]
         if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
     ]
-    if format_ == "table":  # for people, the word that says more
+    if ask.format_ == "table":  # for people, the word that says more
         rows = [{**row, "state": row["rest"] or row["state"]} for row in rows]
-    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if format_ == "json" else ())), format_)
+    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if ask.format_ == "json" else ())), ask.format_)
 
 
 @task.command()
 @a_task
 @asks_agents
-@sentences
-def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
+def info(name: TaskName, ask: Ask) -> None:
     """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
     failed the last time, with the whole traceback.
 
@@ -91,10 +79,10 @@ def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
         pancakes task info agent1/ScanTarget
         pancakes task info agent1/pose --format json
     """
-    with Client(at, timeout) as client:
+    with ask.client() as client:
         name = placed(client, name)
         found = order(client, name.agent, Describe(name.target))
-    if format_ == "json":
+    if ask.format_ == "json":
         show_json([found])
     else:
         show_sections(_sections(str(name), found))
@@ -102,11 +90,10 @@ def info(name: TaskName, format_: str, at: Where, timeout: float) -> None:
 
 @task.command()
 @a_task
-@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Start it with this setting. Repeatable.")
+@set_option("Start it with this setting. Repeatable.")
 @dry_run_option
 @orders_agents
-@sentences
-def start(name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
     """Start a task that stands still, and wait until it runs.
 
     A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
@@ -116,19 +103,17 @@ def start(name: TaskName, sets: tuple[str, ...], dry_run: bool, format_: str, at
         pancakes task start agent1/GoHome
         pancakes task start agent1/ScanTarget --set radius_m=0.8
     """
-    settings = _settings(sets) or None
-    with Client(at, timeout) as client:
-        name = placed(client, name)
-        number = accepted(client, name.agent, Start(name.target, settings, dry_run)).number
-    _show_done(name, "started", number, dry_run, format_)
+    from pancakes.cli.verbs.param_file import changes_of
+
+    settings = changes_of({}, dict(sets)) or None
+    _order(ask, name, "started", lambda target: Start(target, settings, dry_run))
 
 
 @task.command()
 @a_task
 @dry_run_option
 @orders_agents
-@sentences
-def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
     """Stop a task once it has finished what it has in hand, and wait for that.
 
     It stays stopped, also when its agent is started anew.
@@ -137,10 +122,7 @@ def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float)
     Example:
         pancakes task stop agent1/ScanTarget
     """
-    with Client(at, timeout) as client:
-        name = placed(client, name)
-        number = accepted(client, name.agent, Stop(name.target, dry_run=dry_run)).number
-    _show_done(name, "stopped", number, dry_run, format_)
+    _order(ask, name, "stopped", lambda target: Stop(target, dry_run=dry_run))
 
 
 @task.command()
@@ -153,18 +135,14 @@ def stop(name: TaskName, dry_run: bool, format_: str, at: Where, timeout: float)
 )
 @dry_run_option
 @orders_agents
-@sentences
-def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
     """Stop a task, start it, and wait until it runs.
 
     \b
     Example:
         pancakes task restart agent1/ScanTarget --drop-state
     """
-    with Client(at, timeout) as client:
-        name = placed(client, name)
-        number = accepted(client, name.agent, Restart(name.target, keep_state, dry_run)).number
-    _show_done(name, "restarted", number, dry_run, format_)
+    _order(ask, name, "restarted", lambda target: Restart(target, keep_state, dry_run))
 
 
 @task.command()
@@ -179,8 +157,7 @@ def restart(name: TaskName, keep_state: bool, dry_run: bool, format_: str, at: W
 )
 @dry_run_option
 @orders_agents
-@sentences
-def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str, at: Where, timeout: float) -> None:
+def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) -> None:
     """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
 
     \b
@@ -188,15 +165,18 @@ def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, format_: str
         pancakes task rate agent1/ir 2
         pancakes task rate agent1/Discovery 0.2 --timer announce
     """
-    with Client(at, timeout) as client:
+    _order(ask, name, "rate changed", lambda target: Reschedule(target, rate_hz, timer, dry_run))
+
+
+def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Restart | Reschedule]) -> None:
+    """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
+    with ask.client() as client:
         name = placed(client, name)
-        reply = accepted(client, name.agent, Reschedule(name.target, rate_hz, timer, dry_run))
-    _show_done(name, "rate changed", reply.number, dry_run, format_, **reply.result)
-
-
-def _show_done(name: TaskName, done: str, number: int, dry_run: bool, format_: str, **others: Any) -> None:
-    row = {**name._asdict(), "done": DRY_RUN if dry_run else done, "number": number, **others}
-    show([row], (*DONE, *others), format_)
+        wanted = body(name.target)
+        reply = accepted(client, name.agent, wanted)
+    result = reply.result if isinstance(wanted, Reschedule) else {}
+    row = {**name._asdict(), "done": DRY_RUN if wanted.dry_run else done, "number": reply.number, **result}
+    ask.show([row], (*DONE, *result))
 
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -251,15 +231,3 @@ def _policy(restart: Mapping[str, Any]) -> str:
         f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s,"
         f" after {restart['pause_s']:g} s to {restart['pause_max_s']:g} s{again}"
     )
-
-
-def _settings(sets: Sequence[str]) -> dict[str, Any]:
-    from pancakes.config.override import value_of
-
-    settings: dict[str, Any] = {}
-    for text in sets:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            raise click.BadParameter(f"{text!r} is no setting: write it as KEY=VALUE", param_hint="--set")
-        settings[key.strip()] = value_of(value.strip())
-    return settings

@@ -20,7 +20,7 @@ _ENCODER: Final = Encoder()
 
 
 def size_of(packet: Packet) -> int:
-    """Returns how many bytes a packet takes on the wire, apart from the name of whoever follows it.
+    """Returns how many bytes a packet takes on the wire, apart from the name of its follower.
 
     In the main thread only. A frame around one or several packets adds a few more.
     """
@@ -28,7 +28,7 @@ def size_of(packet: Packet) -> int:
 
 
 @dataclass(slots=True)
-class _Series:
+class _PacketSeries:
     """The newest packets of one source and type."""
 
     times_s: deque[float]
@@ -52,7 +52,7 @@ class Throughput:
         self._began_s = began_s
         self._window = window
         self._arrivals = arrivals
-        self._series: dict[tuple[str, str], _Series] = {}
+        self._series: dict[tuple[str, str], _PacketSeries] = {}
         self.packets = 0
 
     def add(self, packet: Packet, at_s: float, size: int = 0) -> None:
@@ -67,7 +67,7 @@ class Throughput:
                 deque[float](maxlen=self._window),
                 deque[int](maxlen=self._window),
             )
-            it = self._series[key] = _Series(*kept)
+            it = self._series[key] = _PacketSeries(*kept)
         it.times_s.append(time_s)
         it.arrivals_s.append(at_s)
         it.sizes.append(size)
@@ -106,7 +106,7 @@ def _intervals(times_s: deque[float]) -> dict[str, float | None]:
     return {"rate_hz": 1.0 / mean_s, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread}
 
 
-def _sizes(it: _Series, began_s: float, now_s: float) -> dict[str, float | None]:
+def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float | None]:
     sizes = list(it.sizes)
     if it.packets == len(sizes):
         whole, since_s = sum(sizes), began_s

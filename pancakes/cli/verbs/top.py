@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
-from pancakes.cli.names import agents as some_agents
-from pancakes.cli.options import Duration, asks_agents
+from pancakes.cli.asking import surveyed
+from pancakes.cli.name_types import agents as some_agents
+from pancakes.cli.options import Ask, Duration, asks_agents
 from pancakes.cli.output import show_json, show_text
-from pancakes.cli.streaming import one_line, say, until_ended
-from pancakes.client import Client, Where
+from pancakes.cli.streaming import one_line, until_ended
+from pancakes.client import Client
 from pancakes.client.looks import Looks
 from pancakes.errors import Unreachable
 from pancakes.printable import printable
@@ -76,16 +76,7 @@ SLOW: Final = 0.8
     help="The order of the tasks; all but names begin with the largest.",
 )
 @asks_agents
-@sentences
-def top(
-    agents: tuple[str, ...],
-    once: bool,
-    every_s: float,
-    sort: str,
-    format_: str,
-    at: Where,
-    timeout: float,
-) -> None:
+def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask) -> None:
     """Watch all agents, or those named, and their tasks, until Ctrl-C.
 
     Of an agent: the share of one processor that it uses, its memory, how late its tasks tick in the mean, to how many
@@ -100,9 +91,9 @@ def top(
         pancakes top --once --every 5s --sort late
         pancakes top agent1 --once --format json
     """
-    with until_ended(), Client(at, timeout) as client:
+    with until_ended(), ask.client() as client:
         looks = _looks(client, agents, every_s, once)
-        if format_ == "json":
+        if ask.format_ == "json":
             for rows in looks:
                 if once:
                     show_json([_sorted_in(row, sort) for row in rows])
@@ -118,11 +109,9 @@ def top(
 def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
     """Yields what is to be shown: at each look, or once after the second."""
     looks = Looks()
-    found = client.survey(*agents)
-    for sentence in found.silent:
-        say(sentence)
+    found = surveyed(client, *agents)
     due_s = client.now()
-    rows = looks.look(found.agents)
+    rows = looks.look(found)
     while True:
         if not once:
             yield rows
@@ -130,7 +119,7 @@ def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) ->
         client.wait(due_s, lambda: False)
         client.look_again()
         try:
-            # Who does not answer must not hold up the others' next look.
+            # An agent that does not answer must not delay the next look at the others.
             limit_s = client.timeout_s if once else min(client.timeout_s, max(every_s, SHORTEST_LOOK_S))
             described = client.survey(*agents, timeout_s=limit_s).agents
         except Unreachable:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.interrupts import event_at
-from pancakes.cli.options import asks_agents
+from pancakes.cli.options import Ask, asks_agents
 from pancakes.cli.output import show_json, show_text
 
 if TYPE_CHECKING:
-    from pancakes.client import Where
+    pass
 
 port_option = click.option(
     "--port",
@@ -31,42 +30,33 @@ port_option = click.option(
 @port_option
 @click.option("--open", "open_", is_flag=True, help="Open the page in the browser as well.")
 @asks_agents
-@sentences
-def view(
-    control: bool,
-    port: int | None,
-    open_: bool,
-    format_: str,
-    at: Where,
-    timeout: float,
-) -> None:
+def view(control: bool, port: int | None, open_: bool, ask: Ask) -> None:
     """Show a fleet on a page in the browser, until Ctrl-C.
 
     It shows the arena with its robots (or the mesh, where there are no poses), the agents with their tasks, what
     happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
     another machine: ssh -L 7480:127.0.0.1:7480 HOST. With --control the address that is printed has a token in it;
-    whoever has that may change what the agents do.
+    a user who has the token may change what the agents do.
 
     \b
     Example:
         pancakes view
         pancakes view --control --at 127.0.0.1:7401
     """
-    from pancakes.client import Client
     from pancakes.web.feed import Feed
     from pancakes.web.page import Shown, open_page
     from pancakes.web.watch import Watch, fleet_among
 
     ended = event_at(signal.SIGINT, signal.SIGTERM)
-    with Client(at, timeout) as client:
-        fleet = fleet_among(client.survey().agents, at.fleet)
+    with ask.client() as client:
+        fleet = fleet_among(client.survey().agents, ask.where.fleet)
     began_s = time.monotonic()
     feed = Feed(lambda: time.monotonic() - began_s)
-    watch = Watch(feed, at.addresses, fleet, timeout)
+    watch = Watch(feed, ask.where.addresses, fleet, ask.timeout_s)
     server = open_page(Shown(feed, watch.explain, watch.order if control else None), port)
     try:
         watch.start()
-        tell_address(server.address, control, format_)
+        tell_address(server.address, control, ask.format_)
         if open_:
             click.launch(server.address)
         ended.wait()

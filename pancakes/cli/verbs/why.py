@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.options import Duration, format_option
 from pancakes.cli.output import show, show_json, show_text
-from pancakes.cli.streaming import Printer, say
+from pancakes.cli.streaming import Printer, load_packets, say
 from pancakes.errors import PancakesError
 
 if TYPE_CHECKING:
@@ -41,7 +40,6 @@ MOST_ALIKE: Final = 50
 @click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
 @click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
 @format_option
-@sentences
 def why(
     path: Path,
     agent: str,
@@ -68,15 +66,13 @@ def why(
         pancakes why recordings --type motors --slowest 3
         pancakes why recordings --list --format json
     """
-    from pancakes.plugins import Plugins
     from pancakes.recording.recording_reader import RecordingReader
 
     if sum((at_s is not None, seq is not None, slowest is not None, list_)) > 1:
         raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
-    for fault in Plugins().load_packets():
-        say(str(fault))
+    load_packets()
     reader = RecordingReader(path)
-    question = _Question(reader, agent, type_, task)
+    question = _CommandQuestion(reader, agent, type_, task)
     if list_:
         with Printer(format_, True, _line) as printer:
             for command in question.commands():
@@ -93,7 +89,7 @@ def why(
         raise PancakesError(question.nothing())
 
 
-class _Question:
+class _CommandQuestion:
     """Which commands are meant, and what is found of all of them while they are read."""
 
     def __init__(self, reader: RecordingReader, agent: str, type_: str, task: str) -> None:
@@ -132,7 +128,7 @@ class _Question:
                 self._others.add(f"{command.agent} {command.packet.type}" + (f" of {task_id}" if task_id else ""))
 
 
-def _show_kinds(question: _Question, format_: str) -> None:
+def _show_kinds(question: _CommandQuestion, format_: str) -> None:
     for _ in question.commands():
         pass
     found = question.found
@@ -152,7 +148,9 @@ def _show_kinds(question: _Question, format_: str) -> None:
         show_text(f"{found.left_out:,} more have chains of rarer kinds")
 
 
-def _show_chains(question: _Question, at_s: float | None, seq: int | None, slowest: int | None, format_: str) -> None:
+def _show_chains(
+    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None, format_: str
+) -> None:
     chosen, more = _choose(question, at_s, seq, slowest)
     rows = [
         {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
@@ -172,7 +170,7 @@ def _show_chains(question: _Question, at_s: float | None, seq: int | None, slowe
 
 
 def _choose(
-    question: _Question, at_s: float | None, seq: int | None, slowest: int | None
+    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None
 ) -> tuple[list[ActuatorCommand], int]:
     """Returns the commands that are asked for, and how many more there would be."""
     if slowest is not None:
@@ -236,7 +234,7 @@ def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
     ]
 
 
-def _alike(question: _Question, command: ActuatorCommand) -> dict[str, Any] | None:
+def _alike(question: _CommandQuestion, command: ActuatorCommand) -> dict[str, Any] | None:
     reaction = question.found.alike(command.chain) if command.caused else None
     return _distribution(reaction) if reaction is not None else None
 

@@ -21,14 +21,14 @@ from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
 from pancakes.net.transport import Transport
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries, runtime_dir
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 from pancakes.wire.messages import Hello
 
 Answers = dict[tuple[str, str], Reply]
-"""Replies by the fleet and the name of who gave them."""
+"""Replies by the fleet and the name of the agent."""
 
 LOOK_S: Final = 0.1
-"""How often it is looked again at what nobody announces, such as an agent that says it sleeps."""
+"""How often a wait looks again at facts that come without an event, such as an agent that says it sleeps."""
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Client:
         self._transports: dict[str, Transport] = {}
         self._lock = threading.RLock()
         # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
-        # leaves its lock in disorder, and whoever then leaves in good order waits for ever (2 of 700 times).
+        # leaves its lock in disorder, and a program that then ends in good order waits for ever.
         self._no_news = threading.Lock()
         self._no_news.acquire()
         self._doors: dict[tuple[str, str], Door] = {}
@@ -164,7 +164,7 @@ class Client:
             timeout_s: the time limit; None: that of the client.
 
         Raises:
-            Unreachable: nobody answers in time, or there is no agent of a name.
+            Unreachable: no agent answers in time, or there is no agent of a name.
             ControlRefused: agents of two fleets bear a name.
         """
         replies, silent = self._gather(None, agents, timeout_s)
@@ -266,7 +266,7 @@ class Client:
         return f"no agent{of} runs on this machine ({runtime_dir()} {names})"
 
     def _follow(self, lead: Lead) -> None:
-        """Finds out who is there, and goes through its fleet's door."""
+        """Finds out which agent is there, and reaches it through its fleet's door."""
         self._leads.append(lead)
         if not lead.address:
             lead.failed = "it listens at no address, so it cannot be asked from here"
@@ -359,7 +359,7 @@ class Client:
     def _ask_all(
         self, until_s: float, enough: Callable[[Answers], bool], body: Any = None, wanted: Sequence[str] = ()
     ) -> tuple[Answers, list[tuple[Lead, str]]]:
-        """Asks everybody who can be found to describe itself.
+        """Asks all agents that can be found to describe themselves.
 
         Args:
             until_s: when to give up.
@@ -368,7 +368,7 @@ class Client:
             wanted: only these agents are asked for that; none: all.
 
         Returns:
-            The answers, and those who have given none, with the reason where one is known.
+            The answers, and the agents that have given none, with the reason where one is known.
         """
         asked: dict[tuple[str, str], tuple[Door, int]] = {}
         described: set[tuple[str, str]] = set()
@@ -458,12 +458,9 @@ class Client:
 
     def _nobody(self, agent: str, names: list[str], silent: Iterable[tuple[Lead, str]]) -> str:
         lines = [f"{lead} did not answer" + (f": {why}" if why else "") for lead, why in silent]
-        near = suggestion(agent, names)
-        there = f"there is no agent {agent!r}" + (f", did you mean {near!r}?" if near else "")
+        there = f"there is no agent {agent!r}{hint_of(agent, names)}"
         if not names:
-            there = self._nowhere() if not lines else f"nobody knows an agent {agent!r}"
-        elif not near:
-            there += f", only {', '.join(names)}"
+            there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"
         return "\n".join([*lines, there])
 
     def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:

@@ -14,8 +14,8 @@ import pytest
 
 if TYPE_CHECKING:
     from pancakes.clock import VirtualClock
-    from pancakes.testing.agent import AgentInTest
-    from pancakes.testing.fleet import FleetInTest
+    from pancakes.testing.agent_in_test import AgentInTest
+    from pancakes.testing.fleet_in_test import FleetInTest
     from pancakes.testing.leaks import Leaks
     from pancakes.testing.probe import Probe
 
@@ -127,7 +127,7 @@ def pancakes_seed(request: pytest.FixtureRequest) -> int:
 @pytest.fixture
 def fleet(request: pytest.FixtureRequest, no_leaks: Leaks, pancakes_seed: int) -> Iterator[FleetInTest]:
     """Agents in virtual time on a network in memory, with faults on demand: a `pancakes.testing.FleetInTest`."""
-    from pancakes.testing.fleet import FleetInTest, Quality
+    from pancakes.testing.fleet_in_test import FleetInTest, Quality
 
     quality = {key: value for key, value in _marks(request.node).items() if key in _QUALITY}
     with FleetInTest(pancakes_seed, Quality(**quality)) as made:
@@ -148,7 +148,7 @@ def virtual_agent(fleet: FleetInTest) -> StartAgent:
 @pytest.fixture
 def threaded_agent(no_leaks: Leaks) -> Iterator[StartAgent]:
     """Starts agents on threads and in real time, with the same arguments as `virtual_agent`; the test ends them."""
-    from pancakes.testing.agent import threaded_agent
+    from pancakes.testing.agent_in_test import threaded_agent
 
     started: list[AgentInTest] = []
     no_leaks.watch(lambda: started)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from pancakes.config import Address, load, parse_address
-from pancakes.config.places import set_text
-from pancakes.config.source import tables_of, text_of
+from pancakes.config.key_places import set_text
+from pancakes.config.toml_source import tables_of, text_of
 from pancakes.config.toml_text import value_text
 from pancakes.errors import ConfigError, Fault, PancakesError
 from pancakes.launch.afresh import state_dir_of

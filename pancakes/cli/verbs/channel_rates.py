@@ -7,14 +7,12 @@ from typing import Any, Final
 
 import click
 
-from pancakes.cli.errors import sentences
 from pancakes.cli.listening import doubt_types, from_any, from_option, listen, listening_to, types_option
-from pancakes.cli.names import ChannelName, a_channel
-from pancakes.cli.options import asks_agents
+from pancakes.cli.name_types import ChannelName, a_channel
+from pancakes.cli.options import Ask, asks_agents
 from pancakes.cli.output import show, show_json, show_text
 from pancakes.cli.streaming import count_option, for_option, one_line, say
 from pancakes.cli.verbs.throughput import WINDOW, Throughput, size_of
-from pancakes.client import Where
 
 EVERY_S: Final = 1.0
 """How often there is a report."""
@@ -51,7 +49,6 @@ def _measures(function: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--wall-time", is_flag=True, help="Take the times at which packets come here, instead of those they were published."
 )
-@sentences
 def hz(wall_time: bool, **asked: Any) -> None:
     """Measure how often packets come on a channel: each second until Ctrl-C, or once with --count or --for.
 
@@ -70,7 +67,6 @@ def hz(wall_time: bool, **asked: Any) -> None:
 
 @click.command()
 @_measures
-@sentences
 def bw(**asked: Any) -> None:
     """Measure how many bytes come on a channel: each second until Ctrl-C, or once with --count or --for.
 
@@ -96,13 +92,11 @@ def _measure(
     window: int,
     count: int | None,
     for_s: float | None,
-    format_: str,
-    at: Where,
-    timeout: float,
+    ask: Ask,
 ) -> None:
     bounded = count is not None or for_s is not None
     doubt_types(types)
-    with listening_to(name, types, at, timeout) as (client, following):
+    with listening_to(name, types, ask) as (client, following):
         began_s = reported_s = client.now()
         heard = Throughput(began_s, window, wall_time)
 
@@ -110,7 +104,7 @@ def _measure(
             rows = heard.rows(client.now(), new_only)
             if columns is BW and len(rows) > 1:
                 rows.append(_all(rows))
-            _show(rows, columns, format_, bounded, str(name))
+            _show(rows, columns, ask.format_, bounded, str(name))
 
         try:
             for packet in listen(client, following, for_s, bounded):

@@ -23,6 +23,6 @@ def pancakes() -> None:
 
 def agent() -> None:
     """The console script `pancakes-agent`."""
-    from pancakes.cli.agent import main
+    from pancakes.cli.agent_command import agent
 
-    main()
+    agent()

@@ -8,7 +8,7 @@ The shell completes these names from what the running agents say (see `pancakes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import click
 
@@ -134,20 +134,34 @@ class TaskNameType(click.ParamType):
         return tasks(ctx, incomplete)
 
 
-class ServiceNameType(click.ParamType):
-    """Reads the name of a service."""
+class _NameOnAgent(click.ParamType):
+    """Reads the name of something that an agent has. Subclasses say what it is.
 
-    name = "AGENT/SERVICE"
+    Attributes:
+        noun: what it is called.
+        made: the class of its name.
+    """
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ServiceName:
-        if isinstance(value, ServiceName):
+    noun: ClassVar[str]
+    made: ClassVar[type[ServiceName | ChannelName]]
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if isinstance(value, self.made):
             return value
         parts = str(value).split("/")
         if len(parts) not in (2, 3) or not all(parts):
-            self.fail(f"{value!r} names no service: write it as AGENT/SERVICE or FLEET/AGENT/SERVICE", param, ctx)
+            self.fail(f"{value!r} names no {self.noun}: write it as {self.name} or FLEET/{self.name}", param, ctx)
         if len(parts) == 3:
             say_fleet(self, parts.pop(0), param, ctx)
-        return ServiceName(*parts)
+        return self.made(*parts)
+
+
+class ServiceNameType(_NameOnAgent):
+    """Reads the name of a service."""
+
+    name = "AGENT/SERVICE"
+    noun = "service"
+    made = ServiceName
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
@@ -156,20 +170,12 @@ class ServiceNameType(click.ParamType):
         return services(ctx, incomplete)
 
 
-class ChannelNameType(click.ParamType):
+class ChannelNameType(_NameOnAgent):
     """Reads the name of a channel."""
 
     name = "AGENT/CHANNEL"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> ChannelName:
-        if isinstance(value, ChannelName):
-            return value
-        parts = str(value).split("/")
-        if len(parts) not in (2, 3) or not all(parts):
-            self.fail(f"{value!r} names no channel: write it as AGENT/CHANNEL or FLEET/AGENT/CHANNEL", param, ctx)
-        if len(parts) == 3:
-            say_fleet(self, parts.pop(0), param, ctx)
-        return ChannelName(*parts)
+    noun = "channel"
+    made = ChannelName
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""

@@ -17,7 +17,7 @@ from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
 from pancakes.service import Service
 from pancakes.slot import Slot
 from pancakes.testing.configuration import parts, registered
-from pancakes.testing.probe import Probe, Where
+from pancakes.testing.probe import BodyTest, Probe
 
 PATIENCE_S = 10.0
 """How long, in the time of the agent under test, a test waits for something before it fails."""
@@ -98,7 +98,7 @@ class AgentInTest:
     def wait_for(
         self,
         body: type,
-        where: Where | None = None,
+        where: BodyTest | None = None,
         *,
         channel: str = "",
         source: str = "",
@@ -164,7 +164,7 @@ class AgentInTest:
         ]
 
 
-def _event(kind: str, fields: Mapping[str, Any]) -> Where:
+def _event(kind: str, fields: Mapping[str, Any]) -> BodyTest:
     def fits(event: Event) -> bool:
         return (not kind or event.kind == kind) and all(event.fields.get(key) == fields[key] for key in fields)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from pancakes.config.model import (
+from pancakes.config.tables import (
     SCHEMA,
     AgentConfig,
     ChannelConfig,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pancakes.config.places import NAMED_TABLES, Places, key_text
+from pancakes.config.key_places import NAMED_TABLES, Places, key_text
 from pancakes.config.scanner import lines_of_keys
 from pancakes.errors import ConfigError, Fault
 from pancakes.suggestion import suggestion

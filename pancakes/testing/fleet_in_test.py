@@ -14,7 +14,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.net.memory import Quality
 from pancakes.packet import Packet
 from pancakes.plugins import Plugins
-from pancakes.testing.agent import PATIENCE_S, AgentInTest, with_probe
+from pancakes.testing.agent_in_test import PATIENCE_S, AgentInTest, with_probe
 from pancakes.testing.configuration import parts, registered, silent
 from pancakes.testing.faults import Faults
 

@@ -8,8 +8,13 @@ from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
 from pancakes import codecs
-from pancakes.config.address import parse_address
-from pancakes.config.model import (
+from pancakes.address import parse_address
+from pancakes.config.key_places import NAMED_TABLES, Places
+from pancakes.config.override import apply_set
+from pancakes.config.plugin_check import check_plugins
+from pancakes.config.rule_check import faults_of_rule
+from pancakes.config.scanner import KeyPath
+from pancakes.config.tables import (
     DEFAULT_SERVICES,
     SCHEMA,
     AgentConfig,
@@ -21,12 +26,7 @@ from pancakes.config.model import (
     ServiceConfig,
     TaskConfig,
 )
-from pancakes.config.override import apply_set
-from pancakes.config.places import NAMED_TABLES, Places
-from pancakes.config.plugin_check import check_plugins
-from pancakes.config.rule_check import faults_of_rule
-from pancakes.config.scanner import KeyPath
-from pancakes.config.source import tables_of, text_of
+from pancakes.config.toml_source import tables_of, text_of
 from pancakes.errors import ConfigError, Fault
 from pancakes.life.restart import RestartSpec, fault_of_pauses
 from pancakes.names import fault_of_name, nearest_name
@@ -76,7 +76,7 @@ def parse(
     """
     values, places = tables_of(text, where)
     faults = [fault for item in sets if (fault := apply_set(item, values, places))]
-    reader = _Reader(values, places)
+    reader = _ConfigReader(values, places)
     config = reader.config()
     faults += reader.faults
     if plugins is not None:
@@ -86,7 +86,7 @@ def parse(
     return config
 
 
-class _Reader:
+class _ConfigReader:
     """Makes a `Config` and collects faults. What is at fault is left at its default, so that the rest is checked."""
 
     def __init__(self, values: dict[str, Any], places: Places) -> None:
@@ -205,7 +205,7 @@ class _Reader:
             key = ("agent", "peers", index)
             try:
                 if parse_address(peer).port == 0:
-                    self._fault(key, f"{peer!r} has the port 0, at which nobody can be reached")
+                    self._fault(key, f"{peer!r} has the port 0, at which no agent can be reached")
             except ValueError as error:
                 self._fault(key, str(error))
             if peer in agent.peers[:index]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
-import functools
 import os
 import sys
-from collections.abc import Callable
-from typing import Final, NoReturn, ParamSpec, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, NoReturn
+
+import click
 
 from pancakes.errors import ConfigError, PancakesError, Unreachable
 
@@ -17,22 +19,19 @@ REFUSED: Final = 1
 USAGE: Final = 2
 """The command line itself is wrong; click says so."""
 UNREACHABLE: Final = 3
-"""Nobody answered."""
+"""No agent answered."""
 BAD_CONFIGURATION: Final = 4
 UNREAD: Final = 141
-"""Nobody read its output to the end; what a shell says of other tools that SIGPIPE has ended then."""
+"""The reader of its output ended early. A shell gives other tools this exit code when SIGPIPE ends them."""
 
 EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
 """What is not installed with the core, by its module, and the extra that brings it."""
 
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
-"""The environment variable with which a defect shows its traceback, for whoever mends it."""
+"""The environment variable with which a defect shows its traceback, for the developer who mends it."""
 
 UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 """What says that output cannot be written because of where it goes to: a full disk, for example."""
-
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
 
 
 def exit_code(error: PancakesError) -> int:
@@ -46,7 +45,7 @@ def exit_code(error: PancakesError) -> int:
 
 def fail(error: Exception) -> NoReturn:
     """Says what is wrong on standard error, and exits."""
-    from pancakes.cli.output import show_text  # only now: it needs click, and an agent that starts does not
+    from pancakes.cli.output import show_text  # only now: help needs no msgspec
 
     if isinstance(error, PancakesError):
         show_text(str(error), err=True)
@@ -71,30 +70,24 @@ def fail(error: Exception) -> NoReturn:
 
 
 def end_unread() -> NoReturn:
-    """Exits without a word: whoever read the output, such as `head`, has had enough of it."""
+    """Exits without a message: the reader of the output, such as `head`, has ended."""
     _forget_output()
     sys.exit(UNREAD)
 
 
 def _forget_output() -> None:
-    """Sends nowhere what Python still keeps for standard output; it would else be an error at the process's end."""
+    """Discards the text that Python still holds for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def sentences(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Decorates the function of a command: its errors become sentences, its user sees no traceback."""
-
-    @functools.wraps(function)
-    def guarded(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        try:
-            return function(*args, **kwargs)
-        except Exception as error:
-            import click  # only now: an agent that starts imports this module, and needs no click
-
-            if isinstance(error, (click.ClickException, click.exceptions.Exit, click.Abort)):
-                raise  # click has sentences of its own for these
-            if isinstance(error, BrokenPipeError):
-                end_unread()
-            fail(error)
-
-    return guarded
+@contextmanager
+def sentences() -> Iterator[None]:
+    """Makes sentences of the errors that leave its block: the user of a command sees no traceback."""
+    try:
+        yield
+    except (click.ClickException, click.exceptions.Exit, click.Abort):
+        raise  # click has sentences of its own for these
+    except BrokenPipeError:
+        end_unread()
+    except Exception as error:
+        fail(error)

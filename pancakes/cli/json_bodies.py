@@ -12,7 +12,7 @@ from pancakes import codecs
 from pancakes.errors import PancakesError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import body_class, field_names, known_types
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import hint_of
 
 
 class BadBody(PancakesError):
@@ -27,11 +27,7 @@ def body_of(kind: str, text: str) -> Any:
     """
     cls = body_class(kind)
     if cls is None:
-        near = suggestion(kind, known_types())
-        raise BadBody(
-            f"no packet type {kind!r} is installed here"
-            + (f", did you mean {near!r}?" if near else f", only {', '.join(known_types())}")
-        )
+        raise BadBody(f"no packet type {kind!r} is installed here{hint_of(kind, known_types())}")
     try:
         given: Any = codecs.json_decoder()(text)
     except MALFORMED as error:
@@ -45,11 +41,8 @@ def body_of(kind: str, text: str) -> Any:
         raise BadBody(f"{_sentence(kind, str(error))}; its fields are {_fields(cls)}") from None
     for path, names in _unknown(given, msgspec.to_builtins(body)):
         name = path.rpartition(".")[2]
-        near = suggestion(name, names)
         whole = f"{kind}.{path.rpartition('.')[0]}".rstrip(".")
-        raise BadBody(
-            f"{whole} has no field {name!r}" + (f", did you mean {near!r}?" if near else f", only {_list(names)}")
-        )
+        raise BadBody(f"{whole} has no field {name!r}{hint_of(name, names) or ', only none at all'}")
     return body
 
 
@@ -69,10 +62,6 @@ def _fields(cls: type) -> str:
     kinds = {name: kind for base in reversed(cls.__mro__) for name, kind in get_annotations(base).items()}
     named = ((name, kinds.get(name, "")) for name in field_names(cls))
     return ", ".join(f"{name} ({getattr(kind, '__name__', kind)})" for name, kind in named) or "none"
-
-
-def _list(names: list[str]) -> str:
-    return ", ".join(names) if names else "none at all"
 
 
 def _unknown(given: Any, taken: Any, path: str = "") -> Iterator[tuple[str, list[str]]]:

@@ -25,6 +25,10 @@ class Address(msgspec.Struct, frozen=True):
     host: str
     port: int
 
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
     @property
     def loopback(self) -> bool:
         """Whether only this computer can reach it."""
@@ -65,14 +69,14 @@ def parse_address(text: str) -> Address:
 
 
 def dialled(text: str) -> str:
-    """Returns the address that a person means who writes `HOST:PORT`, or an address with its transport.
+    """Returns the address that `HOST:PORT` means, or an address with its transport as it is.
 
     Raises:
         ValueError: it is none, or none at which an agent could be reached; the message says why.
     """
     address = text if "://" in text else f"tcp://{text}"
     if parse_address(address).port == 0:
-        raise ValueError(f"{text!r} has the port 0, at which nobody can be reached")
+        raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
     return address
 
 
