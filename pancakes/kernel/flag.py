@@ -4,15 +4,17 @@ from __future__ import annotations
 
 
 class Flag:
-    """What pykka uses of a `threading.Event`, at a tenth of its cost: most actors' ends are awaited by nobody."""
+    """What pykka uses of a `threading.Event`, without the memory for threads that wait."""
 
-    __slots__ = ("on",)
+    __slots__ = ("_on",)
 
     def __init__(self) -> None:
-        self.on = False
+        self._on = False
 
     def is_set(self) -> bool:
-        return self.on
+        """Returns whether it has happened."""
+        return self._on
 
     def set(self) -> None:
-        self.on = True
+        """Says that it has happened."""
+        self._on = True

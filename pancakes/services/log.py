@@ -28,7 +28,7 @@ from pancakes.services.wanted_recording import Wanted, WantedRecording
 from pancakes.slot import Request, Slot, TaskState
 from pancakes.supervision import RestartSpec
 from pancakes.task import Carried, TaskSpec
-from pancakes.weight import weigher
+from pancakes.weight import weigh
 
 if TYPE_CHECKING:
     from pancakes.services.traces import Tracing
@@ -167,8 +167,7 @@ class LogService(Service):
     def remember(self, packet: Packet) -> None:
         """Keeps one line for who asks later."""
         self._entries += 1
-        weigh = weigher(type(packet.body))
-        size_bytes = weigh(packet.body) if weigh is not None else 0
+        size_bytes = weigh(packet.body)
         self._newest.append((self._entries, size_bytes, packet))
         self._newest_bytes += size_bytes
         most = self.settings.remembered
@@ -194,7 +193,7 @@ class LogService(Service):
 
         # What was said before the question belongs to the answer, also where it waits behind it.
         waiting = self.actor_inbox.queues[LOG]
-        while (packet := waiting.pop()) is not None:
+        while (packet := waiting.take()) is not None:
             self.remember(packet)
         since_s = -math.inf if body.since_s is None else self.now() - body.since_s
         page: list[dict[str, Any]] = []
