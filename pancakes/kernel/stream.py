@@ -297,7 +297,7 @@ class InformationStream:
 
     def _give(self, packet: Packet, destination: str) -> int:
         route = self._route_of(packet, destination)
-        route.give(packet, weight_of(packet.body))
+        route.give(packet, weight_of(packet.body) if route.queues else 0)
         if destination and not route.queues and not route.taps:
             self.undelivered += 1
         return len(route.queues)
