@@ -294,7 +294,7 @@ class Service(Component):
         """Returns the commands that it has not answered, and forgets them."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
         left = self._answers.forget_all()
-        while queue is not None and (packet := queue.pop()) is not None:
+        while queue is not None and (packet := queue.take()) is not None:
             command = packet.body
             # The one that it failed on lies here again.
             if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:

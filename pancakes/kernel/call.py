@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pancakes.kernel.component import Component
+from pancakes.kernel.mailbox import Runnable
 
 
 class Call:
@@ -14,6 +12,6 @@ class Call:
 
     __slots__ = ("component", "function")
 
-    def __init__(self, component: Component, function: Callable[[], None]) -> None:
+    def __init__(self, component: Runnable, function: Callable[[], None]) -> None:
         self.component = component
         self.function = function

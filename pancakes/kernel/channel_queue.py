@@ -1,194 +1,141 @@
-"""What waits for one reader on one channel under one bound: put and taken without a lock."""
+"""What waits for one reader on one channel, in the order in which it came."""
 
 from __future__ import annotations
 
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
 
-from pancakes.kernel.counter import Counter
-from pancakes.kernel.keep import LATEST, MOST_BYTES, Keep
+from pancakes.kernel.keep import Keep
 from pancakes.packet import Packet
-from pancakes.weight import heavy_weight
+from pancakes.weight import weight_of
 
-if TYPE_CHECKING:
-    from pancakes.kernel.mailbox import Mailbox
 
-# Held for a few operations, and only for a heavy packet, so one for all queues will do.
-_SCALES: Final = threading.Lock()
+class _Bounded:
+    """What waits under one bound.
 
-# Held while the packets of a run are counted, which `Counter` would do one by one.
-_RUNS: Final = threading.Lock()
+    Attributes:
+        keep: the bound.
+        entries: each packet with its number and its weight; numbers grow, over all bounds of the queue.
+        bytes: the sum of the weights.
+        lost: how many packets have fallen out that the reader wanted.
+    """
+
+    __slots__ = ("bytes", "entries", "keep", "lost")
+
+    def __init__(self, keep: Keep) -> None:
+        self.keep = keep
+        self.entries: deque[tuple[int, Packet, int]] = deque()
+        self.bytes = 0
+        self.lost = 0
+
+    def is_full(self, weight: int) -> bool:
+        return self.keep.is_full(len(self.entries), self.bytes, weight)
+
+    def add(self, number: int, packet: Packet, weight: int) -> None:
+        entries = self.entries
+        while entries and not self.keep.reliable and self.is_full(weight):
+            self.bytes -= entries.popleft()[2]
+            self.lost += self.keep.counts_losses
+        entries.append((number, packet, weight))
+        self.bytes += weight
 
 
 class ChannelQueue:
-    """What waits for one reader on one channel, under one subscription.
+    """What waits for one reader on one channel: in one order, with a bound for each type. Any thread.
+
+    Args:
+        enlist: told of the queue when something has come and it was not `listed`.
 
     Attributes:
-        shared: whether packets under several bounds wait here (`SharedQueue`).
-        earlier: how many packets were lost in the queues that this one took the place of.
-        heavy: the bytes of each heavy packet that waits, by its `id`; None until the first has come.
-        heavy_bytes: their sum.
+        listed: whether the reader has been told that something waits.
+        handled: how many packets were taken out.
         refused: packets from other agents that found no room under a `reliable` subscription.
     """
 
-    __slots__ = (
-        "_offered",
-        "bounds",
-        "channel",
-        "earlier",
-        "handled",
-        "heavy",
-        "heavy_bytes",
-        "in_runs",
-        "items",
-        "keep",
-        "listed",
-        "mailbox",
-        "numbers",
-        "refused",
-        "shared",
-        "take",
-    )
+    __slots__ = ("_by_type", "_enlist", "_first", "_last", "_lock", "handled", "listed", "refused")
 
-    def __init__(self, mailbox: Mailbox, channel: str, bounds: Mapping[str | None, Keep]) -> None:
-        self.mailbox = mailbox
-        self.channel = channel
-        self.bounds = bounds
-        self.keep = keep = next(iter(bounds.values()))
-        self.items: deque[Packet] = deque(maxlen=None if keep.reliable else keep.limit)
-        self.shared = False
+    def __init__(self, enlist: Callable[[ChannelQueue], None]) -> None:
+        self._enlist = enlist
+        self._by_type: dict[str | None, _Bounded] = {}
+        self._lock = threading.Lock()
+        self._first = self._last = 0  # the numbers of the packet that was last put back, and of the newest
         self.listed = False
         self.handled = 0
-        self.in_runs = 0
         self.refused = 0
-        self.earlier = 0
-        self.heavy: dict[int, int] | None = None
-        self.heavy_bytes = 0
-        self._offered = Counter()
-        # `put` takes one, and so does a publisher that has many to do it for (`Route.give`).
-        self.numbers = self._offered.numbers
-        # What `pop` does, for the reader's turn.
-        self.take: Callable[[], Packet] = self.items.popleft
 
-    @property
-    def has_reliable(self) -> bool:
-        """Whether it may refuse a packet."""
-        return self.keep.reliable
+    def bound(self, bounds: Mapping[str | None, Keep]) -> None:
+        """Bounds packets of each type as `bounds` says; None means any other type. Other bounds stay."""
+        with self._lock:
+            for type_name, keep in bounds.items():
+                if type_name in self._by_type:
+                    self._by_type[type_name].keep = keep
+                else:
+                    self._by_type[type_name] = _Bounded(keep)
 
-    def reliable_for(self, packet: Packet) -> bool:
-        """Returns whether `packet` came under a subscription that may lose none."""
-        return self.keep.reliable
+    def keep_of(self, packet: Packet) -> Keep:
+        """Returns the bound of packets like this one."""
+        return self._bounded(packet).keep
 
-    def full(self, packet: Packet, weight: int = 0) -> bool:
-        """Returns whether `packet` would be refused; `weight`: its bytes, where it is a heavy one."""
-        if not self.keep.reliable:
-            return False
-        waiting = len(self.items)
-        return waiting >= self.keep.limit or (waiting > 0 and weight > 0 and self.heavy_bytes + weight > MOST_BYTES)
+    def _bounded(self, packet: Packet) -> _Bounded:
+        return self._by_type.get(packet.type) or self._by_type[None]
 
-    def put(self, packet: Packet) -> None:
-        next(self.numbers)
-        self.items.append(packet)
-        # Whoever finds it listed need not ask for a turn: who listed it does, and a reader unlists before it counts.
-        if not self.listed:
-            self.enlist()
+    def refuses(self, packet: Packet, weight: int) -> bool:
+        """Returns whether `packet` must be refused to its publisher; `weight`: its bytes, where it is a heavy one."""
+        bounded = self._bounded(packet)
+        return bounded.keep.reliable and bounded.is_full(weight)
 
-    def put_all(self, packets: Sequence[Packet]) -> None:
-        """Puts several packets, none of them heavy, in their order."""
-        if len(packets) == 1:
-            next(self.numbers)
-        else:
-            with _RUNS:
-                self.in_runs += len(packets)
-        self.items.extend(packets)
-        if not self.listed:
-            self.enlist()
+    def put(self, packet: Packet, weight: int = 0) -> None:
+        """Puts a packet; `weight`: its bytes, where it is a heavy one."""
+        self.put_all((packet,), weight)
 
-    def put_heavy(self, packet: Packet, weight: int) -> None:
-        """Puts a packet of so many bytes; the oldest fall out until there is room, except under `reliable`."""
-        with _SCALES:
-            if self.heavy is None or not self.items:
-                self.heavy = {}
-                self.heavy_bytes = 0
-            if not self.keep.reliable:
-                self._make_room(weight)
-            # One that was pushed out unseen may have borne this `id`.
-            self.heavy_bytes += weight - self.heavy.get(id(packet), 0)
-            self.heavy[id(packet)] = weight
-            next(self.numbers)
-            self.items.append(packet)
-        if not self.listed:
-            self.enlist()
+    def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
+        """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""
+        with self._lock:
+            add = self._bounded(packets[0]).add
+            for packet in packets:
+                self._last += 1
+                add(self._last, packet, weight)
+            enlist = not self.listed
+            self.listed = True
+        if enlist:
+            self._enlist(self)
 
-    def lighten(self, packet: Packet) -> None:
-        """Forgets the weight of a packet that was taken out; called where `heavy` has something in it."""
-        if self.heavy is not None and id(packet) in self.heavy:
-            with _SCALES:
-                self._unload(packet)
-
-    def _make_room(self, weight: int) -> None:
-        while self.items and (len(self.items) >= self.keep.limit or self.heavy_bytes + weight > MOST_BYTES):
-            try:
-                oldest = self.items.popleft()
-            except IndexError:  # its reader was faster
-                return
-            if not self._unload(oldest) and self.heavy_bytes + weight > MOST_BYTES:
-                # Light packets are put without a lock, and may have pushed heavy ones out whose weight is still here.
-                waiting = {id(packet) for packet in list(self.items)}
-                self.heavy = {key: its for key, its in (self.heavy or {}).items() if key in waiting}
-                self.heavy_bytes = sum(self.heavy.values())
-
-    def _unload(self, packet: Packet) -> bool:
-        """Returns whether the packet was heavy."""
-        weight = self.heavy.pop(id(packet), 0) if self.heavy is not None else 0
-        self.heavy_bytes -= weight
-        return weight > 0
-
-    def enlist(self) -> None:
-        """Tells the reader that something waits here; for who has put something in and found it not listed."""
-        # Two publishers may both list the queue: an empty queue in the list harms nobody, a forgotten one would.
-        self.listed = True
-        mailbox = self.mailbox
-        mailbox.waiting.append(self)
-        if mailbox.take_token():
-            mailbox.dispatch.ready(mailbox)
-
-    def pop(self) -> Packet | None:
+    def take(self) -> Packet | None:
         """Takes the oldest packet out; None where nothing waits."""
-        try:
-            packet = self.take()
-        except IndexError:
-            return None
-        self.handled += 1
-        if self.heavy:
-            self.lighten(packet)
-        return packet
+        with self._lock:
+            oldest = None
+            for bounded in self._by_type.values():
+                if bounded.entries and (oldest is None or bounded.entries[0][0] < oldest.entries[0][0]):
+                    oldest = bounded
+            if oldest is None:
+                return None
+            _, packet, weight = oldest.entries.popleft()
+            oldest.bytes -= weight
+            self.handled += 1
+            return packet
 
-    def push_back(self, packet: Packet) -> None:
-        """Puts a packet back in front, to be handled again."""
-        self.handled -= 1
-        weight = heavy_weight(packet)
-        if weight:
-            with _SCALES:
-                self.heavy = self.heavy or {}
-                self.heavy[id(packet)] = weight
-                self.heavy_bytes += weight
-        self.items.appendleft(packet)
+    def put_back(self, packet: Packet) -> None:
+        """Puts a packet that was taken back in front, to be handled again."""
+        weight = weight_of(packet.body)
+        with self._lock:
+            bounded = self._bounded(packet)
+            bounded.entries.appendleft((self._first, packet, weight))
+            bounded.bytes += weight
+            self._first -= 1
+            self.handled -= 1
 
     def __len__(self) -> int:
-        return len(self.items)
+        return sum(len(bounded.entries) for bounded in self._by_type.values())
 
-    def offered(self) -> int:
-        """Returns how many packets were ever put."""
-        return self._offered.value + self.in_runs
+    @property
+    def heavy_bytes(self) -> int:
+        """The bytes of the heavy packets that wait."""
+        return sum(bounded.bytes for bounded in self._by_type.values())
 
     def dropped(self) -> int:
         """Returns how many packets were lost: those that fell out, and those that were refused from other agents.
 
         Where only the newest is wanted (`LATEST`), the others are not lost.
         """
-        # Derived, so that no publisher counts under a lock.
-        fallen = 0 if self.keep == LATEST else max(0, self.offered() - self.handled - len(self.items))
-        return fallen + self.refused + self.earlier
+        return sum(bounded.lost for bounded in self._by_type.values()) + self.refused

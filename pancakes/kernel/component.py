@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import random
-import sys
-from collections import deque
 from collections.abc import Callable
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import pykka
-from pykka._envelope import Envelope
-from pykka.messages import _ActorStop
 
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
 from pancakes.kernel.call import Call
 from pancakes.kernel.channel_queue import ChannelQueue
-from pancakes.kernel.dispatch import Deferred, run_deferred
+from pancakes.kernel.dispatch import TURN
 from pancakes.kernel.flag import Flag
-from pancakes.kernel.handlers import Period, Subscription, period_of
+from pancakes.kernel.handlers import Subscription, period_of
 from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.plan import NO_HANDLERS, Handlers, plan_of
+from pancakes.kernel.pykka_actor import PykkaActor
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import LOG, Cause, Fence, Packet, type_name
 from pancakes.signatures import check_called, check_overrides
@@ -33,17 +31,12 @@ if TYPE_CHECKING:
     from pancakes.kernel.kernel import Kernel
     from pancakes.kernel.timer import OneShot
 
-SLICE_CHECK = 16
-"""After how many packets, at the most, a turn looks whether its time is up: after 1, 2, 4, 8, 16, and each 16 more. So
-a slow handler's turn takes twice its time at the most, and a quick one's hardly asks.
-"""
+
+def _ignore_end(component: Component, error: BaseException | None) -> None:
+    """Is told of an end that no other part waits for."""
 
 
-def _nobody_asks(component: Component, error: BaseException | None) -> None:
-    """Is told of an end that nobody waits for."""
-
-
-class Component(pykka.Actor):
+class Component(PykkaActor):
     """A task or a service: an actor with an address, driven by packets and by time.
 
     Its methods run one at a time, in turns that its dispatcher gives; it never blocks. What another
@@ -63,32 +56,7 @@ class Component(pykka.Actor):
     blocking: bool = False
     """Whether it may wait, and therefore needs a thread of its own."""
 
-    # Beside each other in the object itself: a turn after a rest has fewer places of the memory to fetch. What
-    # subclasses add lies in the usual table. Measured together with ticks that go past the mailbox (`Guest.tick`).
-    __slots__ = (
-        "__exits",
-        "__handlers",
-        "__in_hand",
-        "__local",
-        "__now",
-        "__random",
-        "__shares_handlers",
-        "__started",
-        "__stream",
-        "__take_seq",
-        "actor_inbox",
-        "actor_stopped",
-        "address",
-        "after_turn",
-        "agent",
-        "exited",
-        "fence",
-        "kernel",
-        "name",
-        "timers",
-    )
-
-    actor_inbox: Mailbox
+    actor_inbox: Mailbox  # type: ignore[assignment]
     actor_stopped: Flag  # type: ignore[assignment]
 
     def __init_subclass__(cls, **others: Any) -> None:
@@ -97,7 +65,7 @@ class Component(pykka.Actor):
         check_overrides(cls)
 
     def __init__(self, kernel: Kernel, address: str, mailbox: Mailbox | None = None) -> None:
-        # pykka's own __init__ would make a uuid and an Event, the most of an actor's cost, for nobody.
+        # pykka's own __init__ would make a UUID and an Event, the most of an actor's cost.
         self.kernel = kernel
         self.address = address
         self.agent = kernel.agent
@@ -106,39 +74,25 @@ class Component(pykka.Actor):
         self.actor_inbox.closed = False
         self.actor_stopped = Flag()
         self.timers: dict[str, TaskTimer] = {}
+        self.fence: Fence | None = None
+        self.exited: Callable[[Any, BaseException | None], None] = _ignore_end
+        self.after_turn: Callable[[], None] | None = None
         self.__handlers = plan_of(type(self)).handlers
         self.__shares_handlers = True
         self.__started = False
-        # Looked up once, because every packet needs them.
-        self.__now = kernel.now
-        self.__take_seq = kernel.seq_of(address).take
-        self.__stream = kernel.stream
-        self.__local = kernel.stream.local
-        self.__exits = kernel.stream.exits
+        self.__seq = kernel.seq_of(address)
         self.__in_hand: Packet | None = None
-        # Not a `cached_property`: that asks for the object's dictionary, and Python 3.11 finds nothing in an object as
-        # quickly after that. 1.2 % of a mission in virtual time.
-        self.__random: random.Random | None = None
-        self.fence: Fence | None = None
-        self.exited: Callable[[Component, BaseException | None], None] = _nobody_asks
-        self.after_turn: Callable[[], None] | None = None
 
     # What a component uses -------------------------------------------------------------------------------------
 
     def now(self) -> float:
         """Returns the mission time in seconds. Any thread."""
-        return self.__now()
+        return self.kernel.now()
 
-    @property
+    @cached_property
     def random(self) -> random.Random:
         """Random numbers of this component's own, seeded from the agent's seed and the address."""
-        if self.__random is None:
-            self.__random = self.kernel.random_for(self.address)
-        return self.__random
-
-    @random.setter
-    def random(self, source: random.Random) -> None:
-        self.__random = source
+        return self.kernel.random_for(self.address)
 
     def publish(self, channel: str, body: Any, to: str = "", *, cause: Cause | None = None) -> Packet:
         """Publishes a packet.
@@ -161,32 +115,10 @@ class Component(pykka.Actor):
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        # Where others like it have gone before, the way is known, and the stream need not be asked. To publish to one
-        # takes 0.56 µs of processor time so, and 0.70 otherwise.
-        if to:
-            leaves = self.__exits.get((self.address, channel, body.__class__, to))
-            if leaves is not None:
-                packet = Packet(
-                    channel, leaves.type, self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
-                )
-                if leaves.send(packet) is None:  # that way has ended: there may be another
-                    self.__stream.publish(packet)
-                    return packet
-                for tap in leaves.taps:
-                    tap(packet)
-                return packet
-        elif (route := self.__local.get((channel, body.__class__))) is not None:
-            packet = Packet(
-                channel, route.type, self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
-            )
-            route.give(packet)
-            return packet
         packet = Packet(
-            channel, type_name(body), self.address, to, self.__now(), self.__take_seq(), body, cause, self.fence
+            channel, type_name(body), self.address, to, self.now(), self.__seq.take(), body, cause, self.fence
         )
-        self.__stream.publish(packet)
-        if not to:
-            self.__stream.remember(packet)
+        self.kernel.stream.publish(packet)
         return packet
 
     def log(self, level: str, text: str, traceback: str = "") -> None:
@@ -249,14 +181,8 @@ class Component(pykka.Actor):
 
     def call(self, function: Callable[[], None]) -> None:
         """Calls `function` in this actor, after what it is doing now. Any thread; a stopped actor forgets it."""
-        if not self.actor_stopped.on:
+        if not self.actor_stopped.is_set():
             self.actor_inbox.put(Call(self, function))
-
-    def stop(self) -> None:
-        """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
-        # pykka's own raises where the actor ends just then.
-        if not self.actor_stopped.on:
-            self.actor_inbox.put(Envelope(_ActorStop()))
 
     def reschedule(self, rate_hz: float, timer: str = "") -> None:
         """Changes the rate of a time-driven method, from its next tick on.
@@ -331,92 +257,37 @@ class Component(pykka.Actor):
     def _create_actor_inbox() -> Any:
         return Mailbox()
 
-    @staticmethod
-    def _create_future() -> pykka.Future[Any]:
-        return pykka.ThreadingFuture()
-
-    def _start_actor_loop(self) -> None:
+    def begin_loop(self) -> None:
         self.kernel.attach(self)
 
-    def take_turn(self, slice_s: float | None, deferred: Deferred) -> None:
+    def take_turn(self, slice_s: float | None) -> None:
         """Handles what waits, control first; then hands the token of the mailbox back.
 
         The dispatcher calls it, in the thread that holds the token.
 
         Args:
             slice_s: after this time the turn ends even if more waits; None: no limit.
-            deferred: what the turns of the calling thread put off (`begin_turns`); done at the end of this one.
         """
         mailbox = self.actor_inbox
-        control, waiting = mailbox.control, mailbox.waiting
+        deferred: list[Callable[[], None]] = []
+        TURN.deferred = deferred
         try:
             if not self.__started:
                 self.__begin()
-            if control:
-                self.__handle_control(control)
-            # Whoever has ended has no mailbox any more.
-            if waiting and not mailbox.paused and mailbox.component is self:
-                queue = waiting[0]
-                if len(waiting) > 1 or len(queue.items) != 1 or queue.shared:
-                    self.__handle_data(mailbox, slice_s)
-                else:
-                    # Most turns are of one packet, and share no time with others: 0.5 µs in all, and not 0.7.
-                    del waiting[0]
-                    queue.listed = False
-                    try:
-                        packet = queue.items.popleft()
-                    except IndexError:  # somebody else has emptied it
-                        pass
-                    else:
-                        queue.handled += 1
-                        if queue.heavy:
-                            queue.lighten(packet)
-                        self.__in_hand = packet
-                        for handler in self.__handlers.get(queue.channel, NO_HANDLERS)[packet.type]:
-                            handler(self, packet)
-                        self.__in_hand = None
-                        if queue.items and not queue.listed:  # by who came between the look and the mark
-                            queue.listed = True
-                            waiting.append(queue)
-                        if control:
-                            self.__handle_control(control)
+            self.__handle_control()
+            # A component that has ended has no mailbox any more.
+            if mailbox.waiting and not mailbox.paused and mailbox.component is self:
+                self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
         except BaseException as error:  # SystemExit in one actor must not end the others.
             self.__finish(partial(self.__fail, error))
         if self.after_turn is not None:
             self.__finish(self.after_turn)
-        if deferred:
-            run_deferred(deferred, self)
-        # Whoever has ended keeps the token, so that what comes now waits for the successor.
+        for function in deferred:  # which may put off more
+            self.__do_deferred(function)
+        TURN.deferred = None
+        # A component that has ended keeps the token, so that what is put from now on waits for the successor.
         if mailbox.component is self:
-            # In this order: whoever takes it says that it is held, and nobody says the opposite after that.
-            mailbox.held = False
-            mailbox.token = True
-            if (control or (waiting and not mailbox.paused)) and mailbox.take_token():
-                mailbox.dispatch.ready(mailbox)
-
-    def take_tick(self, timer: TaskTimer, deferred: Deferred) -> None:
-        """A turn that is one tick and no more, for a component that runs and has no control waiting; see `take_turn`.
-
-        Its end is that of `take_turn` once more: as one method both would take a tenth longer, 0.68 µs and not 0.61.
-
-        Args:
-            timer: one of its own, armed.
-            deferred: as above.
-        """
-        try:
-            timer.run()
-        except BaseException as error:
-            self.__finish(partial(self.__fail, error))
-        if self.after_turn is not None:
-            self.__finish(self.after_turn)
-        if deferred:
-            run_deferred(deferred, self)
-        mailbox = self.actor_inbox
-        if mailbox.component is self:
-            mailbox.held = False
-            mailbox.token = True
-            if (mailbox.control or (mailbox.waiting and not mailbox.paused)) and mailbox.take_token():
-                mailbox.dispatch.ready(mailbox)
+            mailbox.end_turn()
 
     def __finish(self, function: Callable[[], None]) -> None:
         """Does what ends a turn, or this actor. The thread, which may be the timer's, outlives whatever that does."""
@@ -424,6 +295,13 @@ class Component(pykka.Actor):
             function()
         except BaseException as error:
             self.__tell_failure(f"the end of {self.address}'s turn failed", error)
+
+    def __do_deferred(self, function: Callable[[], None]) -> None:
+        try:
+            function()
+        except Exception as error:  # the thread, and the right to turns, must outlive it
+            text = f"what a turn of {self.address} had put off failed: {type(error).__name__}: {error}"
+            self.kernel.log("error", text)
 
     def __begin(self) -> None:
         self.__started = True
@@ -435,7 +313,8 @@ class Component(pykka.Actor):
             self.kernel.stream.subscribe(self.address, self.actor_inbox, subscription)
         self.on_start()
         for method, period in plan.periods.items():
-            timer = TaskTimer(self, method, Period(self.initial_period_s(method, period.period_s)))
+            period_s = self.initial_period_s(method, period.period_s)
+            timer = TaskTimer(self, method, getattr(type(self), method), period_s, self.kernel)
             self.timers[method] = timer
             self.__tick(timer)
         self.after_start()
@@ -451,93 +330,61 @@ class Component(pykka.Actor):
         return period_s
 
     def __tick(self, timer: TaskTimer) -> None:
-        if timer.period_s < float("inf"):
+        if timer.period_s < math.inf:
             self.kernel.timer.every(timer, timer.period_s)
         else:
             self.kernel.timer.cancel(timer)
 
-    # What its methods need of it is handed to them: Python finds an attribute of components of many classes, in one
-    # place of the code, only by a search.
-
-    def __handle_control(self, control: deque[Any]) -> None:
-        stopped = self.actor_stopped
+    def __handle_control(self) -> None:
+        control = self.actor_inbox.control
         # Only what waits now: one that tells itself something must not starve the others.
-        number = len(control)
-        while number > 0 and not stopped.on:
-            number -= 1
+        for _ in range(len(control)):
+            if self.actor_stopped.is_set():
+                return
             item = control.popleft()
-            kind = item.__class__
-            if kind is TaskTimer:
+            if isinstance(item, TaskTimer):
                 if item.component is self:
                     item.run()
-            elif kind is Call:
+            elif isinstance(item, Call):
                 if item.component is self:
-                    function = item.function
-                    function()
+                    item.function()
             else:
-                self.__handle_envelope(item)
+                self.handle_envelope(item)
 
-    def __handle_envelope(self, envelope: Envelope[Any]) -> None:
-        """Handles what came by pykka: `tell`, `ask`, a proxy, `stop`."""
-        try:
-            response = self._handle_receive(envelope.message)
-        except BaseException as error:
-            if envelope.reply_to is None:
-                raise
-            # As in pykka: who asked gets the error, and the actor lives.
-            envelope.reply_to.set_exception(sys.exc_info())
-            if not isinstance(error, Exception):
-                raise
-            return
-        if envelope.reply_to is not None:
-            envelope.reply_to.set(response)
-
-    def __handle_data(self, mailbox: Mailbox, slice_s: float | None) -> None:
-        waiting = mailbox.waiting
-        number = len(waiting)
+    def __handle_data(self, until_s: float) -> None:
+        waiting = self.actor_inbox.waiting
         goes_on = True
-        while number > 0 and goes_on:
-            number -= 1
+        for _ in range(len(waiting)):
+            if not goes_on:
+                return
             queue = waiting.pop(0)
             queue.listed = False
-            handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
-            goes_on = self.__work_off(mailbox, queue, handlers, slice_s)
-            self.__in_hand = None
-            if queue.items and not queue.listed:
+            goes_on = self.__work_off(queue, until_s)
+            if len(queue) and not queue.listed:
                 queue.listed = True
                 waiting.append(queue)
 
-    def __work_off(self, mailbox: Mailbox, queue: ChannelQueue, handlers: Handlers, slice_s: float | None) -> bool:
+    def __work_off(self, queue: ChannelQueue, until_s: float) -> bool:
         """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""
-        control, take = mailbox.control, queue.take
-        left = len(queue.items)
-        until_s = self.kernel.host.now() + slice_s if slice_s is not None else None
-        look, step = left - 1, 1
-        while left > 0:
-            left -= 1
-            try:
-                packet = take()
-            except IndexError:
+        mailbox = self.actor_inbox
+        for _ in range(len(queue)):
+            packet = queue.take()
+            if packet is None:
                 return True
-            queue.handled += 1
-            if queue.heavy:
-                queue.lighten(packet)
-            self.__in_hand = packet
-            for handler in handlers[packet.type]:
-                handler(self, packet)
-            if control:
-                self.__in_hand = None
-                self.__handle_control(control)
-                if self.actor_stopped.on:
+            self.__handle(packet)
+            if mailbox.control:
+                self.__handle_control()
+                if self.actor_stopped.is_set():
                     return False
-            if mailbox.paused:
+            if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
                 return False
-            if left == look and until_s is not None and left:
-                if self.kernel.host.now() > until_s:
-                    return False
-                look -= step
-                step = min(2 * step, SLICE_CHECK)
         return True
+
+    def __handle(self, packet: Packet) -> None:
+        self.__in_hand = packet
+        for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
+            handler(self, packet)
+        self.__in_hand = None
 
     def on_receive(self, message: Any) -> Any:
         """Handles what another thread told or asked by the pykka ref; components talk by packets instead."""
@@ -545,24 +392,20 @@ class Component(pykka.Actor):
 
     def run_handlers(self, packet: Packet) -> None:
         """Handles a packet at once, past the queues and their bounds. In the actor."""
-        self.__in_hand = packet
         try:
-            for handler in self.__handlers.get(packet.channel, NO_HANDLERS)[packet.type]:
-                handler(self, packet)
+            self.__handle(packet)
         finally:
             self.__in_hand = None
 
     def drain(self) -> None:
         """Handles the packets that still wait: for `on_stop` of a component that must not lose the last of them."""
         for queue in self.actor_inbox.queues.values():
-            handlers = self.__handlers.get(queue.channel, NO_HANDLERS)
-            while (packet := queue.pop()) is not None:
-                for handler in handlers[packet.type]:
-                    handler(self, packet)
+            while (packet := queue.take()) is not None:
+                self.run_handlers(packet)
 
     # How it ends -----------------------------------------------------------------------------------------------
 
-    def _stop(self) -> None:
+    def end_loop(self) -> None:
         error: BaseException | None = None
         try:
             self.on_stop()
@@ -575,7 +418,7 @@ class Component(pykka.Actor):
         if packet is not None:  # else it was a tick or a call
             self.__in_hand = None
             self.kernel.letters.failed(self.address, self.actor_inbox.queues[packet.channel], packet)
-        if self.actor_stopped.on:
+        if self.actor_stopped.is_set():
             self.__tell_failure(f"{self.address} failed while it stopped", error)
             return
         try:
@@ -600,7 +443,7 @@ class Component(pykka.Actor):
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
         self.kernel.registry.remove(self)
-        # Its subscriptions stay: whoever started it knows whether a successor will read what comes.
+        # Its subscriptions stay: its service knows whether a successor will read what is published.
         mailbox = self.actor_inbox
         mailbox.component = None
         mailbox.closed = True

@@ -22,6 +22,21 @@ class Keep(msgspec.Struct, frozen=True):
     limit: int
     reliable: bool = False
 
+    @property
+    def counts_losses(self) -> bool:
+        """Whether a packet that falls out is lost: not where only the newest is wanted."""
+        return self.reliable or self.limit > 1
+
+    def is_full(self, waiting: int, waiting_bytes: int, weight: int) -> bool:
+        """Returns whether one more packet finds no room.
+
+        Args:
+            waiting: how many packets wait.
+            waiting_bytes: the bytes of the heavy ones among them.
+            weight: the bytes of the packet; 0 for a light one.
+        """
+        return waiting >= self.limit or (waiting > 0 and weight > 0 and waiting_bytes + weight > MOST_BYTES)
+
 
 LATEST = Keep(1)
 """Only the newest packet waits."""

@@ -73,7 +73,7 @@ class Kernel:
             self.mission = MissionClock(self.host, speed, hold)
         self.now = self.mission.now
         self.stream = InformationStream(agent)
-        self.registry = Registry()
+        self.registry: Registry[Component] = Registry()
         self.letters = DeadLetters(self.log)
         self.transport: Any = None
         self.stopping = False
@@ -116,7 +116,7 @@ class Kernel:
         component = cls(self, address, **arguments)
         component.exited = exited or self._release
         self.registry.add(component)
-        component._start_actor_loop()
+        self.attach(component)
         return component
 
     def guest(self, relieve: Callable[[], None]) -> Guest:

@@ -35,13 +35,13 @@ class DeadLetters:
         key = (address, packet.source, packet.seq)
         with self._lock:
             failures = self._failures.pop(key, 0) + 1
-            again = queue.reliable_for(packet) and failures < ATTEMPTS
+            again = queue.keep_of(packet).reliable and failures < ATTEMPTS
             if again:
                 self._failures[key] = failures
                 if len(self._failures) > MOST_KNOWN:
                     del self._failures[next(iter(self._failures))]  # the one that has not failed for longest
         if again:
-            queue.push_back(packet)
+            queue.put_back(packet)
         else:
             self.bury(
                 f"{address} failed {failures} time{'s' * (failures > 1)} on {packet.type!r}"

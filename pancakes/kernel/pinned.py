@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import threading
 from queue import SimpleQueue
-from typing import TYPE_CHECKING
 
-from pancakes.kernel.dispatch import Dispatcher, begin_turns
-from pancakes.kernel.mailbox import Mailbox
-
-if TYPE_CHECKING:
-    from pancakes.kernel.component import Component
-
+from pancakes.kernel.dispatch import Dispatcher
+from pancakes.kernel.mailbox import Mailbox, Runnable
 
 STOP_S = 0.3
 """How long, in all, a stop waits for threads whose components do not come back."""
@@ -30,12 +25,11 @@ class PinnedDispatcher(Dispatcher):
         self._wakes: dict[int, SimpleQueue[bool]] = {}
         self._threads: dict[int, threading.Thread] = {}
 
-    def attach(self, component: Component) -> None:
+    def attach(self, component: Runnable) -> None:
         mailbox = component.actor_inbox
         wake: SimpleQueue[bool] = SimpleQueue()
-        thread = threading.Thread(
-            target=self._run, args=(component, wake), name=f"{self._name}-{component.name}", daemon=True
-        )
+        name = component.address.rpartition("/")[2]
+        thread = threading.Thread(target=self._run, args=(component, wake), name=f"{self._name}-{name}", daemon=True)
         with self._lock:
             self._wakes[id(mailbox)] = wake
             self._threads[id(component)] = thread
@@ -45,15 +39,14 @@ class PinnedDispatcher(Dispatcher):
     def ready(self, mailbox: Mailbox) -> None:
         with self._lock:
             wake = self._wakes.get(id(mailbox))
-        # Where there is none its thread has ended with the dispatcher: nobody will read this mailbox again.
+        # Where there is none its thread has ended with the dispatcher: no thread will read this mailbox again.
         if wake is not None:
             wake.put(True)
 
-    def _run(self, component: Component, wake: SimpleQueue[bool]) -> None:
+    def _run(self, component: Runnable, wake: SimpleQueue[bool]) -> None:
         mailbox = component.actor_inbox
-        deferred = begin_turns()
         while not component.actor_stopped.is_set() and wake.get():
-            self.give_turn(mailbox, deferred)
+            self.give_turn(mailbox)
         with self._lock:
             self._threads.pop(id(component), None)
             if self._wakes.get(id(mailbox)) is wake:

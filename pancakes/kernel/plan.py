@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from pancakes.kernel.handlers import Period, Subscription, periods_of, subscriptions_of
 from pancakes.packet import Packet, covers
-
-if TYPE_CHECKING:
-    from pancakes.kernel.component import Component
 
 MOST_PLANS: Final = 1024
 """So many classes are remembered; a program that makes one class after the other must not keep them all."""
@@ -77,7 +74,7 @@ def plan_of(cls: type) -> Plan:
 def only_addressed(handler: Handler) -> Handler:
     """Keeps from a handler what another subscription of its component to the same type brings in."""
 
-    def handle(component: Component, packet: Packet) -> None:
+    def handle(component: Any, packet: Packet) -> None:
         if packet.destination not in ("", component.agent) and covers(packet.destination, component.address):
             handler(component, packet)
 

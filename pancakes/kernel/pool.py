@@ -1,11 +1,10 @@
 """Many components on a few threads: the default on a robot.
 
-One thread is at work, one stands by. A worker that readies components does not wake its sibling: threads
-that wake each other are what costs under the interpreter lock (measured: reaching 100 subscribers takes a
-tenth of the time that a thread for each takes). For the same reason a thread that is not of the pool and
-brings work (the timer's, the network's) may do that work itself, as a guest, while nobody else is at work.
-Where a handler holds its thread, a watchdog reckons without that thread until it is back: the sibling, one more
-or another guest is at work instead. Whoever holds one for long is named.
+One thread is at work, one stands by. A worker that readies components does not wake another one: threads that wake each
+other are what costs under the interpreter lock. For the same reason a thread that is not of the pool and brings work
+(the timer's, the network's) may do that work itself, as a guest, while no other thread is at work.
+Where a handler holds its thread, a watchdog stops counting on that thread until it is back: the sibling, one more
+worker or another guest is at work instead. The watchdog names a component that holds its thread for long.
 """
 
 from __future__ import annotations
@@ -18,43 +17,48 @@ from collections.abc import Callable
 from typing import Final
 
 from pancakes.clock import Clock
-from pancakes.kernel.dispatch import Deferred, Dispatcher, begin_turns
+from pancakes.kernel.dispatch import Dispatcher
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.shift import SLICE_S, Shift
+from pancakes.kernel.shift import Shift
 
-WATCH_S = 0.02
+SLICE_S: Final = 0.002
+"""A turn ends after this time even if more waits, so that others get theirs."""
+WATCH_S: Final = 0.02
 """How often the watchdog looks."""
-MOST_PASSED_S = 2 * WATCH_S
+MOST_PASSED_S: Final = 2 * WATCH_S
 """So much counts between two looks, at the most: where the watchdog itself comes late, the machine stood still."""
-DOZE_LOOKS = 5
-"""After so many looks at which nobody had done anything the watchdog rests until somebody does."""
-HOGGED_S = 0.05
+DOZE_LOOKS: Final = 5
+"""After so many looks at which no turn was given the watchdog rests until a thread is at work."""
+HOGGED_S: Final = 0.05
 """A handler that holds its thread longer than this is named."""
-MOST_WORKERS = 64
+MOST_WORKERS: Final = 64
 """So many workers may be held at a time, and as many guests."""
-STOP_S = 0.3
+MOST_IDLE: Final = 2
+"""So many idle workers are kept: one for work, one to stand by."""
+STOP_S: Final = 0.3
 """How long, in all, a stop waits for workers that are held."""
 
 _LOG: Final = logging.getLogger("pancakes.kernel")
 
 
 class _Worker(threading.Thread):
-    """One thread of the pool."""
+    """One thread of the pool.
+
+    Attributes:
+        wake: released when an idle worker is wanted.
+    """
 
     def __init__(self, pool: PoolDispatcher, number: int) -> None:
         super().__init__(name=f"{pool.name}-pool-{number}", daemon=True)
         self.pool = pool
         self.shift = Shift()
-        # Held while the worker lies down; a Semaphore would run a page of Python for each wake-up.
         self.wake = threading.Lock()
         self.wake.acquire()
 
     def run(self) -> None:
-        pool = self.pool
-        deferred = begin_turns()
         while True:
-            pool.give_turns(self.shift, deferred)
-            if pool.retire(self):
+            self.pool.give_turns(self.shift)
+            if self.pool.retire(self):
                 return
 
 
@@ -66,6 +70,9 @@ class PoolDispatcher(Dispatcher):
         clock: the host's clock.
         hogged: called by the watchdog, in its thread, with the address of a component that has held a
             worker for `HOGGED_S`, and for how long at least, in seconds.
+
+    Attributes:
+        work: the mailboxes whose components are to get a turn.
     """
 
     def __init__(self, name: str, clock: Clock, hogged: Callable[[str, float], None] = lambda address, held_s: None):
@@ -78,15 +85,14 @@ class PoolDispatcher(Dispatcher):
         self._workers: list[_Worker] = []
         self._guests: list[Shift] = []
         self._numbers = 0
-        self._active = 0
+        self._active = 0  # threads at work that are not held
         self._visits = 0
         self._lacks_threads = False
         self._reliefs: list[Callable[[], None]] = []
         self._looked_s = 0.0
         self._stopping = False
         self._dozing = False
-        # Held while the watchdog has nothing to be woken for.
-        self._alarm = threading.Lock()
+        self._alarm = threading.Lock()  # released to wake the watchdog
         self._alarm.acquire()
         self._watchdog = threading.Thread(target=self._watch, name=f"{name}-pool-watchdog", daemon=True)
         self._watchdog.start()
@@ -97,36 +103,32 @@ class PoolDispatcher(Dispatcher):
         if self._active == 0:
             self._lend()
 
-    def give_turns(self, shift: Shift, deferred: Deferred, until_s: float = math.inf) -> None:
-        """Gives turns in this thread to those who have waited longest, until nobody waits or it is late enough.
+    def give_turns(self, shift: Shift, until_s: float = math.inf) -> None:
+        """Gives turns in this thread, the longest waiting first, until no more wait or it is late enough.
 
         Args:
-            shift: who gives them.
-            deferred: what this thread's turns put off (`begin_turns`).
+            shift: the calling thread's.
             until_s: after the first turn that ends at this host time or later it gives no other.
         """
-        work, now = self.work, self.clock.now
-        limited = until_s < math.inf
-        while work:
+        while self.work:
             try:
-                mailbox = work.popleft()
+                mailbox = self.work.popleft()
             except IndexError:  # another thread was faster
                 return
             shift.turns += 1
             shift.mailbox = mailbox
-            component = mailbox.component
-            if component is not None:
-                component.take_turn(SLICE_S, deferred)
+            self.give_turn(mailbox, SLICE_S)
             shift.mailbox = None
             if shift.held:
-                self.come_back(shift)
-            if limited and now() >= until_s:
+                self._come_back(shift)
+            if shift.relieved:
+                return
+            if until_s < math.inf and self.clock.now() >= until_s:
                 return
 
     def _lend(self) -> None:
-        """Puts a worker to work, if nobody is at it."""
+        """Puts a worker to work, if no thread is at work."""
         with self._lock:
-            # Where somebody has come to be at work meanwhile, he does it.
             if self._stopping or self._active or len(self._workers) - len(self._idle) >= MOST_WORKERS:
                 return
             self._watch_again()
@@ -139,7 +141,7 @@ class PoolDispatcher(Dispatcher):
             worker = _Worker(self, self._numbers)
             try:
                 worker.start()
-            except RuntimeError as error:  # not a fault of whoever has readied a component; the watchdog tries again
+            except RuntimeError as error:  # no fault of the publisher that called this; the watchdog tries again
                 if not self._lacks_threads:
                     _LOG.error("%s has work for another thread, and gets none: %s", self.name, error)
                 self._lacks_threads = True
@@ -151,13 +153,12 @@ class PoolDispatcher(Dispatcher):
     def retire(self, worker: _Worker) -> bool:
         """Lays an idle worker down until it is wanted. Returns whether its thread shall end."""
         with self._lock:
-            # First the count, then the look: who puts work in reads the count only after that.
+            # First the count, then the look: a thread that puts work in reads the count only after that.
             self._end(worker.shift)
             if self.work:
                 self._begin(worker.shift)
                 return False
-            # Two are kept: one for work, one to stand by. Those lent beyond that end here.
-            if self._stopping or len(self._idle) >= 2:
+            if self._stopping or len(self._idle) >= MOST_IDLE:
                 self._workers.remove(worker)
                 return True
             self._idle.append(worker)
@@ -169,9 +170,7 @@ class PoolDispatcher(Dispatcher):
         return False
 
     def welcome(self, guest: Shift) -> bool:
-        """Lets a guest do the work, if nobody does it now."""
-        if self._active:
-            return False
+        """Lets a guest do the work, if no other thread does it now."""
         with self._lock:
             if self._active or self._stopping or len(self._guests) >= MOST_WORKERS:
                 return False
@@ -182,7 +181,7 @@ class PoolDispatcher(Dispatcher):
             return True
 
     def farewell(self, guest: Shift) -> None:
-        """Lets a guest go; a worker does what he has left."""
+        """Lets a guest go; a worker does what it has left."""
         with self._lock:
             self._guests.remove(guest)
             self._end(guest)
@@ -190,21 +189,21 @@ class PoolDispatcher(Dispatcher):
             self._lend()
 
     def _begin(self, shift: Shift) -> None:
-        """Reckons with somebody from now on. Under the lock."""
+        """Counts on a thread from now on. Under the lock."""
         self._active += 1
         shift.here = True
-        shift.turns += 1  # what comes before his first turn is not seen as part of the last one
+        shift.turns += 1  # what comes before its first turn is not seen as part of the last one
 
     def _end(self, shift: Shift) -> None:
-        """Reckons with somebody no more. Under the lock."""
+        """Counts on a thread no more. Under the lock."""
         shift.here = False
         if shift.held:
             shift.held = False
         else:
             self._active -= 1
 
-    def come_back(self, shift: Shift) -> None:
-        """Reckons with somebody again whose turn has ended. In his thread; nobody else takes the mark away."""
+    def _come_back(self, shift: Shift) -> None:
+        """Counts on a thread again whose turn has ended. In that thread; no other one takes the mark away."""
         with self._lock:
             shift.held = False
             self._active += 1
@@ -220,23 +219,27 @@ class PoolDispatcher(Dispatcher):
         before = -1
         while not self._stopping:
             try:
-                turns = self._look()
-            except Exception:  # without a watchdog one handler could stop everybody
+                turns = self.look()
+            except Exception:  # without a watchdog one handler could stop all others
                 _LOG.exception("the watchdog of the pool of %s failed", self.name)
                 turns = before + 1
             quiet = quiet + 1 if turns == before else 0
             before = turns
-            # Fifty wake-ups a second would be the most of what an agent at rest costs.
+            # Regular wake-ups would be the most of what an agent at rest costs.
             self._alarm.acquire(timeout=-1 if quiet >= DOZE_LOOKS and self._may_doze() else WATCH_S)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no thread is at work, and none is held."""
+        return len(self._idle) == len(self._workers) and not self._guests
 
     def _may_doze(self) -> bool:
         with self._lock:
-            at_rest = len(self._idle) == len(self._workers) and not self._guests
-            self._dozing = at_rest and not self.work
+            self._dozing = self.at_rest and not self.work
             return self._dozing
 
-    def _look(self) -> int:
-        """Sees whether everybody gets on. Returns a number that changes as long as turns are given."""
+    def look(self) -> int:
+        """Does what the watchdog does at each look. Returns a number that changes as long as turns are given."""
         now_s = self.clock.now()
         passed_s = min(now_s - self._looked_s, MOST_PASSED_S)
         self._looked_s = now_s
@@ -264,10 +267,10 @@ class PoolDispatcher(Dispatcher):
         return turns
 
     def _hold(self, shift: Shift) -> None:
-        """Reckons without somebody who does not get on; a guest whose turn does not end is to be relieved.
+        """Stops counting on a thread whose turn does not end; another thread takes over a guest's duties.
 
-        Whoever is here may be held by what he does before a turn, too, or where the system gives him no core. Whoever
-        has got on just now is taken for held until the end of his next turn, which harms nobody.
+        A thread may be held by what it does before a turn, too, or where the system gives it no core. One whose turn
+        has ended just now is taken for held until the end of its next turn, which does no harm.
         """
         with self._lock:
             if not shift.here:
@@ -275,7 +278,7 @@ class PoolDispatcher(Dispatcher):
             if not shift.held:
                 shift.held = True
                 self._active -= 1
-            # First the mark, then the look: who comes back looks for the mark when his turn has ended.
+            # First the mark, then the look: a thread looks for the mark when its turn has ended.
             if shift.mailbox is not None and shift.relieve is not None and not shift.relieved:
                 shift.relieved = True
                 self._reliefs.append(shift.relieve)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from typing import Generic, TypeVar
 
 import msgspec
 
-if TYPE_CHECKING:
-    from pancakes.kernel.component import Component
+from pancakes.kernel.mailbox import Runnable
+
+Member = TypeVar("Member", bound=Runnable)
 
 
 class DeviceEntry(msgspec.Struct, frozen=True):
@@ -29,7 +30,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     address: str = ""
 
 
-class Registry:
+class Registry(Generic[Member]):
     """Who runs on this agent. All methods may be called from any thread.
 
     pykka's own registry is global to the process and scans a list; this one belongs to one agent and keeps its
@@ -38,7 +39,7 @@ class Registry:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._components: dict[str, Component] = {}
+        self._components: dict[str, Member] = {}
         self._devices: dict[str, DeviceEntry] = {}
         self._addresses: dict[
             str, str
@@ -46,7 +47,7 @@ class Registry:
         self._holders: dict[str, str] = {}
         self._reserved: dict[str, str] = {}
 
-    def add(self, component: Component) -> None:
+    def add(self, component: Member) -> None:
         """Enters an actor.
 
         Raises:
@@ -57,17 +58,17 @@ class Registry:
                 raise ValueError(f"{component.address} runs already")
             self._components[component.address] = component
 
-    def remove(self, component: Component) -> None:
+    def remove(self, component: Member) -> None:
         """Strikes an actor out, if it is in."""
         with self._lock:
             if self._components.get(component.address) is component:
                 del self._components[component.address]
 
-    def get(self, address: str) -> Component | None:
+    def get(self, address: str) -> Member | None:
         """Returns the actor that runs at `address`."""
         return self._components.get(address)
 
-    def components(self) -> list[Component]:
+    def components(self) -> list[Member]:
         """Returns all actors, in the order in which they started."""
         with self._lock:
             return list(self._components.values())

@@ -3,189 +3,23 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import lru_cache
-from typing import Any, Final
-
-import msgspec
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from pancakes.errors import MailboxFull, PancakesError, UnknownChannel
-from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.shared_queue import SharedQueue
+from pancakes.kernel.route import Listener, Route, Tap
 from pancakes.names import fault_of_name
-from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
+from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
 from pancakes.signatures import check_called
-from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
+from pancakes.weight import LIGHT_BYTES, weight_of
 
-Tap = Callable[[Packet], None]
-WayOut = Callable[[Packet], int | None]
-"""Takes packets of one channel, type, source and destination out of the agent; once it has ended it does nothing, and
-returns None.
-"""
-Gateway = Callable[[Packet], WayOut | None]
-"""Takes any packet out of the agent; returns what takes others like it, if there is a shorter way for these."""
+Gateway = Callable[[Packet], None]
+"""Takes packets whose destination is elsewhere. Called in the publisher's thread, must not block."""
 
 MOST_ROUTES = 4096
 """So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
-
-
-class _Reader(msgspec.Struct):
-    """One component that reads one channel."""
-
-    address: str
-    mailbox: Mailbox
-    bounds: Mapping[str | None, Keep] = {}  # never changed but replaced: its queue has the same
-    open_types: tuple[str | None, ...] = ()
-    queue: ChannelQueue | None = None
-
-    def reads(self, type_name: str, addressed: bool) -> bool:
-        """Returns whether a packet of this type is for it; `addressed`: its destination names it."""
-        types = self.bounds if addressed else self.open_types
-        return type_name in types or None in types
-
-    def describe(self) -> dict[str, Any]:
-        """Returns who it is and how it reads, as plain values."""
-        return {"address": self.address, **self.bounds_and_queue()}
-
-    def bounds_and_queue(self) -> dict[str, Any]:
-        """Returns how it reads, as plain values: types are None for all of them; `limit` counts packets.
-
-        `waiting_bytes` are those of the heavy packets among them, which `MOST_BYTES` bounds.
-
-        Of `types` it gets `open_types` from everybody, the others only where a packet's destination names it.
-        """
-        bounds = list(self.bounds.values())
-        return {
-            "types": _names(self.bounds),
-            "open_types": _names(self.open_types),
-            "keep": "reliable" if any(keep.reliable for keep in bounds) else "newest",
-            "limit": sum(keep.limit for keep in bounds),
-            "waiting": len(self.queue) if self.queue is not None else 0,
-            "waiting_bytes": self.queue.heavy_bytes if self.queue is not None else 0,
-            "dropped": self.queue.dropped() if self.queue is not None else 0,
-        }
-
-
-class Route(msgspec.Struct, frozen=True):
-    """Who gets packets of one type and destination on one channel: an immutable snapshot, read without a lock.
-
-    Attributes:
-        type: the name of the packets' type.
-        queues: the queues of those who are given each packet, as long as each has one bound only.
-        shared: the others.
-        reliable: those of all of them that may refuse a packet.
-        taps: who sees the packets besides.
-        weigh: returns how heavy a packet's body is, where that is not the same, and little, for all of this type.
-        light_bytes: a body that takes no more on the wire is light.
-    """
-
-    type: str
-    queues: tuple[ChannelQueue, ...]
-    shared: tuple[ChannelQueue, ...]
-    reliable: tuple[ChannelQueue, ...]
-    taps: tuple[Tap, ...]
-    weigh: Weigher | None = None
-    light_bytes: int = 0
-
-    def give(self, packet: Packet) -> None:
-        """Gives a packet to all of them, or to none.
-
-        Raises:
-            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
-        """
-        weigh = self.weigh
-        if weigh is not None and (weight := weigh(packet.body)) > LIGHT_BYTES:
-            self._give_heavy(packet, weight)
-            return
-        # All reliable readers are asked before anybody is given the packet: a retry must not double it.
-        if self.reliable:
-            self._ask(packet)
-        # As `ChannelQueue.put`, `enlist` and `Mailbox.take_token`, but without calls: half of what a delivery costs the
-        # publisher.
-        for queue in self.queues:
-            next(queue.numbers)
-            queue.items.append(packet)
-            if not queue.listed:
-                queue.listed = True
-                mailbox = queue.mailbox
-                mailbox.waiting.append(queue)
-                if not mailbox.held:
-                    try:
-                        del mailbox.token
-                    except AttributeError:  # somebody was faster
-                        continue
-                    mailbox.held = True
-                    mailbox.dispatch.ready(mailbox)
-        for queue in self.shared:
-            queue.put(packet)
-        for tap in self.taps:
-            tap(packet)
-
-    def takes_many(self, packets: Sequence[Packet], size: int | None) -> bool:
-        """Returns whether these packets may be put all at once: nobody can refuse one, and they are light.
-
-        Light in the mean will do, which their bytes on the wire may say without a look at any of them: the number of
-        packets that may wait then bounds them as well, but for the part of one frame.
-        """
-        if self.reliable or self.taps or not (self.queues or self.shared):
-            return False
-        weigh = self.weigh
-        if weigh is None or (size is not None and size <= self.light_bytes * len(packets)):
-            return True
-        return all(weigh(packet.body) <= LIGHT_BYTES for packet in packets)
-
-    def _give_heavy(self, packet: Packet, weight: int) -> None:
-        if self.reliable:
-            self._ask(packet, weight)
-        for queue in (*self.queues, *self.shared):
-            queue.put_heavy(packet, weight)
-        for tap in self.taps:
-            tap(packet)
-
-    def give_where_room(self, packet: Packet) -> None:
-        """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
-        weight = self.weigh(packet.body) if self.weigh is not None else 0
-        weight = weight if weight > LIGHT_BYTES else 0
-        for queue in (*self.queues, *self.shared):
-            if queue.full(packet, weight):
-                queue.refused += 1
-            elif weight:
-                queue.put_heavy(packet, weight)
-            else:
-                queue.put(packet)
-        for tap in self.taps:
-            tap(packet)
-
-    def _ask(self, packet: Packet, weight: int = 0) -> None:
-        for queue in self.reliable:
-            if queue.full(packet, weight):
-                reader = queue.mailbox.component
-                raise MailboxFull(
-                    f"{reader.address if reader else 'a task between restarts'} has no room for {packet.type!r} from"
-                    f" {packet.source} on {packet.channel!r}: {len(queue)}"
-                    + (f" ({queue.heavy_bytes} bytes) wait already" if weight else " wait already")
-                )
-
-
-class Exit(msgspec.Struct, frozen=True):
-    """How packets of one channel, type, source and destination leave this agent: a snapshot, as `Route`.
-
-    Attributes:
-        type: the name of the packets' type.
-        send: the way that they go.
-        taps: who sees the packets besides.
-    """
-
-    type: str
-    send: WayOut
-    taps: tuple[Tap, ...]
-
-
-NOBODY: Final = Route("", (), (), (), ())
-"""The route of what is for nobody."""
 
 
 class InformationStream:
@@ -198,41 +32,21 @@ class InformationStream:
         agent: the agent's name.
 
     Attributes:
-        courier: takes packets whose destination is a task, wherever it is. Called in the publisher's thread, must not
-            block.
-        local: where packets without a destination go, by their channel and the class of their body: for publishers,
-            as far as `remember` was told of them.
-        exits: where packets to other agents go, by their source, channel, the class of their body, and destination:
-            for publishers, as far as such have gone before.
+        gateway: takes packets whose destination is another agent; the Network Service sets it.
+        courier: takes packets whose destination is a task, wherever it is.
     """
 
     def __init__(self, agent: str) -> None:
         self.agent = agent
+        self.gateway: Gateway | None = None
         self.courier: Gateway | None = None
-        self._gateway: Gateway | None = None
         self._lock = threading.Lock()
-        self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
+        self._readers: dict[str, dict[str, Listener]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...]], ...]] = {}  # and the types that each wants to see
         self._outgoing: tuple[Tap, ...] = ()
         self._openers: tuple[Callable[[str], None], ...] = ()
-        self.local: dict[tuple[str, type], Route] = {}
-        self.exits: dict[tuple[str, str, type, str], Exit] = {}
         self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
         self.undelivered = 0
-
-    @property
-    def gateway(self) -> Gateway | None:
-        """Takes packets whose destination is another agent; the Network Service sets it.
-
-        Called in the publisher's thread, must not block.
-        """
-        return self._gateway
-
-    @gateway.setter
-    def gateway(self, gateway: Gateway | None) -> None:
-        with self._lock:
-            self._gateway = gateway
-            self.exits.clear()
 
     def channels(self) -> list[str]:
         """Returns the names of all channels, core channels first."""
@@ -299,45 +113,14 @@ class InformationStream:
             return self._give(packet, destination)
         if packet.channel not in self._readers:
             raise self._unknown(packet)
-        gateway, taps = self.courier if destination.startswith(TO_TASK) else self._gateway, self._outgoing
+        gateway, taps = self.courier if destination.startswith(TO_TASK) else self.gateway, self._outgoing
         if gateway is None:
             self.undelivered += 1
         else:
-            way = gateway(packet)
-            if way is not None:
-                self._remember_exit(packet, gateway, Exit(packet.type, way, taps))
+            gateway(packet)
         for tap in taps:
             tap(packet)
         return 0
-
-    def _remember_exit(self, packet: Packet, gateway: Gateway, found: Exit) -> None:
-        body_type = type(packet.body)
-        with self._lock:
-            if gateway is not self._gateway or found.taps is not self._outgoing:
-                return  # it was found while something changed
-            # As in `remember`: only publishers of registered bodies look here.
-            if packet.channel not in self._readers or body_class(packet.type) is not body_type:
-                return
-            if len(self.exits) >= MOST_ROUTES:
-                self.exits.clear()
-            self.exits[packet.source, packet.channel, body_type, packet.destination] = found
-
-    def forget_exits(self) -> None:
-        """Forgets how packets leave: the links have changed, and with them all ways out have ended. Any thread.
-
-        Those to a peer that comes back are found again; of one that never does nothing is kept.
-        """
-        with self._lock:
-            self.exits.clear()
-
-    def remember(self, packet: Packet) -> None:
-        """Notes in `local` where a packet without a destination went that was just published."""
-        body_type = type(packet.body)
-        with self._lock:
-            route = self._routes.get((packet.channel, packet.type, ""))
-            # What came from elsewhere may bear a name that its body's class does not have here.
-            if route is not None and body_class(packet.type) is body_type:
-                self.local[packet.channel, body_type] = route
 
     def inject(self, packet: Packet) -> int:
         """Publishes a packet that came from another agent, on its own channel here.
@@ -355,7 +138,7 @@ class InformationStream:
             return self._give(packet, destination)
         except MailboxFull:
             # It may be another route by now, or none: readers come and go.
-            self._route_of(packet, destination).give_where_room(packet)
+            self._route_of(packet, destination).give_where_room(packet, weight_of(packet.body))
             raise
 
     def inject_all(
@@ -372,12 +155,10 @@ class InformationStream:
         """
         first = packets[0]
         destination = "" if first.destination == NEIGHBOURS else first.destination
-        route = self._routes.get((first.channel, first.type, destination), NOBODY)
-        if route.takes_many(packets, size):
-            for queue in route.queues:
-                queue.put_all(packets)
-            for queue in route.shared:
-                queue.put_all(packets)
+        route = self._routes.get((first.channel, first.type, destination))
+        if route is not None and size is not None and route.queues and not route.reliable and not route.taps:
+            each = size // len(packets)
+            route.give_all(packets, each if each > LIGHT_BYTES else 0)
             return
         for packet in packets:
             try:
@@ -415,13 +196,11 @@ class InformationStream:
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
-            self.exits.clear()
 
     def untap_outgoing(self, tap: Tap) -> None:
         """Ends what `tap_outgoing` began."""
         with self._lock:
             self._outgoing = tuple(other for other in self._outgoing if other != tap)
-            self.exits.clear()
 
     def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
         """Puts packets into a component's mailbox from now on.
@@ -438,14 +217,9 @@ class InformationStream:
                 )
             reader = readers.get(address)
             if reader is None:
-                reader = readers[address] = _Reader(address, mailbox)
-            if reader.bounds:
-                reader.bounds = {**reader.bounds, subscription.type: subscription.keep}
-            else:
-                reader.bounds = _bounds_of_one(subscription.type, subscription.keep)
-            if not subscription.addressed and subscription.type not in reader.open_types:
-                reader.open_types = (*reader.open_types, subscription.type)
-            reader.queue = mailbox.subscribe(subscription.channel, reader.bounds)
+                queue = mailbox.subscribe(subscription.channel)
+                reader = readers[address] = Listener(address, mailbox, queue)
+            reader.add(subscription)
             self._forget(subscription.channel)
 
     def unsubscribe(self, address: str) -> None:
@@ -463,9 +237,7 @@ class InformationStream:
             self._taps.clear()
             self._outgoing = ()
             self._routes.clear()
-            self.local.clear()
-            self.exits.clear()
-            self._gateway = None
+            self.gateway = None
             self.courier = None
 
     def subscribers(self, channel: str) -> list[str]:
@@ -492,13 +264,8 @@ class InformationStream:
 
     def _forget(self, channel: str) -> None:
         """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
-        # In place: components keep `local`.
         for key in [key for key in self._routes if key[0] == channel]:
             del self._routes[key]
-        for known in [known for known in self.local if known[0] == channel]:
-            del self.local[known]
-        if channel not in self._readers:
-            self.exits.clear()
 
     def _route_of(self, packet: Packet, destination: str) -> Route:
         return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)
@@ -510,21 +277,18 @@ class InformationStream:
             if readers is None:
                 raise self._unknown(packet)
             names_somebody = destination not in ("", self.agent)
-            queues = [
-                reader.queue
+            listeners = [
+                reader
                 for reader in readers.values()
-                if reader.queue is not None
-                and (not destination or covers(destination, reader.address))
+                if (not destination or covers(destination, reader.address))
                 and reader.reads(packet.type, addressed=names_somebody)
             ]
+            # A stable order of those that are told, which decides the order of their turns in virtual time.
+            listeners.sort(key=lambda reader: len(reader.bounds) > 1)
             route = Route(
-                packet.type,
-                tuple(queue for queue in queues if not isinstance(queue, SharedQueue)),
-                tuple(queue for queue in queues if isinstance(queue, SharedQueue)),
-                tuple(queue for queue in queues if queue.has_reliable),
+                tuple(reader.queue for reader in listeners),
+                tuple(reader for reader in listeners if reader.keep_of(packet.type).reliable),
                 tuple(tap for tap, types in self._taps.get(packet.channel, ()) if not types or packet.type in types),
-                weigher(type(packet.body)),
-                light_on_the_wire(type(packet.body)),
             )
             if len(self._routes) >= MOST_ROUTES:
                 self._routes.clear()
@@ -533,25 +297,13 @@ class InformationStream:
 
     def _give(self, packet: Packet, destination: str) -> int:
         route = self._route_of(packet, destination)
-        route.give(packet)
-        readers = len(route.queues) + len(route.shared)
-        if destination and not readers and not route.taps:
+        route.give(packet, weight_of(packet.body) if route.queues else 0)
+        if destination and not route.queues and not route.taps:
             self.undelivered += 1
-        return readers
+        return len(route.queues)
 
     def _unknown(self, packet: Packet) -> UnknownChannel:
         return UnknownChannel(
             f"{packet.source} published {packet.type!r} to {packet.channel!r}, but {self.agent} has no such channel,"
             f" only {', '.join(self._readers)}"
         )
-
-
-@lru_cache(maxsize=1024)
-def _bounds_of_one(type_name: str | None, keep: Keep) -> Mapping[str | None, Keep]:
-    """Returns the bounds of who has subscribed to one type; all tasks of a class share them."""
-    return {type_name: keep}
-
-
-def _names(types: Collection[str | None]) -> list[str] | None:
-    """Returns the names of types, sorted; None where all types are meant."""
-    return None if None in types else sorted(str(name) for name in types)

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-from pancakes.kernel.handlers import Period, Tick
+from pancakes.kernel.handlers import Tick
+from pancakes.kernel.mailbox import Runnable
 
-if TYPE_CHECKING:
-    from pancakes.kernel.component import Component
+
+class Ticker(Protocol):
+    """What a timer needs of the kernel."""
+
+    lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...]
+
+    def now(self) -> float:
+        """Returns the mission time in seconds."""
 
 
 class TaskTimer:
     """One time-driven method of one component: what stands between the timer's thread and the actor.
+
+    Args:
+        component: the component.
+        method: the method's name.
+        handler: the method.
+        period_s: from tick to tick, in mission time; infinity lets it rest.
+        ticker: the clock, and what is told how late each tick is.
 
     Attributes:
         deadline_s: the deadline of the tick that is pending, in mission time.
@@ -22,12 +36,11 @@ class TaskTimer:
 
     __slots__ = (
         "_handler",
-        "_kernel",
+        "_ticker",
         "component",
         "deadline_s",
         "lateness_max_s",
         "lateness_sum_s",
-        "mailbox",
         "method",
         "missed",
         "missed_total",
@@ -36,14 +49,14 @@ class TaskTimer:
         "ticks",
     )
 
-    def __init__(self, component: Component, method: str, period: Period) -> None:
+    def __init__(
+        self, component: Runnable, method: str, handler: Callable[[Any, Tick], None], period_s: float, ticker: Ticker
+    ) -> None:
         self.component = component
         self.method = method
-        self.period_s = period.period_s
-        # Of the class, and called with the component: one object for all tasks of it, and none for each.
-        self._handler: Callable[[Component, Tick], None] = getattr(type(component), method)
-        self._kernel = component.kernel
-        self.mailbox = component.actor_inbox
+        self.period_s = period_s
+        self._handler = handler
+        self._ticker = ticker
         self.deadline_s = 0.0
         self.pending = False
         self.missed = 0
@@ -75,34 +88,23 @@ class TaskTimer:
             self.missed += 1 + missed
             self.deadline_s = deadline_s
             return
-        self.arm(deadline_s, missed)
-        self.mailbox.put(self)
-
-    def arm(self, deadline_s: float, missed: int) -> None:
-        """Gives it the deadline that `run` is for; where no tick is pending, and one is then."""
         self.missed += missed
         self.deadline_s = deadline_s
         self.pending = True
+        self.component.actor_inbox.put(self)
 
     def run(self) -> None:
         """Calls the method (the component's turn)."""
         deadline_s = self.deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
-        if self.mailbox.paused:
+        if self.component.actor_inbox.paused:
             return
-        kernel, handler = self._kernel, self._handler
-        now = kernel.now
-        lateness_s = now() - deadline_s
-        if lateness_s < 0.0:
-            lateness_s = 0.0
+        lateness_s = max(0.0, self._ticker.now() - deadline_s)
         self.ticks += 1
-        if missed:
-            self.missed_total += missed
+        self.missed_total += missed
         self.lateness_sum_s += lateness_s
-        if lateness_s > self.lateness_max_s:
-            self.lateness_max_s = lateness_s
-        if kernel.lateness_heard:
-            for heard in kernel.lateness_heard:
-                heard((self, lateness_s))
-        handler(self.component, Tick(deadline_s, missed, lateness_s))
+        self.lateness_max_s = max(lateness_s, self.lateness_max_s)
+        for heard in self._ticker.lateness_heard:
+            heard((self, lateness_s))
+        self._handler(self.component, Tick(deadline_s, missed, lateness_s))

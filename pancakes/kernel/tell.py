@@ -16,7 +16,7 @@ def tell(component: Component, message: object) -> bool:
     Returns:
         False where the actor has ended, and the message is forgotten.
     """
-    alive = not component.actor_stopped.on
+    alive = not component.actor_stopped.is_set()
     if alive:
         component.actor_inbox.put(Call(component, partial(component.on_receive, message)))
     return alive

@@ -10,12 +10,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final, Protocol
 
-import pykka
-
 from pancakes.clock import Clock, MissionClock
 from pancakes.kernel.guest import GUEST_S, Guest
 from pancakes.kernel.inbox import Inbox
 from pancakes.kernel.pool import PoolDispatcher
+from pancakes.kernel.pykka_actor import PykkaActor, dismiss, is_envelope
 from pancakes.kernel.schedule import Due, Schedule
 from pancakes.kernel.slack import wake_on_time
 from pancakes.kernel.virtual import VirtualCall, VirtualDispatcher
@@ -51,7 +50,7 @@ class OneShot:
             self._function()
 
 
-class Timer(pykka.Actor):
+class Timer(PykkaActor):
     """Drives the periodic components of one agent, on the mission clock and on the host's.
 
     Its methods may be called from any thread: they put a message into its inbox. What it calls (`fire`, and the
@@ -61,8 +60,8 @@ class Timer(pykka.Actor):
         name: for the name of its thread.
         mission: the mission clock.
         host: the host clock.
-        pool: what gives the turns of most of those whom it ticks, which are task timers then: its thread does that
-            itself while nobody else does, which saves a tick the way to another thread. None: it never does.
+        pool: what gives the turns of most of the components that it ticks: its thread does that itself while no other
+            thread does, which saves a tick the way to another thread. None: it never does.
     """
 
     actor_inbox: Inbox
@@ -83,10 +82,6 @@ class Timer(pykka.Actor):
     @staticmethod
     def _create_actor_inbox() -> Inbox:
         return Inbox()
-
-    @staticmethod
-    def _create_future() -> pykka.Future[Any]:
-        return pykka.ThreadingFuture()
 
     def every(self, target: Ticking, period_s: float) -> None:
         """Ticks `target` each `period_s` of mission time; one that ticks already changes its rate."""
@@ -123,52 +118,50 @@ class Timer(pykka.Actor):
 
     def launch(self) -> None:
         """Starts the timer's thread."""
-        self._start_actor_loop()
+        self.begin_loop()
 
-    def _start_actor_loop(self) -> None:
-        self._thread = threading.Thread(target=self._actor_loop_running, name=f"{self._name}-timer", daemon=True)
+    def begin_loop(self) -> None:
+        self._thread = threading.Thread(target=self._run, name=f"{self._name}-timer", daemon=True)
         self._thread.start()
 
-    def _actor_loop_running(self) -> None:
+    def _run(self) -> None:
         wake_on_time()
-        guest = Guest(self._pool, self._start_actor_loop) if self._pool is not None else None
+        guest = Guest(self._pool, self.begin_loop) if self._pool is not None else None
         inbox = self.actor_inbox
         serve = partial(self._serve, guest)
-        while guest is None or guest.stays:
+        while not self.actor_stopped.is_set() and (guest is None or guest.stays):
             if not self._due:
                 inbox.wait(self._next_host_s() - self._host.now())
-            change = serve if inbox.empty() else inbox.get()
-            if change is None:
-                self._ended.set()
-                return
+            message: Any = serve if inbox.empty() else inbox.get()
             try:
-                change()
+                if is_envelope(message):
+                    self.handle_envelope(message)
+                else:
+                    message()
             except Exception:  # a fault in one call must not end the ticks of all
                 _LOG.exception("a call of the timer failed")
 
+    def end_loop(self) -> None:
+        self.actor_stopped.set()
+        while not self.actor_inbox.empty():
+            dismiss(self.actor_inbox.get())
+        self._ended.set()
+
     def _serve(self, guest: Guest | None) -> None:
-        """Fires what is due, and gives the turns that come of it where nobody else does."""
+        """Fires what is due, and gives the turns that come of it where no other thread does."""
         if guest is None or not guest.arrive():
             self._fire_due(None)
             return
-        until_s = self._host.now() + GUEST_S
         try:
-            while True:
-                self._fire_due(guest)
-                if not guest.stays:
-                    return
-                next_s = self._next_host_s()
-                guest.work(min(until_s, next_s))
-                # What is due again comes before the rest of the work; to call a worker for that would only disturb.
-                if not guest.stays or next_s > self._host.now() or until_s < next_s:
-                    return
+            self._fire_due(guest)
+            if guest.stays:
+                guest.work(min(self._host.now() + GUEST_S, self._next_host_s()))
         finally:
             guest.leave()
 
     def halt(self) -> None:
         """Ends the timer and waits for its thread."""
-        self.actor_inbox.put(None)
-        self.actor_stopped.set()
+        self.stop()
         if self._thread is not None and self._thread is not threading.current_thread():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.
             self._ended.wait()
@@ -182,27 +175,26 @@ class Timer(pykka.Actor):
         return host_s if host_s < mission_host_s else mission_host_s
 
     def _fire_due(self, guest: Guest | None) -> None:
-        mission_s = self._mission.now()
         due = self._due
         # A tick whose host time has come is due, even where rounding puts the mission's clock a hair before it.
-        due.extend(self._mission_schedule.due(mission_s + 1e-9))
-        host_s = self._host.now()
-        if self._host_schedule.next_s <= host_s:  # seldom
-            due.extend(self._host_schedule.due(host_s))
-        until_s = -math.inf if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
+        due.extend(self._mission_schedule.due(self._mission.now() + 1e-9))
+        due.extend(self._host_schedule.due(self._host.now()))
+        until_s = min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
         while due:
             item = due[0]
             if not isinstance(item, Due):
                 due.popleft()
                 item()
                 continue
-            # A turn right after its tick: of a thousand tasks the first does not wait for the last to be ticked, and
-            # what both touch is in the processor's cache. Where turns take long, though, they wait: those who do not
-            # run in the pool, and calls that were put off, shall be on time all the same.
-            if guest is not None and not guest.tick(item.targets, item.deadline_s, item.missed, until_s):
-                return  # whoever has taken over goes on with what is left
             for target in item.targets:
                 target.fire(item.deadline_s, item.missed)
+                # A turn right after its tick: of a thousand tasks the first does not wait for the last to be ticked.
+                # Where turns take long, though, they wait: those that run elsewhere, and calls that were put off, shall
+                # be on time all the same.
+                if guest is not None:
+                    guest.work(until_s)
+                    if not guest.stays:
+                        return  # the thread that has taken over goes on with what is left
             due.popleft()
 
 
@@ -250,16 +242,6 @@ class VirtualTimer(Timer):
     def _come(self) -> None:
         self._call = None
         self._call_s = math.inf
-        # As `_fire_due`, but everything at once: there is no other work that a long row of ticks would keep waiting.
-        due = self._mission_schedule.due(self._mission.now() + 1e-9)
-        host_s = self._host.now()
-        if self._host_schedule.next_s <= host_s:
-            due.extend(self._host_schedule.due(host_s))
-        for item in due:
-            if isinstance(item, Due):
-                for target in item.targets:
-                    target.fire(item.deadline_s, item.missed)
-            else:
-                item()
+        self._fire_due(None)
         if not self._halted:
             self._arrange()

@@ -12,6 +12,7 @@ from prometheus_client.registry import Collector
 from pancakes.events import Event
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.mailbox import Runnable
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.life.life import State
 from pancakes.packet import join
@@ -198,7 +199,7 @@ class AgentMetrics(Collector):
         yield from (undelivered, dead, mission, level)
 
 
-def _place(component: Component) -> tuple[str, str, str]:
+def _place(component: Runnable) -> tuple[str, str, str]:
     """Returns agent, service and task of a component; of a service the task is empty."""
     agent, service, task = (*component.address.split("/"), "", "")[:3]
     return agent, service, task

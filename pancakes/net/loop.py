@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 import logging
+import selectors
 import socket
 import threading
 from collections.abc import Callable
@@ -17,7 +18,9 @@ from typing import Final
 from pancakes.clock import Clock
 from pancakes.kernel.guest import GUEST_S, Guest
 from pancakes.net.busy_poll import BusyPoll
-from pancakes.net.readiness import READ, readiness
+
+READ: Final = selectors.EVENT_READ
+WRITE: Final = selectors.EVENT_WRITE
 
 READING_S: Final = 0.0002
 """After so much reading those to whom it has brought something get their turns before more is read: what was just
@@ -54,8 +57,8 @@ class Loop:
 
     def __init__(self, clock: Clock, name: str) -> None:
         self._now = clock.now
-        self._readiness = readiness()
-        self.busy_poll = BusyPoll(self._readiness.poll, clock.now, 0.0)
+        self._selector = selectors.DefaultSelector()
+        self.busy_poll = BusyPoll(self._poll, clock.now, 0.0)
         self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files
         self._forgotten: dict[int, None] = {}  # since the sockets were asked for that are served now
         self._lock = threading.Lock()
@@ -98,20 +101,23 @@ class Loop:
     def watch(self, sock: socket.socket, events: int, function: Callable[[int], None]) -> None:
         """Calls `function` with the events (READ, WRITE) that `sock` is ready for. In the loop's thread.
 
-        Other bits are set besides, or instead, where the connection has failed or ended.
+        A socket whose connection has failed or ended is ready for both.
         """
         number = sock.fileno()
         if number in self._watched:
-            self._readiness.modify(number, events)
+            self._selector.modify(number, events)
         else:
-            self._readiness.register(number, events)
+            self._selector.register(number, events)
         self._watched[number] = function
+
+    def _poll(self, timeout_s: float | None) -> list[tuple[int, int]]:
+        return [(key.fd, events) for key, events in self._selector.select(timeout_s)]
 
     def forget(self, sock: socket.socket) -> None:
         """Watches `sock` no longer. To be called before it is closed, in the loop's thread."""
         number = sock.fileno()
         if self._watched.pop(number, None) is not None:
-            self._readiness.unregister(number)
+            self._selector.unregister(number)
             self._forgotten[number] = None
 
     def is_here(self) -> bool:
@@ -151,7 +157,7 @@ class Loop:
             goes_on = self._serve()
         finally:
             if not goes_on and self.is_here():
-                self._readiness.close()
+                self._selector.close()
                 self._wake_reader.close()
                 self._wake_writer.close()
                 self._over.set()

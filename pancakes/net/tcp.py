@@ -20,8 +20,7 @@ from pancakes.clock import Clock
 from pancakes.errors import PancakesError
 from pancakes.kernel.guest import Guest
 from pancakes.net.buffers import bound_buffers
-from pancakes.net.loop import Loop
-from pancakes.net.readiness import READ, WRITE
+from pancakes.net.loop import READ, WRITE, Loop
 from pancakes.net.transport import Connection, Handler, Scheduled, Transport
 
 _READ_BYTES: Final = 64 * 1024

@@ -204,7 +204,7 @@ class DeviceTask(Task):
 
     def deliver(self, reading: Any) -> None:
         """Publishes a reading on `system`. Any thread."""
-        if self.actor_stopped.on:
+        if self.actor_stopped.is_set():
             return
         try:
             self.publish(SYSTEM, reading)

@@ -33,7 +33,7 @@ from pancakes.services.wanted_recording import Wanted, WantedRecording
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
-from pancakes.weight import weigher
+from pancakes.weight import weigh
 
 if TYPE_CHECKING:
     from pancakes.services.traces import Tracing
@@ -172,8 +172,7 @@ class LogService(Service):
     def remember(self, packet: Packet) -> None:
         """Keeps one line for who asks later."""
         self._entries += 1
-        weigh = weigher(type(packet.body))
-        size_bytes = weigh(packet.body) if weigh is not None else 0
+        size_bytes = weigh(packet.body)
         self._newest.append((self._entries, size_bytes, packet))
         self._newest_bytes += size_bytes
         most = self.settings.remembered
@@ -201,7 +200,7 @@ class LogService(Service):
 
         # What was said before the question belongs to the answer, also where it waits behind it.
         waiting = self.actor_inbox.queues[LOG]
-        while (packet := waiting.pop()) is not None:
+        while (packet := waiting.take()) is not None:
             self.remember(packet)
         since_s = -math.inf if body.since_s is None else self.now() - body.since_s
         page: list[dict[str, Any]] = []

@@ -29,7 +29,7 @@ class _Faulty(Agent):
     def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         came = [packet for packet in packets for _ in range(self._faults.copies(self.name, packet))]
         if came:
-            super()._on_packets(peer, came, size * len(came))
+            super()._on_packets(peer, came, size * len(came) // len(packets))
 
 
 class FleetInTest:

@@ -23,7 +23,7 @@ from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Cause, Fence, Packet, body_class
-from pancakes.weight import weigher
+from pancakes.weight import is_small
 from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.closed import is_closed
 from pancakes.wire.codec import Seq, Stamp, Text, Word, unsendable
@@ -167,7 +167,7 @@ class RowEncoder:
         """Returns a body as it may be encoded, and learns of its class."""
         cls: type = type(body)
         if is_closed(cls):
-            if weigher(cls) is None:
+            if is_small(cls):
                 self.closed = cls
             return body
         return encodable(body)

@@ -304,7 +304,7 @@ HEAVY = (
     # what only a recording, or a question about it, needs
     *("pancakes.recording.recording", "pancakes.services.traces"),
     # parts of Python, each of which takes milliseconds, and up to 4 MiB
-    *("_hashlib", "asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "encodings.idna"),
+    *("asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "encodings.idna"),
     *("http", "multiprocessing", "ssl", "subprocess", "unittest", "xml"),
 )
 IMPORTED = """

@@ -37,9 +37,9 @@ class Actor(Component):
         self.slices_s = []
         dispatcher.attach(self)
 
-    def take_turn(self, slice_s, deferred):
+    def take_turn(self, slice_s):
         self.slices_s.append(slice_s)
-        super().take_turn(slice_s, deferred)
+        super().take_turn(slice_s)
 
     def do(self, function):
         self.call(function)
@@ -51,5 +51,16 @@ class Actor(Component):
 
 def put_back(mailbox):
     """Hands a mailbox's token back, as a turn does at its end, without a look at what came meanwhile."""
-    mailbox.held = False
-    mailbox.token = True
+    mailbox.token.release()
+
+
+def bounded(mailbox, channel, bounds):
+    """Returns a mailbox's queue for a channel, with these bounds."""
+    queue = mailbox.subscribe(channel)
+    queue.bound(bounds)
+    return queue
+
+
+def drained(queue):
+    """Takes all that waits in a queue out; returns the packets' numbers."""
+    return [packet.seq for packet in iter(queue.take, None)]

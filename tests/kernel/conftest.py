@@ -1,5 +1,6 @@
 """A kernel on threads, and a pool whose watchdog looks when it is told to, for the tests of what runs on them."""
 
+import math
 import sys
 import threading
 from pathlib import Path
@@ -69,14 +70,14 @@ class Rig:
         self.clock = HandClock()
         self.named = []
         self.pool = PoolDispatcher("p", self.clock, lambda address, held_s: self.named.append((address, held_s)))
-        self.pool._look = lambda: 0
+        self.pool.look = lambda: 0
         self._actors = 0
         self._gates = []
 
     def look(self, later_s=0.0):
         """Lets the watchdog look, in this thread, after some time."""
         self.clock.now_s += later_s
-        return PoolDispatcher._look(self.pool)
+        return PoolDispatcher.look(self.pool)
 
     def new_actor(self):
         """Returns one that has not had its first turn yet."""
@@ -116,6 +117,12 @@ class Rig:
         self.until(guest.arrive, "the pool is never at rest")
         return guest
 
+    @staticmethod
+    def turn(guest):
+        """Lets a guest give the turns that wait; returns whether its thread goes on."""
+        guest.work(math.inf)
+        return guest.stays
+
     def held_guest(self, relieve=lambda: None):
         """Holds a guest, in a thread of its own, in a turn; returns what lets it go on, and the thread."""
         gate, holds = threading.Event(), threading.Event()
@@ -125,7 +132,7 @@ class Rig:
         def visit():
             guest = self.visiting(relieve)
             actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
-            guest.turn()
+            guest.work(math.inf)
             guest.leave()
 
         visitor = threading.Thread(target=visit)
@@ -135,9 +142,7 @@ class Rig:
 
     def at_rest(self):
         """Waits until nobody is at work; who has been counted wrongly stays so for ever."""
-        pool = self.pool
-        self.until(lambda: len(pool._idle) == len(pool._workers) and not pool._guests, "somebody never rests")
-        assert pool._active == 0
+        self.until(lambda: self.pool.at_rest, "a thread never rests")
 
     @staticmethod
     def until(condition, complaint):

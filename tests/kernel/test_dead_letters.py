@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from kernel.actors import bounded
+
 from pancakes.kernel.keep import reliable
 from pancakes.kernel.letters import ATTEMPTS, MOST_KNOWN, DeadLetters
 from pancakes.kernel.mailbox import Mailbox
@@ -11,11 +13,11 @@ from pancakes.packet import SYSTEM, Packet
 def test_packets_that_fail_and_never_come_again_are_forgotten_and_the_newest_are_not():
     buried = []
     letters = DeadLetters(lambda level, text: buried.append(text))
-    queue = Mailbox().subscribe(SYSTEM, {"some": reliable(4)})
+    queue = bounded(Mailbox(), SYSTEM, {"some": reliable(4)})
     packets = [Packet(SYSTEM, "some", "a/client/Source", "", 0.0, number, None) for number in range(MOST_KNOWN + 1)]
     for packet in packets:
         letters.failed("a/client/Sink", queue, packet)
-        queue.pop()  # whoever it came back to ended before it had it again
+        queue.take()  # whoever it came back to ended before it had it again
     for _ in range(ATTEMPTS - 1):
         letters.failed("a/client/Sink", queue, packets[0])  # was forgotten: begins anew
         letters.failed("a/client/Sink", queue, packets[-1])

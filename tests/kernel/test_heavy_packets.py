@@ -9,15 +9,13 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from kernel.actors import put_back
+from kernel.actors import bounded, drained, put_back
 
 from pancakes.errors import MailboxFull
-from pancakes.kernel import channel_queue as module
 from pancakes.kernel.channel_queue import ChannelQueue
 from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.keep import MOST_BYTES, queue, reliable
+from pancakes.kernel.keep import MOST_BYTES, Keep, queue, reliable
 from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.shared_queue import SPARE_BYTES
 from pancakes.kernel.stream import InformationStream
 from pancakes.packet import Packet, packet_type
 
@@ -45,18 +43,7 @@ def blob(number: int, size: int = 0, kind: str = "heavy.blob") -> Packet:
     return Packet("system", kind, "a/client/T", "", 0.0, number, Blob(number, bytes(size)))
 
 
-def numbers(waiting: ChannelQueue) -> list[int]:
-    return [packet.seq for packet in waiting.items]
-
-
-def drained(waiting: ChannelQueue) -> list[int]:
-    out = []
-    while (packet := waiting.pop()) is not None:
-        out.append(packet.seq)
-    return out
-
-
-def stream_with(keep: module.Keep, *types: str) -> tuple[InformationStream, ChannelQueue]:
+def stream_with(keep: Keep, *types: str) -> tuple[InformationStream, ChannelQueue]:
     stream, mailbox = InformationStream("a"), opened()
     for name in types or ("heavy.blob",):
         stream.subscribe("a/client/R", mailbox, Subscription("system", name, keep))
@@ -95,7 +82,7 @@ def test_a_reliable_reader_has_room_again_once_it_has_read(types: tuple[str, ...
         try:
             stream.publish(blob(number, MOST_BYTES // 4))
         except MailboxFull:
-            waiting.pop()
+            waiting.take()
         else:
             accepted.append(number)
     left = drained(waiting)
@@ -109,7 +96,7 @@ def test_small_bodies_are_bounded_by_their_number_alone(types: tuple[str, ...]):
     for number in range(300):
         stream.publish(blob(number, 64))
     assert drained(waiting) == list(range(44, 300))
-    assert not waiting.heavy
+    assert waiting.heavy_bytes == 0
 
 
 def test_from_another_agent_who_has_room_gets_it_and_the_loss_of_who_has_none_is_counted():
@@ -127,62 +114,29 @@ def test_from_another_agent_who_has_room_gets_it_and_the_loss_of_who_has_none_is
     assert told == {"a/client/R": 2, "a/client/Other": 0}
 
 
-@given(
-    st.integers(1, 6),
-    st.lists(st.one_of(st.just("light"), st.just("pop"), st.integers(1, 60)), max_size=60),
-)
-def test_whatever_comes_order_and_bounds_hold_and_the_scales_come_back_to_zero(limit, steps):
-    """Heavy packets weigh up to 60 and 100 may wait; a light one pushes the oldest out whatever that weighs."""
-    waiting = opened().subscribe("system", {"heavy.blob": queue(limit)})
-    weights: dict[int, int] = {}
-    taken: list[int] = []
-    before, module.MOST_BYTES = module.MOST_BYTES, 100
-    try:
-        for number, step in enumerate(steps):
-            if step == "pop":
-                packet = waiting.pop()
-                taken += [packet.seq] if packet is not None else []
-            elif step == "light":
-                waiting.put(blob(number))
-                weights[number] = 0
-            else:
-                waiting.put_heavy(blob(number), step)
-                weights[number] = step
-            left = numbers(waiting)
-            assert len(left) <= limit
-            assert sum(weights[it] for it in left) <= 100
-            assert waiting.heavy_bytes >= sum(weights[it] for it in left)
-    finally:
-        module.MOST_BYTES = before
-    last = numbers(waiting)
-    assert taken + last == sorted(taken + last)
-    if weights:
-        assert max(weights) in taken + last, "the newest is never what falls out"
-    assert waiting.dropped() == (len(weights) - len(taken) - len(last) if limit > 1 else 0)
-    drained(waiting)
-    waiting.put_heavy(blob(0), 7)
-    assert waiting.heavy_bytes == 7
+UNIT = MOST_BYTES // 100
 
 
-@given(st.lists(st.one_of(st.just("pop"), st.integers(1, 60)), max_size=60))
-def test_no_more_falls_out_than_must(steps):
-    waiting = opened().subscribe("system", {"heavy.blob": queue(5)})
+@given(st.integers(1, 6), st.lists(st.one_of(st.just("take"), st.integers(0, 60)), max_size=60))
+def test_no_more_falls_out_than_must(limit, steps):
+    """Packets weigh up to 60 units, and 100 may wait."""
+    waiting = bounded(opened(), "system", {"heavy.blob": queue(limit)})
     model: deque[tuple[int, int]] = deque()
-    before, module.MOST_BYTES = module.MOST_BYTES, 100
-    try:
-        for number, step in enumerate(steps):
-            if step == "pop":
-                packet = waiting.pop()
-                assert (packet.seq if packet else None) == (model.popleft()[0] if model else None)
-                continue
-            while model and (len(model) >= 5 or sum(weight for _, weight in model) + step > 100):
-                model.popleft()
-            model.append((number, step))
-            waiting.put_heavy(blob(number), step)
-            assert numbers(waiting) == [number for number, _ in model]
-            assert waiting.heavy_bytes == sum(weight for _, weight in model)
-    finally:
-        module.MOST_BYTES = before
+    lost = 0
+    for number, step in enumerate(steps):
+        if step == "take":
+            packet = waiting.take()
+            assert (packet.seq if packet else None) == (model.popleft()[0] if model else None)
+            continue
+        while model and (len(model) >= limit or (step and sum(weight for _, weight in model) + step > 100)):
+            model.popleft()
+            lost += limit > 1
+        model.append((number, step))
+        waiting.put(blob(number), step * UNIT)
+        assert waiting.heavy_bytes == sum(weight for _, weight in model) * UNIT
+    assert waiting.dropped() == lost
+    assert drained(waiting) == [number for number, _ in model]
+    assert waiting.heavy_bytes == 0
 
 
 def test_many_threads_at_once_leave_the_scales_right():
@@ -192,14 +146,14 @@ def test_many_threads_at_once_leave_the_scales_right():
     most = 0
 
     def publish(first: int) -> None:
-        for number in range(first, first + 500):
+        for number in range(first, first + 200):
             stream.publish(blob(number, sizes[number % 4]))
 
     def read() -> None:
         nonlocal most
-        while not over.is_set():
-            most = max(most, sum(len(packet.body.data) for packet in list(waiting.items)))
-            waiting.pop()
+        while not over.wait(0.0001):
+            most = max(most, waiting.heavy_bytes)
+            waiting.take()
 
     threads = [threading.Thread(target=publish, args=(first,)) for first in (0, 1000, 2000)]
     reader = threading.Thread(target=read)
@@ -209,42 +163,19 @@ def test_many_threads_at_once_leave_the_scales_right():
         thread.join()
     over.set()
     reader.join()
-    assert most <= MOST_BYTES + 64 * 1024
+    assert 0 < most <= MOST_BYTES
     drained(waiting)
     stream.publish(blob(1, 5000))
     assert waiting.heavy_bytes == 5000
 
 
 @pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
-def test_heavy_packets_weigh_the_same_in_the_queue_that_they_move_to(others):
-    mailbox = opened()
-    before = mailbox.subscribe("system", {"heavy.blob": queue(64), **others})
-    packet = blob(1, 5000)
-    before.put_heavy(packet, 5000)
-    after = mailbox.subscribe("system", {"heavy.third": queue(9)})
-    assert after is not before
-    assert after.heavy_bytes == 5000
-    assert drained(after)
-    assert after.heavy_bytes == 0
-
-
-@pytest.mark.parametrize("others", [{}, {"heavy.other": queue(9)}])
 def test_a_heavy_packet_that_is_put_back_is_heavy_again(others):
-    waiting = opened().subscribe("system", {"heavy.blob": queue(64), **others})
-    waiting.put_heavy(blob(1, 5000), 5000)
-    packet = waiting.pop()
+    waiting = bounded(opened(), "system", {"heavy.blob": queue(64), **others})
+    waiting.put(blob(1, 5000), 5000)
+    packet = waiting.take()
     assert waiting.heavy_bytes == 0
-    waiting.push_back(packet)
+    waiting.put_back(packet)
     assert waiting.heavy_bytes == 5000
-    assert waiting.pop() is packet
-    assert waiting.heavy_bytes == 0
-
-
-def test_heavy_packets_that_have_fallen_out_of_a_shared_queue_do_not_stay_in_memory():
-    stream, waiting = stream_with(queue(64), "heavy.blob", "pose")
-    for number in range(300):
-        stream.publish(blob(number, MOST_BYTES // 30))
-        weights = [len(packet.body.data) for packet in waiting.items]
-        assert sum(weights) <= MOST_BYTES + SPARE_BYTES + 2 * weights[-1]
-    assert drained(waiting) == list(range(270, 300))
+    assert waiting.take() is packet
     assert waiting.heavy_bytes == 0

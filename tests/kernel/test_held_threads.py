@@ -46,7 +46,7 @@ def test_beside_a_guest_that_is_held_between_its_turns_nobody_waits_for_the_watc
     rig.see_held()
     rig.does(other)
     rig.until(lambda: rig.pool._active == 0, "the worker never rests")
-    assert guest.turn()
+    assert rig.turn(guest)
     rig.look()
     rig.does(other)
     guest.leave()
@@ -82,10 +82,10 @@ class TwiceHeld:
             arrived.set()
             assert self.seen.wait(PATIENCE_S)
             # Not by way of `ready`, which would have a worker do it.
-            assert actor.actor_inbox.take_token()
+            assert actor.actor_inbox.token.acquire(blocking=False)
             actor.do(lambda: (self.holds.set(), self.gate.wait(PATIENCE_S)))
             rig.pool.work.append(actor.actor_inbox)
-            guest.turn()
+            rig.turn(guest)
             guest.leave()
 
         self.visitor = threading.Thread(target=visit)
@@ -193,7 +193,7 @@ def test_a_guest_that_has_got_on_just_now_leaves_after_its_next_turn_at_the_late
         guest = rig.visiting(lambda: relieved.append(1))
         for number, actor in enumerate(actors):
             actor.do(lambda number=number: (holds[number].set(), gates[number].wait(PATIENCE_S)))
-        stays.extend([guest.turn(), guest.turn()])
+        stays.append(rig.turn(guest))
         guest.leave()
 
     def too_late(shift):
@@ -210,7 +210,7 @@ def test_a_guest_that_has_got_on_just_now_leaves_after_its_next_turn_at_the_late
     assert relieved == [1] and rig.pool._active == 0
     gates[1].set()
     visitor.join(PATIENCE_S)
-    assert stays == [True, False]
+    assert stays == [False]
     rig.at_rest()
 
 
@@ -241,7 +241,7 @@ def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
     def visit():
         rig.until(guest.arrive, "the pool is never at rest")
         actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
-        stays.append(guest.turn())
+        stays.append(rig.turn(guest))
         back.set()
         guest.leave()
 

@@ -5,8 +5,7 @@ import threading
 import pytest
 
 from pancakes.kernel import pool as pool_module
-from pancakes.kernel.pool import STOP_S, WATCH_S
-from pancakes.kernel.shift import SLICE_S
+from pancakes.kernel.pool import SLICE_S, STOP_S, WATCH_S
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
@@ -96,7 +95,7 @@ def test_nobody_has_more_than_a_slice_of_a_thread_at_a_time(rig):
     actor = rig.actor()
     guest = rig.visiting()
     actor.do(lambda: None)
-    guest.turn()
+    rig.turn(guest)
     actor.do(lambda: None)
     guest.work(rig.clock.now_s + 1.0)
     guest.leave()
@@ -117,7 +116,7 @@ def test_who_readies_somebody_while_there_is_one_at_work_does_nothing_else(rig):
     done = []
     actor.do(lambda: done.append(1))
     rig.pool._lock = lock
-    assert guest.turn() and done == [1]
+    assert rig.turn(guest) and done == [1]
     guest.leave()
 
 

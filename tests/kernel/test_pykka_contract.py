@@ -5,12 +5,14 @@ does not promise to anybody.
 """
 
 import inspect
+import threading
 
 import pykka
 import pytest
 from pykka._envelope import Envelope
 from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr, _ActorStop
 
+from pancakes.clock import MissionClock, MonotonicClock
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import Timer
@@ -142,6 +144,34 @@ def test_tasks_and_services_answer_a_ref_from_outside():
         assert not ref.is_alive()
         # It was not its service that stopped it: a permanent task is started again.
         agent.wait_for_event("task_started", task="Counter", incarnation=2)
+
+
+def test_the_timer_answers_a_ref_and_ends_when_it_is_stopped():
+    with no_thread_left():
+        host = MonotonicClock()
+        timer = Timer("a", MissionClock(host), host)
+        timer.launch()
+        ref = timer.actor_ref
+        assert ref.proxy().actor_urn.get(timeout=PATIENCE_S) == "a/kernel/timer"
+        ref.stop(timeout=PATIENCE_S)
+        assert not ref.is_alive()
+        with pytest.raises(pykka.ActorDeadError):
+            ref.ask("anything")
+
+
+def test_a_thread_may_wait_for_the_end_of_a_component():
+    with no_thread_left():
+        kernel = Kernel("a")
+        component = kernel.spawn(Component, "a/client/C")
+        assert not component.actor_stopped.wait(0.0)
+        waiting = [threading.Thread(target=component.actor_stopped.wait, args=(PATIENCE_S,)) for _ in range(2)]
+        for thread in waiting:
+            thread.start()
+        component.stop()
+        for thread in waiting:
+            thread.join(PATIENCE_S)
+        assert component.actor_stopped.wait() and not any(thread.is_alive() for thread in waiting)
+        kernel.stop()
 
 
 def test_stopping_all_actors_of_pykkas_registry_touches_no_agent():

@@ -114,12 +114,12 @@ def test_a_watchdog_that_fails_looks_again_and_does_not_rest(rig, caplog):
         raise ValueError("a fault in whoever is told")
 
     rig.at_rest()
-    rig.pool._look = look
+    rig.pool.look = look
     with rig.pool._lock:
         rig.pool._watch_again()
     for _ in range(2 * DOZE_LOOKS):
         assert looked.acquire(timeout=PATIENCE_S), "the watchdog has ended"
-    rig.pool._look = lambda: 0
+    rig.pool.look = lambda: 0
     assert "the watchdog of the pool of p failed" in caplog.text
 
 

@@ -11,7 +11,7 @@ import pytest
 from pancakes.clock import MonotonicClock
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
-from pancakes.net.readiness import READ
+from pancakes.net.loop import READ
 from pancakes.net.tcp import TcpTransport
 
 PATIENCE_S = 20.0

@@ -11,8 +11,7 @@ import pytest
 
 from pancakes.clock import MonotonicClock
 from pancakes.net import loop as module
-from pancakes.net.loop import Loop
-from pancakes.net.readiness import READ
+from pancakes.net.loop import READ, Loop
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 20.0

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.net.loop import Loop
-from pancakes.net.readiness import READ
+from pancakes.net.loop import READ, Loop
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0

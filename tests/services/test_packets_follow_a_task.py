@@ -111,7 +111,7 @@ class TestOnOneAgent:
     def test_it_waits_once_while_the_task_comes_to_nothing_although_it_is_sent_again_and_again(self, fleet):
         agent = fleet.start("a", tasks={"Sink": Sink})
         inbox = agent.task("Sink").actor_inbox
-        assert inbox.take_token(), "it is at rest"  # and has no turn from now on
+        assert inbox.token.acquire(blocking=False), "it is at rest"  # and has no turn from now on
         fleet.run_for(60.0)
         before = len(inbox.control)
         for n in upto(5):

@@ -28,7 +28,6 @@ from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Sto
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
 from pancakes.journal import Entry
-from pancakes.kernel.dispatch import Deferred
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
@@ -112,10 +111,10 @@ class Schedule:
         self._probes: dict[str, Probe] = {}
         give_turn = self.fleet.dispatcher.give_turn
 
-        def turn(mailbox: Mailbox, deferred: Deferred, slice_s: float | None = None) -> None:
+        def turn(mailbox: Mailbox, slice_s: float | None = None) -> None:
             """A turn, then a look at all tasks: between two turns is where anything may be seen by anybody."""
             component = mailbox.component
-            give_turn(mailbox, deferred, slice_s)
+            give_turn(mailbox, slice_s)
             self.oracle.check()
             if self._doomed and component is not None:
                 self._step(component.agent, "turn")
