@@ -425,9 +425,8 @@ class Agent:
     def _open_transport(self) -> Transport:
         agent = self.config.agent
         address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
-        make = self._plugins.get("pancakes.transports", address.partition("://")[0])
-        transport: Transport = make(self.kernel.host, self.name)
-        return transport
+        cls: type[Transport] = self._plugins.get("pancakes.transports", address.partition("://")[0])
+        return cls(self.kernel.host, self.name, make_settings(cls.Settings, self._network_settings().transport))
 
     def _network_settings(self) -> NetworkService.Settings:
         """Returns those settings of the network that are for transport and mesh, which are there before the service.
@@ -437,7 +436,7 @@ class Agent:
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s") if name in given}
+        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transport") if name in given}
         return make_settings(NetworkService.Settings, known)
 
     def _services(self) -> list[ServiceSpec]:

@@ -21,7 +21,7 @@ class AgentAddress(click.ParamType):
     name = "address"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from pancakes.config.address import dialled
+        from pancakes.address import dialled
 
         try:
             return dialled(str(value))

@@ -303,8 +303,8 @@ class Client:
 
     def _transport(self, scheme: str) -> Transport:
         if scheme not in self._transports:
-            make = self._plugins.get("pancakes.transports", scheme)
-            self._transports[scheme] = make(self._clock, self.name)
+            cls: type[Transport] = self._plugins.get("pancakes.transports", scheme)
+            self._transports[scheme] = cls(self._clock, self.name, cls.Settings())
         return self._transports[scheme]
 
     def _learn(self, fleet: str, description: dict[str, Any]) -> None:

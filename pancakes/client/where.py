@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pancakes.config.address import dialled
+from pancakes.address import dialled
 from pancakes.errors import PancakesError
 
 

@@ -1,6 +1,6 @@
 """The configuration of an agent: read from TOML, checked as a whole, given out as frozen structures."""
 
-from pancakes.config.address import Address, parse_address
+from pancakes.address import Address, parse_address
 from pancakes.config.model import (
     DEFAULT_SERVICES,
     SCHEMA,

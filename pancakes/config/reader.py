@@ -8,7 +8,7 @@ from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
 from pancakes import codecs
-from pancakes.config.address import parse_address
+from pancakes.address import parse_address
 from pancakes.config.model import (
     DEFAULT_SERVICES,
     SCHEMA,
@@ -204,7 +204,7 @@ class _Reader:
         for index, peer in enumerate(agent.peers):
             key = ("agent", "peers", index)
             try:
-                if parse_address(peer).port == 0:
+                if parse_address(peer).any_port:
                     self._fault(key, f"{peer!r} has the port 0, at which nobody can be reached")
             except ValueError as error:
                 self._fault(key, str(error))

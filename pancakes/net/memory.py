@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol
 
+from pancakes.address import parse_address
 from pancakes.errors import PancakesError
 from pancakes.net.transport import Connection, Handler, Scheduled, Transport
 
@@ -164,12 +165,12 @@ class MemoryNetwork:
 
     def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], Handler]) -> str:
         """See `Transport.listen`."""
-        scheme, _, place = address.partition("://")
-        host, colon, port = place.rpartition(":")
-        if not (scheme and host and colon and port.isdigit()):
-            raise PancakesError(f"{address!r} is no address: it must read tcp://host:port, such as tcp://robot1:7401")
-        if port == "0":
-            address = f"{scheme}://{host}:{self._next_port}"
+        try:
+            parts = parse_address(address)
+        except ValueError as error:
+            raise PancakesError(f"cannot listen at {address}: {error}") from None
+        if parts.any_port:
+            address = f"{parts.scheme}://{parts.host}:{self._next_port}"
             self._next_port += 1
         if address in self._listeners:
             raise PancakesError(f"cannot listen at {address}: address already in use")

@@ -7,15 +7,17 @@ not take is sent by the loop's thread. One lock for each connection keeps the or
 from __future__ import annotations
 
 import contextlib
-import ipaddress
 import os
 import socket
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+import msgspec
+
+from pancakes.address import parse_address
 from pancakes.clock import Clock
 from pancakes.errors import PancakesError
 from pancakes.kernel.guest import Guest
@@ -35,34 +37,16 @@ _ACCEPT_PAUSE_S: Final = 0.5  # when the process is out of file descriptors
 _Place = tuple[socket.AddressFamily, Any]
 
 
-def parse_address(address: str) -> tuple[str, int]:
-    """Returns (host, port) of `tcp://host:port`; an IPv6 host stands in brackets.
+def _host_and_port(address: str) -> tuple[str, int]:
+    """Takes an address apart.
 
     Raises:
-        PancakesError: it is no such address.
+        ValueError: it is none over TCP.
     """
-    scheme, _, place = address.partition("://")
-    host, colon, port = place.rpartition(":")
-    if host.startswith("[") and host.endswith("]"):
-        host = host[1:-1]
-    elif ":" in host:
-        host = ""
-    if scheme != "tcp" or not host or not colon or not (port.isascii() and port.isdigit()) or int(port) > 65_535:
-        raise PancakesError(f"{address!r} is no address: it must read tcp://host:port, such as tcp://127.0.0.1:7401")
-    return host, int(port)
-
-
-def is_loopback(address: str) -> bool:
-    """Returns whether only this machine can reach an address.
-
-    Raises:
-        PancakesError: it is no address.
-    """
-    host, _ = parse_address(address)
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    parts = parse_address(address)
+    if parts.path:
+        raise ValueError(f"{address!r} has no host")
+    return parts.host, parts.port
 
 
 def _address(place: Any) -> str:
@@ -82,25 +66,35 @@ class TcpTransport(Transport):
     Args:
         clock: the host clock.
         name: the agent's name, which its thread bears.
-        dial_s: how long a dial may take, in seconds.
+        settings: see `Settings`.
     """
 
-    def __init__(self, clock: Clock, name: str = "", dial_s: float = 5.0) -> None:
-        self.dial_s = dial_s
+    class Settings(msgspec.Struct):
+        """How it connects.
+
+        Attributes:
+            dial_s: so long a dial may take, in seconds of host time.
+        """
+
+        dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
+
+    def __init__(self, clock: Clock, name: str, settings: Settings) -> None:
+        self.dial_s = settings.dial_s
         self.loop = Loop(clock, f"net-{name}" if name else "net")
         self.open: dict[_Socket, None] = {}  # all that `close` has to close, in the order it was opened
         self.read_buffer = memoryview(bytearray(_READ_BYTES))
 
     def listen(self, address: str, accept: Callable[[], Handler]) -> str:
-        host, port = parse_address(address)
         sock: socket.socket | None = None
         try:
-            family, place = _resolve(host, port)[0]
+            family, place = _resolve(*_host_and_port(address))[0]
             sock = socket.socket(family, socket.SOCK_STREAM)
             if os.name == "posix":
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             sock.bind(place)
             sock.listen(128)
+        except ValueError as error:
+            raise PancakesError(f"cannot listen at {address}: {error}") from None
         except OSError as error:
             if sock is not None:
                 sock.close()
@@ -186,8 +180,8 @@ class _Dial(_Socket):
         late = f"{self._address} did not answer within {self._transport.dial_s:g} s"
         self._timer = loop.call_later(self._transport.dial_s, lambda: self.dispose(late))
         try:
-            host, port = parse_address(self._address)
-        except PancakesError as error:
+            host, port = _host_and_port(self._address)
+        except ValueError as error:
             self.dispose(str(error))
             return
         try:

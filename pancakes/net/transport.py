@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
+import msgspec
+
+from pancakes.clock import Clock
 from pancakes.kernel.guest import Guest
 
 
@@ -70,14 +73,25 @@ class Scheduled(Protocol):
 
 
 class Transport(ABC):
-    """A way to reach other processes (entry point group `pancakes.transports`)."""
+    """A way to reach other processes (entry point group `pancakes.transports`).
+
+    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. An
+    agent makes it with the host clock, the agent's name, and what the configuration says under `transport` in the
+    settings of `[service.network]`.
+    """
+
+    class Settings(msgspec.Struct):
+        """It has no settings."""
+
+    @abstractmethod
+    def __init__(self, clock: Clock, name: str, settings: Any) -> None: ...
 
     @abstractmethod
     def listen(self, address: str, accept: Callable[[], Handler]) -> str:
         """Takes connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
 
         Args:
-            address: where to listen.
+            address: where to listen; for the parts of an address see `pancakes.address`.
             accept: makes the handler for each connection that comes in.
 
         Returns:

@@ -5,12 +5,12 @@ On the wire each is an array that begins with its number; 0 is the number of a r
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Final, Literal
 
 import msgspec
 
 from pancakes import codecs
+from pancakes.address import parse_address
 from pancakes.errors import LocalProtocolError
 from pancakes.names import fault_of_name
 
@@ -37,8 +37,6 @@ Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
-
-_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]*://[A-Za-z0-9._:%\[\]-]+")
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
@@ -71,7 +69,11 @@ def fault_of_hello(hello: Hello) -> str:
 
 def fault_of_address(address: str) -> str:
     """Returns why something cannot be an address at which an agent listens, as a sentence; empty where it can."""
-    return "" if _ADDRESS.fullmatch(address) else f"{address!a} is no address, such as tcp://192.0.2.1:7401"
+    try:
+        parse_address(address)
+    except ValueError:
+        return f"{address!a} is no address, such as tcp://192.0.2.1:7401"
+    return ""
 
 
 class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):

@@ -65,7 +65,7 @@ class TcpRig:
         self._transports: list[Transport] = []
 
     def transport(self, name: str) -> Transport:
-        made = TcpTransport(self.clock, name)
+        made = TcpTransport(self.clock, name, TcpTransport.Settings())
         self._transports.append(made)
         return made
 
