@@ -109,7 +109,7 @@ def test_the_settings_of_the_transport_are_checked_against_its_class():
     text = 'listen = "tcp://127.0.0.1:1"\n[service.network]\nsettings.transport = { dial_s = 0, dials_s = 1 }\n'
     assert faults(text) == [
         "a.toml:6: [service.network] settings.transport.dial_s: expected a number > 0, not 0",
-        "a.toml:6: [service.network] settings.transport.dials_s: unknown key, did you mean 'dial_s'?",
+        "a.toml:6: [service.network] settings.transport.dials_s: unknown key",
     ]
 
 
