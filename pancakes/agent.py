@@ -403,7 +403,6 @@ class Agent:
             self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
-        self.kernel.stream.forget_exits()
         if name in self._clients:
             self._clients.discard(name)
         else:

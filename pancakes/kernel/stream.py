@@ -16,17 +16,13 @@ from pancakes.kernel.keep import Keep
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.shared_queue import SharedQueue
 from pancakes.names import fault_of_name
-from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, body_class, covers
+from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, TO_TASK, Packet, agent_of, covers
 from pancakes.signatures import check_called
 from pancakes.weight import LIGHT_BYTES, Weigher, light_on_the_wire, weigher
 
 Tap = Callable[[Packet], None]
-WayOut = Callable[[Packet], int | None]
-"""Takes packets of one channel, type, source and destination out of the agent; once it has ended it does nothing, and
-returns None.
-"""
-Gateway = Callable[[Packet], WayOut | None]
-"""Takes any packet out of the agent; returns what takes others like it, if there is a shorter way for these."""
+Gateway = Callable[[Packet], None]
+"""Takes packets whose destination is elsewhere. Called in the publisher's thread, must not block."""
 
 MOST_ROUTES = 4096
 """So many snapshots are kept; a peer that makes up one type or destination after the other must not fill the memory."""
@@ -170,20 +166,6 @@ class Route(msgspec.Struct, frozen=True):
                 )
 
 
-class Exit(msgspec.Struct, frozen=True):
-    """How packets of one channel, type, source and destination leave this agent: a snapshot, as `Route`.
-
-    Attributes:
-        type: the name of the packets' type.
-        send: the way that they go.
-        taps: who sees the packets besides.
-    """
-
-    type: str
-    send: WayOut
-    taps: tuple[Tap, ...]
-
-
 NOBODY: Final = Route("", (), (), (), ())
 """The route of what is for nobody."""
 
@@ -198,41 +180,21 @@ class InformationStream:
         agent: the agent's name.
 
     Attributes:
-        courier: takes packets whose destination is a task, wherever it is. Called in the publisher's thread, must not
-            block.
-        local: where packets without a destination go, by their channel and the class of their body: for publishers,
-            as far as `remember` was told of them.
-        exits: where packets to other agents go, by their source, channel, the class of their body, and destination:
-            for publishers, as far as such have gone before.
+        gateway: takes packets whose destination is another agent; the Network Service sets it.
+        courier: takes packets whose destination is a task, wherever it is.
     """
 
     def __init__(self, agent: str) -> None:
         self.agent = agent
+        self.gateway: Gateway | None = None
         self.courier: Gateway | None = None
-        self._gateway: Gateway | None = None
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, _Reader]] = {name: {} for name in CORE_CHANNELS}
         self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...]], ...]] = {}  # and the types that each wants to see
         self._outgoing: tuple[Tap, ...] = ()
         self._openers: tuple[Callable[[str], None], ...] = ()
-        self.local: dict[tuple[str, type], Route] = {}
-        self.exits: dict[tuple[str, str, type, str], Exit] = {}
         self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
         self.undelivered = 0
-
-    @property
-    def gateway(self) -> Gateway | None:
-        """Takes packets whose destination is another agent; the Network Service sets it.
-
-        Called in the publisher's thread, must not block.
-        """
-        return self._gateway
-
-    @gateway.setter
-    def gateway(self, gateway: Gateway | None) -> None:
-        with self._lock:
-            self._gateway = gateway
-            self.exits.clear()
 
     def channels(self) -> list[str]:
         """Returns the names of all channels, core channels first."""
@@ -299,45 +261,14 @@ class InformationStream:
             return self._give(packet, destination)
         if packet.channel not in self._readers:
             raise self._unknown(packet)
-        gateway, taps = self.courier if destination.startswith(TO_TASK) else self._gateway, self._outgoing
+        gateway, taps = self.courier if destination.startswith(TO_TASK) else self.gateway, self._outgoing
         if gateway is None:
             self.undelivered += 1
         else:
-            way = gateway(packet)
-            if way is not None:
-                self._remember_exit(packet, gateway, Exit(packet.type, way, taps))
+            gateway(packet)
         for tap in taps:
             tap(packet)
         return 0
-
-    def _remember_exit(self, packet: Packet, gateway: Gateway, found: Exit) -> None:
-        body_type = type(packet.body)
-        with self._lock:
-            if gateway is not self._gateway or found.taps is not self._outgoing:
-                return  # it was found while something changed
-            # As in `remember`: only publishers of registered bodies look here.
-            if packet.channel not in self._readers or body_class(packet.type) is not body_type:
-                return
-            if len(self.exits) >= MOST_ROUTES:
-                self.exits.clear()
-            self.exits[packet.source, packet.channel, body_type, packet.destination] = found
-
-    def forget_exits(self) -> None:
-        """Forgets how packets leave: the links have changed, and with them all ways out have ended. Any thread.
-
-        Those to a peer that comes back are found again; of one that never does nothing is kept.
-        """
-        with self._lock:
-            self.exits.clear()
-
-    def remember(self, packet: Packet) -> None:
-        """Notes in `local` where a packet without a destination went that was just published."""
-        body_type = type(packet.body)
-        with self._lock:
-            route = self._routes.get((packet.channel, packet.type, ""))
-            # What came from elsewhere may bear a name that its body's class does not have here.
-            if route is not None and body_class(packet.type) is body_type:
-                self.local[packet.channel, body_type] = route
 
     def inject(self, packet: Packet) -> int:
         """Publishes a packet that came from another agent, on its own channel here.
@@ -415,13 +346,11 @@ class InformationStream:
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
-            self.exits.clear()
 
     def untap_outgoing(self, tap: Tap) -> None:
         """Ends what `tap_outgoing` began."""
         with self._lock:
             self._outgoing = tuple(other for other in self._outgoing if other != tap)
-            self.exits.clear()
 
     def subscribe(self, address: str, mailbox: Mailbox, subscription: Subscription) -> None:
         """Puts packets into a component's mailbox from now on.
@@ -463,9 +392,7 @@ class InformationStream:
             self._taps.clear()
             self._outgoing = ()
             self._routes.clear()
-            self.local.clear()
-            self.exits.clear()
-            self._gateway = None
+            self.gateway = None
             self.courier = None
 
     def subscribers(self, channel: str) -> list[str]:
@@ -492,13 +419,8 @@ class InformationStream:
 
     def _forget(self, channel: str) -> None:
         """Drops the snapshots of one channel; they are built again when they are needed. Under the lock."""
-        # In place: components keep `local`.
         for key in [key for key in self._routes if key[0] == channel]:
             del self._routes[key]
-        for known in [known for known in self.local if known[0] == channel]:
-            del self.local[known]
-        if channel not in self._readers:
-            self.exits.clear()
 
     def _route_of(self, packet: Packet, destination: str) -> Route:
         return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)

@@ -161,14 +161,6 @@ class Mesh:
         """
         return self._sending.send(packet, retry)
 
-    def way_of(self, packet: Packet) -> Callable[[Packet], int | None] | None:
-        """Returns what sends further packets of the channel, type, source and destination of one that was just sent.
-
-        It does as `send`, in less time. Once other links are up it returns None and has done nothing: then `send` knows
-        more. Any thread.
-        """
-        return self._sending.way_of(packet)
-
     def announce(self) -> None:
         """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
         self._transport.call_later(0.0, self._beacon)

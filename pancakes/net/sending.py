@@ -218,11 +218,6 @@ class Sending:
                 return given
             way = self._new_way(packet)
 
-    def way_of(self, packet: Packet) -> Callable[[Packet], int | None] | None:
-        """See `Mesh.way_of`."""
-        way = self._ways.get((packet.channel, packet.type, packet.source, packet.destination))
-        return way.send if way is not None else None
-
     def _new_way(self, packet: Packet) -> Way:
         destination = packet.destination
         with self._lock:

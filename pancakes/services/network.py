@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, Struct, field
@@ -43,13 +43,10 @@ class NetworkClient(Task):
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self.kernel.stream.gateway = None
 
-    def send(self, packet: Packet) -> Callable[[Packet], int | None] | None:
+    def send(self, packet: Packet) -> None:
         """Sends a packet. In the publisher's thread.
 
         A packet for an agent that is away is dropped and counted, as news for nobody is on any channel.
-
-        Returns:
-            What sends others like it, in less time, until it returns None; see `Mesh.way_of`.
 
         Raises:
             LocalProtocolError: it cannot travel.
@@ -59,8 +56,6 @@ class NetworkClient(Task):
             self._mesh.send(packet)
         except PeerLost:
             self.kernel.stream.undelivered += 1
-            return None
-        return self._mesh.way_of(packet)
 
 
 class Discovery(Task):

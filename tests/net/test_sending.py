@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
 from pancakes.net.outbox import PeerBusy
-from pancakes.net.sending import MOST_WAYS, Sending
+from pancakes.net.sending import MOST_WAYS, Sending, Way
 from pancakes.net.session import BATCH_BYTES
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
@@ -205,57 +205,39 @@ def test_other_links_are_other_ways(sending, turn, peers):
     assert sending.send(packet(4, NEIGHBOURS)) == 0
 
 
-def test_a_way_takes_what_follows_until_other_links_are_up(sending, turn, peers):
-    sending.send(packet(1))
-    way = sending.way_of(packet(1))
-    assert way(packet(2)) == 1
-    turn.end()
-    assert [it.seq for it in peers["b"].got()] == [1, 2] and len(peers["b"].sent) == 1
-    sending.change(peers, tuple(peers.values()))
-    assert way(packet(3)) is None and sending.way_of(packet(3)) is None
-    turn.end()
-    assert len(peers["b"].got()) == 2
-
-
 def test_another_fence_is_another_way(sending, turn, peers):
     def under(epoch, seq):
         fence = Fence("a/T", (epoch, "a")) if epoch else None
         return replace(packet(seq), fence=fence)
 
     its = [under(1, 1), under(1, 2), under(2, 3), under(2, 4), under(0, 5), under(1, 6), under(1, 7)]
-    ways = []
     for it in its:
         sending.send(it)
-        ways.append(sending.way_of(it))
     turn.end()
     assert peers["b"].got() == its
-    assert ways[0] == ways[1] and ways[0](under(2, 8)) is None, "it is not of that right"
-    sending.change(peers, tuple(peers.values()))
-    assert all(way(it) is None for way, it in zip(ways, its, strict=True)), "those that were replaced have ended, too"
 
 
 def test_a_way_that_has_ended_keeps_no_session(sending, turn, peers):
-    """Whoever published once may know his way for ever; a session that has ended has megabytes that waited."""
+    """A session that has ended may hold megabytes that wait."""
     sending.send(packet(1))
     sending.send(packet(2, NEIGHBOURS))
     turn.end()
-    known = [sending.way_of(packet(1)), sending.way_of(packet(2, NEIGHBOURS))]
     gone = weakref.ref(peers["b"])
     sending.change({}, ())
     peers.clear()
     gc.collect()
-    assert gone() is None and all(way(packet(3)) is None for way in known)
+    assert gone() is None
 
 
 def test_ways_are_forgotten_where_there_are_too_many(sending, turn, peers):
     sending.send(packet(0))
-    way = sending.way_of(packet(0))
-    for number in range(MOST_WAYS):
+    for number in range(MOST_WAYS + 10):
         sending.send(packet(number, f"c/{number}"))
-    assert way(packet(1)) is None, "it is told of other links no more"
     sending.send(packet(1))
     turn.end()
     assert [it.seq for it in peers["b"].got()] == [0, 1]
+    gc.collect()
+    assert sum(isinstance(it, Way) for it in gc.get_objects()) <= MOST_WAYS
 
 
 def test_no_way_is_made_of_links_that_are_being_replaced():
@@ -274,8 +256,6 @@ def test_no_way_is_made_of_links_that_are_being_replaced():
     sending.change(Links(), ())
     sending.send(packet(1))
     other.join()
-    way = sending.way_of(packet(2))
-    assert way is None
     sending.send(packet(2))
     turn.end()
     assert [it.seq for it in older.got()] == [1] and [it.seq for it in newer.got()] == [2]
@@ -293,16 +273,12 @@ def test_no_way_is_made_of_links_that_are_being_replaced():
     )
 )
 def test_in_whatever_way_a_packet_is_sent_it_arrives_once_and_in_order(its):
-    """By its known way where there is one, as tasks do; the frames are those that were announced (see `Peer`)."""
+    """The frames are those that were announced (see `Peer`)."""
     turn, peers = Turn(), {"b": Peer(), "c": Peer()}
     sending = made(turn, peers)
-    ways = {}
     for seq, (to, size, retry, happens) in enumerate(its):
         it = packet(seq, to, body=bytes(size))
-        way = ways.get(to)
-        if retry or way is None or way(it) is None:
-            sending.send(it, retry)
-            ways[to] = sending.way_of(it)
+        sending.send(it, retry)
         if happens == "turn ends":
             turn.end()
         elif happens == "other links":

@@ -43,15 +43,6 @@ def test_what_is_for_an_agent_that_has_gone_is_counted_and_the_next_life_gets_wh
     assert say(fleet, 5) == [5.0] and say(fleet, 6) == [5.0, 6.0]
 
 
-def test_of_an_agent_that_has_gone_no_exit_is_kept(fleet):
-    exits = fleet.agents["a"].kernel.stream.exits
-    assert say(fleet, 1) == [1.0] and say(fleet, 2) == [1.0, 2.0]
-    assert any(key[-1] == "b" for key in exits)
-    fleet.stop("b")
-    assert fleet.run_until(lambda: not fleet.agents["a"].agent.mesh.connected())
-    assert not any(key[-1] == "b" for key in exits)
-
-
 def test_while_it_is_stopped_nothing_leaves(fleet):
     a = fleet.agents["a"]
     assert say(fleet, 1) == [1.0] and say(fleet, 2) == [1.0, 2.0]
