@@ -27,7 +27,8 @@ from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
 from pancakes.migration.rest import resting
-from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
+from pancakes.net.link_log import DROPS_REPORTED_EVERY_S
+from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins

@@ -270,7 +270,7 @@ class _Pipe:
 
     def quality(self) -> Quality:
         network = self.network
-        return network.default if self.exempt or not network.qualities else network.quality(*self.agents)
+        return network.default if self.exempt else network.quality(*self.agents)
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""
@@ -313,30 +313,24 @@ class _End(Connection):
     def send(self, data: bytes) -> int:
         if self._closing or not data:
             return self._unsent
-        network = self._network
-        # Where nothing is said of any two agents, which is the usual case, without a call.
-        quality = self._pipe.quality() if network.qualities else network.default
-        now = network.now
+        network, quality = self._network, self._pipe.quality()
         if quality.bytes_per_s == math.inf:
-            self._send_part(data, now(), quality)
+            self._send_part(data, network.now(), quality)
             return self._unsent
         # A slow stream trickles: the other side hears something all the time, not everything at the end.
         part_bytes = max(1, int(quality.bytes_per_s * _TRICKLE_S))
         self._unsent += len(data)
         for start in range(0, len(data), part_bytes):
             part = data[start : start + part_bytes]
-            self._free_s = max(self._free_s, now()) + len(part) / quality.bytes_per_s
+            self._free_s = max(self._free_s, network.now()) + len(part) / quality.bytes_per_s
             network.call_at(self._free_s, partial(self._left, len(part)))
             self._send_part(part, self._free_s, quality)
         return self._unsent
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
         network = self._network
-        arrival_s = left_s + (network.travel_s(quality) if quality.jitter_s else quality.latency_s)
-        if arrival_s < self._arrival_s:
-            arrival_s = self._arrival_s
-        self._arrival_s = arrival_s
-        if (network.partitions or self._pipe.cut) and self._pipe.is_cut():
+        arrival_s = self._arrival_s = max(self._arrival_s, left_s + network.travel_s(quality))
+        if self._pipe.is_cut():
             return
         other = self.other
         if arrival_s == other.coming_s:
@@ -344,8 +338,7 @@ class _End(Connection):
             return
         other.coming, other.coming_s = [data], arrival_s
         other.on_the_way.append(other.coming)
-        call_at = network.call_at
-        call_at(arrival_s, other.arrive)
+        network.call_at(arrival_s, other.arrive)
 
     def unsent(self) -> int:
         return self._unsent
@@ -368,7 +361,7 @@ class _End(Connection):
         parts = self.on_the_way.popleft()
         if parts is self.coming:
             self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
-        if self._closing or ((self._network.partitions or self._pipe.cut) and self._pipe.is_cut()):
+        if self._closing or self._pipe.is_cut():
             return
         if self._handler is not None:
             self._handler.received(parts[0] if len(parts) == 1 else b"".join(parts))

@@ -27,6 +27,10 @@ MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.net.places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""
 FORGET_AFTER: Final = 20
 """A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
 
@@ -113,6 +117,7 @@ class Peers:
         self._up: dict[str, _Candidate] = {}
         self._asleep: dict[str, float] = {}
         self._last_link = 0
+        self._beacons = 0
 
     def new_link(self) -> int:
         """Returns a number for a connection that came in."""
@@ -137,6 +142,16 @@ class Peers:
             for _, candidate in sorted(self._up.items())
             if candidate.hello.listen and candidate.hello.role != "client"
         )
+
+    def beacon(self) -> tuple[str, ...]:
+        """Returns the addresses of the next beacon: this agent's own, and some of those to tell others."""
+        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
+        others = self.gossip()
+        if len(others) > BEACON_ADDRESSES:
+            first = self._beacons * BEACON_ADDRESSES % len(others)
+            others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        return ((own,) if own else ()) + others
 
     def describe(self) -> list[dict[str, Any]]:
         """Returns each known address with what is known of it."""

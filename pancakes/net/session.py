@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import msgspec
 
@@ -18,7 +18,7 @@ from pancakes.net.transport import Connection
 from pancakes.wire.framing import frame
 from pancakes.wire.link import Link
 from pancakes.wire.messages import Hello
-from pancakes.wire.runs import framed_run, run_of
+from pancakes.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
@@ -125,6 +125,29 @@ class Session:
         """Address of the other end, for messages to people."""
         return self._remote
 
+    @property
+    def role(self) -> str:
+        """The peer's role; empty where the link is not up yet."""
+        return self.hello.role if self.hello is not None else ""
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the state of the link as plain values. From any thread."""
+        counters, hello = self.counters, self.hello
+        return {
+            "name": self.peer,
+            "role": self.role,
+            "address": hello.listen if hello is not None else "",
+            "remote": self.remote,
+            "boot": hello.boot if hello is not None else 0,
+            "rtt_s": self.link.rtt_s if self.link is not None else None,
+            "packets_out": counters.packets_out,
+            "packets_in": counters.packets_in,
+            "bytes_out": counters.bytes_out,
+            "bytes_in": counters.bytes_in,
+            "dropped": dict(sorted(counters.dropped.items())),
+            "waiting": self.waiting(),
+        }
+
     def stood_up(self, hello: Hello, counters: Counters) -> None:
         """The link to the agent that said `hello` is up: from now on packets may be offered."""
         self.hello, self.peer = hello, hello.name
@@ -170,14 +193,10 @@ class Session:
             if self._unsent() <= MOST_UNSENT_BYTES:
                 self._write(frame([message]))
 
-    def send(self, trains: Sequence[Train], data: bytes = b"") -> None:
+    def send(self, trains: Sequence[Train]) -> None:
         """Sends what one turn has for this peer, at once. From any thread.
 
-        Who finds `congested` set must `offer` instead; what was published before that goes before what waits.
-
-        Args:
-            trains: the packets.
-            data: all of them as a frame, if it is there already.
+        A thread that finds `congested` set must `offer` instead; what it published before goes before what waits.
         """
         with self._lock:
             if self._closed:
@@ -188,8 +207,7 @@ class Session:
             for train in trains:
                 packets += len(train.rows)
                 retries += train.retries
-            if not data:
-                data = frame([train.message() for train in sorted(trains, key=_comes_first)])
+            data = frame([train.message() for train in sorted(trains, key=_comes_after)])
             self._write(data, packets, packets - retries)
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
@@ -208,7 +226,7 @@ class Session:
                     self.counters.drop(channel)
                     raise
             else:
-                self._write(framed_run(message.head, [message.data], len(message.data)), 1, message.counts)
+                self._write(frame([run_of(message.head, [message.data])]), 1, message.counts)
 
     def end(self, reason: str) -> None:
         """Closes the connection once what it was given is sent."""
@@ -258,26 +276,22 @@ class Session:
 
     def _write(self, data: bytes, packets: int = 0, counted: int = 0) -> None:
         """Writes frames. Under the lock."""
-        connection, link, counters = self._connection, self.link, self.counters
-        if connection is None:
+        if self._connection is None:
             return
-        unsent = connection.send(data)
-        length = len(data)
-        self._written += length
-        counters.packets_out += packets
-        counters.bytes_out += length
-        self.counted += counted
-        if link is not None:
-            now = self._now
-            link.sent_s = now()
-        if unsent:
+        if self._connection.send(data):
             self.congested = True
+        self._written += len(data)
+        self.counters.packets_out += packets
+        self.counters.bytes_out += len(data)
+        self.counted += counted
+        if self.link is not None:
+            self.link.sent_s = self._now()
 
     def _unsent(self) -> int:
         return self._connection.unsent() if self._connection is not None else 0
 
 
-def _comes_first(train: Train) -> bool:
+def _comes_after(train: Train) -> bool:
     return train.channel not in FIRST
 
 

@@ -18,7 +18,8 @@ from pancakes.net.mesh import Mesh
 from pancakes.net.tcp import TcpTransport
 from pancakes.net.transport import Connection, Transport
 from pancakes.packet import Packet
-from pancakes.wire.link import LinkTimes
+from pancakes.wire.framing import frame
+from pancakes.wire.link import Action, Learnt, Link, LinkTimes, Met, Over, Received, Send, Up
 from pancakes.wire.messages import Identity, Role
 
 PATIENCE_S = 20.0
@@ -88,6 +89,12 @@ class TcpRig:
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
 
+    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link."""
+        peer = BarePeer(self.clock.now, name, **more)
+        self.transport(name).dial(to.mesh.listen, peer)
+        return peer
+
     def close(self) -> None:
         for transport in self._transports:
             transport.close()
@@ -121,8 +128,75 @@ class MemoryRig:
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
 
+    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link."""
+        peer = BarePeer(self.clock.now, name, **more)
+        self.transport(name).dial(to.mesh.listen, peer)
+        return peer
+
     def close(self) -> None:
         pass
+
+
+class BarePeer:
+    """A peer that is nothing but a link: it keeps a link up, and writes down what the other side does.
+
+    Args:
+        now: the host clock.
+        name: its name.
+        listen: the address that it names in its hello; nothing listens there.
+        role: its role.
+        journal: its journal; empty: one of its own.
+        boot: the boot of that journal.
+    """
+
+    def __init__(
+        self,
+        now: Callable[[], float],
+        name: str,
+        listen: str = "",
+        role: Role = "agent",
+        journal: str = "",
+        boot: int = 1,
+    ) -> None:
+        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listen)
+        self.told: list[tuple[str, ...]] = []
+        self.packets: list[Packet] = []
+        self.is_up = False
+        self.over: Over | None = None
+        self.closed_for: list[str] = []
+        self._now = now
+
+    def opened(self, connection: Connection) -> None:
+        self.connection = connection
+        self.link = Link(self.own, LinkTimes(), self._now())
+        self.act(self.link.open(self._now()))
+
+    def received(self, data: bytes) -> None:
+        self.act(self.link.receive(data, self._now()))
+
+    def closed(self, reason: str) -> None:
+        self.closed_for.append(reason)
+
+    def send(self, *messages: bytes) -> None:
+        self.connection.send(frame(messages))
+
+    def act(self, actions: Sequence[Action]) -> None:
+        for action in actions:
+            match action:
+                case Send(message):
+                    self.send(message)
+                case Met(hello) if self.own.name < hello.name:
+                    self.act(self.link.admit(self._now()))
+                case Up():
+                    self.is_up = True
+                case Learnt(addresses):
+                    self.told.append(addresses)
+                case Received(packets):
+                    self.packets.extend(packets)
+                case Over():
+                    self.over = action
+                    self.connection.close(action.reason)
 
 
 class Ear:
