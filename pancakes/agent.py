@@ -50,7 +50,7 @@ from pancakes.services.wanted_recording import WantedRecording
 from pancakes.settings import make_settings
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Hello, Identity
+from pancakes.wire.link_messages import Hello, Identity
 
 FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
 """Services of these classes start before all others, in this order; the tasks of the user need them."""

@@ -14,7 +14,7 @@ from pancakes.cli.bodies import BadBody, body_of
 from pancakes.control import Stop
 from pancakes.demo.record import read_events
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.journal.entry import Entry, Unbelievable, seal, unseal
+from pancakes.journal.seal import JournalEntry, Unbelievable, seal, unseal
 from pancakes.migration.record import Record
 from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
@@ -39,7 +39,7 @@ def test_of_a_journal_and_of_a_hand_off(thing: Any):
 
 
 def test_in_the_file_of_a_journal():
-    sealed = seal("journal", Entry("task", "T", b""))
+    sealed = seal("journal", JournalEntry("task", "T", b""))
     digests = [sha256(sealed[end:]).digest() for end in range(len(sealed))]
     begin = next(end for end, digest in enumerate(digests) if sealed[:end].endswith(digest))
     magic = sealed[: begin - len(digests[0])]

@@ -22,7 +22,7 @@ from pancakes.net.transport import Transport
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries, runtime_dir
 from pancakes.suggestion import suggestion
-from pancakes.wire.messages import Hello
+from pancakes.wire.link_messages import Hello
 
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of who gave them."""

@@ -12,7 +12,7 @@ from typing import Any, Final
 from pancakes.errors import PancakesError
 from pancakes.net.session import Session
 from pancakes.wire.link import Over
-from pancakes.wire.messages import Hello
+from pancakes.wire.link_messages import Hello
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
 """The log names a slow peer at most that often, in seconds of host time."""

@@ -6,9 +6,9 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-from pancakes.net.outbox import CountersOfAll
+from pancakes.net.send_buffer import CountersOfAll
 from pancakes.net.session import Session
-from pancakes.wire.messages import Hello
+from pancakes.wire.link_messages import Hello
 
 
 class Links:

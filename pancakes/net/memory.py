@@ -16,7 +16,7 @@ from typing import Final, Protocol
 
 from pancakes.address import parse_address
 from pancakes.errors import PancakesError
-from pancakes.net.transport import Connection, Handler, Scheduled, Transport
+from pancakes.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_FREE_PORT: Final = 49_152
 _TRICKLE_S: Final = 0.05  # of sending go into one portion, where the rate is limited
@@ -79,7 +79,7 @@ class MemoryNetwork:
         self.default = quality or Quality()
         self.qualities: dict[tuple[str, str], Quality] = {}
         self.partitions: list[_Partition] = []
-        self._listeners: dict[str, tuple[MemoryTransport, Callable[[], Handler]]] = {}
+        self._listeners: dict[str, tuple[MemoryTransport, Callable[[], ConnectionHandler]]] = {}
         self._exempt: dict[str, None] = {}
         self._pipes: dict[_Pipe, None] = {}
         self._next_port = _FIRST_FREE_PORT
@@ -163,7 +163,7 @@ class MemoryNetwork:
             return quality.latency_s + self._random.uniform(0.0, quality.jitter_s)
         return quality.latency_s
 
-    def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], ConnectionHandler]) -> str:
         """See `Transport.listen`."""
         try:
             parts = parse_address(address)
@@ -177,7 +177,7 @@ class MemoryNetwork:
         self._listeners[address] = (owner, accept)
         return address
 
-    def dial(self, address: str, owner: MemoryTransport, handler: Handler) -> None:
+    def dial(self, address: str, owner: MemoryTransport, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
         found = self._listeners.get(address)
         exempt = address in self._exempt
@@ -226,14 +226,14 @@ class MemoryTransport(Transport):
 
     def __init__(self, network: MemoryNetwork, agent: str) -> None:
         self.agent = agent
-        self.dials: dict[Handler, None] = {}
+        self.dials: dict[ConnectionHandler, None] = {}
         self._network = network
         self._closed = False
 
-    def listen(self, address: str, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         return self._network.listen(address, self, accept)
 
-    def dial(self, address: str, handler: Handler) -> None:
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
         if not self._closed:
             self._network.dial(address, self, handler)
 
@@ -295,7 +295,7 @@ class _End(Connection):
         self.owner = owner
         self._pipe = pipe
         self._network = pipe.network
-        self._handler: Handler | None = None
+        self._handler: ConnectionHandler | None = None
         self._closing = False
         self._closed = False
         self._unsent = 0
@@ -306,7 +306,7 @@ class _End(Connection):
         self.on_the_way: deque[list[bytes]] = deque()  # the order is kept, so what was sent first arrives next
         self.arrive = self._arrived  # bound once, not for each
 
-    def begin(self, handler: Handler) -> None:
+    def begin(self, handler: ConnectionHandler) -> None:
         self._handler = handler
         handler.opened(self)
 

@@ -19,20 +19,20 @@ from pancakes.net.links import Links
 from pancakes.net.peers import Admit, Decision, Dial, Peers
 from pancakes.net.sending import Sending
 from pancakes.net.session import Session, Unwanted
-from pancakes.net.transport import Handler, Transport
+from pancakes.net.transport import ConnectionHandler, Transport
 from pancakes.packet import Packet, agent_of
 from pancakes.wire.link import (
     Action,
+    Greeted,
     Learnt,
     Link,
     LinkTimes,
-    Met,
     Over,
-    Received,
-    Send,
+    PacketsReceived,
+    SendMessage,
     Up,
 )
-from pancakes.wire.messages import Goodbye, Hello, Identity
+from pancakes.wire.link_messages import Goodbye, Hello, Identity
 from pancakes.wire.runs import Unfit
 
 MAX_HANDSHAKES: Final = 256
@@ -284,7 +284,7 @@ class Mesh:
         addresses = self._peers.beacon()
         self._links.announced(sum([self._gossip(session, addresses) for session in self._links]))
 
-    def _accept(self) -> Handler:
+    def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
         waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
@@ -383,15 +383,15 @@ class Mesh:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             match action:
-                case Received(packets, size):
+                case PacketsReceived(packets, size):
                     session.counters.packets_in += len(packets)
                     self._call(self._on_packets, session.peer, packets, size)
-                case Send(message):
+                case SendMessage(message):
                     session.send_link(message)
                 case Unfit(packet, reason):
                     session.counters.packets_in += 1
                     self._call(self._on_unfit, session.peer, packet, reason)
-                case Met(hello):
+                case Greeted(hello):
                     self._met(session, hello)
                 case Up():
                     self._stood_up(session)

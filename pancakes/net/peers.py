@@ -17,14 +17,14 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.net.places import Place, machine_of, who_makes_room
+from pancakes.net.client_places import ClientPlace, machine_of, who_makes_room
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Goodbye, Hello, Refusal, fault_of_address
+from pancakes.wire.link_messages import Goodbye, Hello, Refusal, fault_of_address
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
-"""Most clients connected to one agent; see `pancakes.net.places` for the next one."""
+"""Most clients connected to one agent; see `pancakes.net.client_places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
 BEACON_ADDRESSES: Final = 8
@@ -48,7 +48,7 @@ class Admit(msgspec.Struct, frozen=True):
     link: int
 
 
-class Turn(msgspec.Struct, frozen=True):
+class TurnDown(msgspec.Struct, frozen=True):
     """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
 
     link: int
@@ -56,10 +56,10 @@ class Turn(msgspec.Struct, frozen=True):
     reason: str
 
 
-Decision = Dial | Admit | Turn
+Decision = Dial | Admit | TurnDown
 
 
-class _Address(msgspec.Struct):
+class _KnownAddress(msgspec.Struct):
     """An address that can be dialled."""
 
     static: bool
@@ -109,7 +109,7 @@ class Peers:
         self._random = source
         self._times = times
         self._quiet_s = quiet_s
-        self._book = {address: _Address(True, now_s) for address in static if address != own.listen}
+        self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
         self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
         self._met_at: dict[str, int] = {}  # of the candidates that we dialled
@@ -216,15 +216,15 @@ class Peers:
         known = self._up.get(name)
         room: list[Decision] = []
         if known is not None and known.hello.journal != hello.journal:
-            decisions.append(Turn(link, "name", _taken(name, own.name)))
+            decisions.append(TurnDown(link, "name", _taken(name, own.name)))
         elif known is not None and known.hello.boot > hello.boot:
-            decisions.append(Turn(link, "old", f"a later boot of {name} is connected to {own.name}"))
+            decisions.append(TurnDown(link, "old", f"a later boot of {name} is connected to {own.name}"))
         elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
-            decisions.append(Turn(link, "full", full))
+            decisions.append(TurnDown(link, "full", full))
         else:
             decisions.extend(room)
             if known is not None and known.hello.boot < hello.boot:
-                decisions.append(Turn(known.link, "old", f"{name} was started again"))
+                decisions.append(TurnDown(known.link, "old", f"{name} was started again"))
             if own.name < name:
                 if not address and self._dialling(hello.listen):
                     candidate.until_s = now_s + self._times.hold_s
@@ -239,7 +239,7 @@ class Peers:
         if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
             return []
         return [
-            Turn(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
+            TurnDown(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
             for other in self._candidates.values()
             if other.hello.name == mine.hello.name and other.up_s is None and self._own.name < other.hello.name
         ]
@@ -250,7 +250,7 @@ class Peers:
         name = candidate.hello.name
         known = self._up.get(name)
         if known is not None and known.hello.journal != candidate.hello.journal:
-            return [Turn(link, "name", _taken(name, self._own.name))]
+            return [TurnDown(link, "name", _taken(name, self._own.name))]
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
@@ -259,7 +259,7 @@ class Peers:
             known_address.refused = ""
         decisions: list[Decision] = []
         if known is not None:
-            decisions.append(Turn(known.link, "duplicate", f"{name} chose another link"))
+            decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))
         if self._own.name < name:  # it is alive now, so what waited beside it is not needed
             decisions.extend(self.heard(link, now_s))
         return decisions
@@ -341,7 +341,7 @@ class Peers:
         for it in self._book.values():
             it.failures, it.due_s = 0, now_s
 
-    def _wanted(self, address: str, it: _Address) -> bool:
+    def _wanted(self, address: str, it: _KnownAddress) -> bool:
         if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
             return False
         # Whom we met there is still to say whether the link stands, or when to come again.
@@ -357,11 +357,11 @@ class Peers:
         if hello.journal == own.journal:
             if address:
                 self._book[address].ours = True
-            return [Turn(link, "self", f"{own.name} dialled itself")]
+            return [TurnDown(link, "self", f"{own.name} dialled itself")]
         if address:  # the one who dials is the newcomer, and waits to be told
             self._book[address].due_s = now_s + self._times.retry_longest_s
             return []
-        return [Turn(link, "name", _taken(own.name, own.name))]
+        return [TurnDown(link, "name", _taken(own.name, own.name))]
 
     def _full(self, hello: Hello) -> str:
         """Returns why there is no room for one more peer, or an empty string."""
@@ -377,7 +377,7 @@ class Peers:
         if newcomer.hello.role != "client":
             return []
         places = [
-            Place(it.link, it.machine, self._quiet_s(it.link, now_s))
+            ClientPlace(it.link, it.machine, self._quiet_s(it.link, now_s))
             for it in self._up.values()
             if it.hello.role == "client"
         ]
@@ -385,7 +385,7 @@ class Peers:
         if link is None:
             return []
         reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"
-        return [Turn(link, "full", reason)]
+        return [TurnDown(link, "full", reason)]
 
     def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
         """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
@@ -394,7 +394,7 @@ class Peers:
             return [Admit(candidate.link)]
         if candidate.address:  # we dialled while we had a link: needless
             reason = f"{self._own.name} has another link to {candidate.hello.name}, which stays"
-            return [Turn(candidate.link, "duplicate", reason)]
+            return [TurnDown(candidate.link, "duplicate", reason)]
         return []
 
     def _freed(self, address: str, now_s: float) -> None:
@@ -410,7 +410,7 @@ class Peers:
         if it is None:
             if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
                 return False
-            it = self._book[address] = _Address(False, now_s)
+            it = self._book[address] = _KnownAddress(False, now_s)
             self._learnt += 1
         it.name = name or it.name
         return is_new
@@ -426,7 +426,7 @@ class Peers:
         else:
             self._retry(it, now_s)
 
-    def _retry(self, it: _Address, now_s: float) -> None:
+    def _retry(self, it: _KnownAddress, now_s: float) -> None:
         """Puts the next dial off by a random time with a doubling bound: full jitter."""
         doublings = min(max(it.failures - 1, 0), 30)
         bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)

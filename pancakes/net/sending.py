@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import PancakesError
-from pancakes.net.outbox import Message, PeerBusy
+from pancakes.net.send_buffer import Message, PeerBusy
 from pancakes.net.session import BATCH_BYTES, Session, Train
 from pancakes.packet import NEIGHBOURS, Fence, Packet, agent_of
 from pancakes.wire.runs import RowEncoder, head_of

@@ -13,11 +13,11 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
-from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox, PeerBusy
+from pancakes.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.net.transport import Connection
 from pancakes.wire.framing import frame
 from pancakes.wire.link import Link
-from pancakes.wire.messages import Hello
+from pancakes.wire.link_messages import Hello
 from pancakes.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
@@ -60,14 +60,14 @@ class Unwanted:
     """The handler of a connection to an agent that takes none: it only begins, or ends."""
 
     def opened(self, connection: Connection) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         connection.close("this agent takes no connections")
 
     def received(self, data: bytes) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
 
     def closed(self, reason: str) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
 
 
 class Owner(Protocol):
@@ -114,7 +114,7 @@ class Session:
         self._connection: Connection | None = None
         self._remote = address
         self._lock = threading.Lock()
-        self._outbox = Outbox("", self.counters)
+        self._outbox = SendBuffer("", self.counters)
         self._closed = False
         self._written = 0
         self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
@@ -162,12 +162,12 @@ class Session:
     # The transport's callbacks
 
     def opened(self, connection: Connection) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         self._connection, self._remote = connection, connection.remote
         self._owner.session_opened(self)
 
     def received(self, data: bytes) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         self.counters.bytes_in += len(data)
         self._owner.session_received(self, data)
 
@@ -177,7 +177,7 @@ class Session:
             self._pump()
 
     def closed(self, reason: str) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         with self._lock:
             self._closed = True
         self._owner.session_closed(self, reason)

@@ -24,7 +24,7 @@ from pancakes.kernel.guest import Guest
 from pancakes.net.buffers import bound_buffers
 from pancakes.net.loop import Loop
 from pancakes.net.readiness import READ, WRITE
-from pancakes.net.transport import Connection, Handler, Scheduled, Transport
+from pancakes.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _READ_BYTES: Final = 64 * 1024
 """So much is read at a time: what it becomes is handled before it has left the processor's cache. Measured in a flood
@@ -84,7 +84,7 @@ class TcpTransport(Transport):
         self.open: dict[_Socket, None] = {}  # all that `close` has to close, in the order it was opened
         self.read_buffer = memoryview(bytearray(_READ_BYTES))
 
-    def listen(self, address: str, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         sock: socket.socket | None = None
         try:
             family, place = _resolve(*_host_and_port(address))[0]
@@ -105,8 +105,8 @@ class TcpTransport(Transport):
         self.loop.call_later(0.0, listener.begin)
         return _address(sock.getsockname())
 
-    def dial(self, address: str, handler: Handler) -> None:
-        self.loop.call_later(0.0, lambda: _Dial(self, address, handler).begin())
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
+        self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
@@ -133,7 +133,7 @@ class _Socket(ABC):
 class _Listener(_Socket):
     """Takes connections at an address."""
 
-    def __init__(self, transport: TcpTransport, sock: socket.socket, accept: Callable[[], Handler]) -> None:
+    def __init__(self, transport: TcpTransport, sock: socket.socket, accept: Callable[[], ConnectionHandler]) -> None:
         self._transport = transport
         self._sock = sock
         self._make_handler = accept
@@ -163,10 +163,10 @@ class _Listener(_Socket):
         _TcpConnection(self._transport, sock, _address(place), self._make_handler()).begin()
 
 
-class _Dial(_Socket):
+class _Connecting(_Socket):
     """Opens a connection: finds out where a name leads, then tries one place after the other."""
 
-    def __init__(self, transport: TcpTransport, address: str, handler: Handler) -> None:
+    def __init__(self, transport: TcpTransport, address: str, handler: ConnectionHandler) -> None:
         self._transport = transport
         self._address = address
         self._handler = handler
@@ -272,7 +272,7 @@ def _resolve(host: str, port: int, flags: int = 0) -> list[_Place]:
 class _TcpConnection(Connection, _Socket):
     """One connection. `_lock` guards what waits, so that senders and the loop's thread keep the order."""
 
-    def __init__(self, transport: TcpTransport, sock: socket.socket, remote: str, handler: Handler) -> None:
+    def __init__(self, transport: TcpTransport, sock: socket.socket, remote: str, handler: ConnectionHandler) -> None:
         self.remote = remote
         self._transport = transport
         self._sock = sock

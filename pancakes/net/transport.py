@@ -40,7 +40,7 @@ class Connection(ABC):
         """Closes the connection; `reason` is what this side's handler is told. A second call does nothing."""
 
 
-class Handler(Protocol):
+class ConnectionHandler(Protocol):
     """What a user of a connection implements."""
 
     def opened(self, connection: Connection) -> None:
@@ -56,7 +56,7 @@ class Handler(Protocol):
         ...
 
 
-class PacedHandler(Handler, Protocol):
+class PacedHandler(ConnectionHandler, Protocol):
     """A handler that waits for room. A transport calls `drained` on every handler that has it."""
 
     def drained(self) -> None:
@@ -87,7 +87,7 @@ class Transport(ABC):
     def __init__(self, clock: Clock, name: str, settings: Any) -> None: ...
 
     @abstractmethod
-    def listen(self, address: str, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         """Takes connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
 
         Args:
@@ -102,7 +102,7 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def dial(self, address: str, handler: Handler) -> None:
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
         """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
     @abstractmethod

@@ -23,11 +23,11 @@ from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Cause, Fence, Packet, body_class
 from pancakes.weight import weigher
-from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.closed import is_closed
 from pancakes.wire.codec import Seq, Stamp, Text, Word, unsendable
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, array_head
-from pancakes.wire.messages import HELLO_NUMBER, LinkMessage
+from pancakes.wire.link_messages import HELLO_NUMBER, LinkMessage
+from pancakes.wire.packet_bodies import encodable, received_body, unpacked
 
 MAX_ROWS: Final = 65_535
 """Most packets in a run."""
@@ -51,7 +51,7 @@ for which there is no memory.
 """
 
 
-class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
+class PacketRun(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
     """Packets of one source to one destination, of one type on one channel and under one right, in their order.
 
     Attributes:
@@ -71,8 +71,8 @@ class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fi
     rows: msgspec.Raw
 
 
-_FRAME: Final[Callable[[Any], list[Run | LinkMessage]]] = codecs.decoder(
-    Annotated[list[Run | LinkMessage], msgspec.Meta(min_length=1)]
+_FRAME: Final[Callable[[Any], list[PacketRun | LinkMessage]]] = codecs.decoder(
+    Annotated[list[PacketRun | LinkMessage], msgspec.Meta(min_length=1)]
 )
 _Cause = tuple[Text, Seq] | None
 _Row = tuple[Stamp, Seq, _Cause, Any]
@@ -175,7 +175,7 @@ def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
 # Receiving -------------------------------------------------------------------------------------------------------
 
 
-def messages_from_payload(payload: bytes | memoryview) -> list[Run | LinkMessage]:
+def messages_from_payload(payload: bytes | memoryview) -> list[PacketRun | LinkMessage]:
     """Takes a frame's payload apart; what is in a run is decoded by `packets_of`.
 
     Raises:
@@ -202,7 +202,7 @@ def foreign_version(payload: bytes | memoryview, own: int) -> object:
     return None if version == own else version if isinstance(version, int) else "unknown"
 
 
-def packets_of(run: Run) -> tuple[list[Packet], Sequence[Unfit]]:
+def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
     """Returns the packets of a run, whose bodies become the registered class, and those whose bodies do not fit it.
 
     Raises:
@@ -220,14 +220,14 @@ def packets_of(run: Run) -> tuple[list[Packet], Sequence[Unfit]]:
     ], ()
 
 
-def _checked_rows(run: Run) -> list[_Row]:
+def _checked_rows(run: PacketRun) -> list[_Row]:
     """Decodes rows whose bodies may hold anything: with a look at each part of them."""
     rows = _SOME_ROWS(unpacked(run.rows))
     kind, source = run.kind, run.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]
 
 
-def _one_by_one(run: Run) -> tuple[list[Packet], list[Unfit]]:
+def _one_by_one(run: PacketRun) -> tuple[list[Packet], list[Unfit]]:
     """Decodes rows of which one at least has something wrong with it."""
     kind, source = run.kind, run.source
     try:

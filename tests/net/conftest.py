@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 
 from pancakes.clock import Clock, MonotonicClock, VirtualClock
-from pancakes.net.loop import Timer
+from pancakes.net.loop import TimerHandle
 from pancakes.net.memory import MemoryNetwork
 from pancakes.net.mesh import Mesh
 from pancakes.net.tcp import TcpTransport
 from pancakes.net.transport import Connection, Transport
 from pancakes.packet import Packet
 from pancakes.wire.framing import frame
-from pancakes.wire.link import Action, Learnt, Link, LinkTimes, Met, Over, Received, Send, Up
-from pancakes.wire.messages import Identity, Role
+from pancakes.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.wire.link_messages import Identity, Role
 
 PATIENCE_S = 20.0
 
@@ -30,11 +30,11 @@ class Timeline:
 
     def __init__(self) -> None:
         self.clock = VirtualClock()
-        self._heap: list[tuple[float, int, Timer]] = []
+        self._heap: list[tuple[float, int, TimerHandle]] = []
         self._count = 0
 
-    def call_at(self, time_s: float, function: Callable[[], None]) -> Timer:
-        timer = Timer(function)
+    def call_at(self, time_s: float, function: Callable[[], None]) -> TimerHandle:
+        timer = TimerHandle(function)
         self._count += 1
         heapq.heappush(self._heap, (max(time_s, self.clock.now()), self._count, timer))
         return timer
@@ -184,15 +184,15 @@ class BarePeer:
     def act(self, actions: Sequence[Action]) -> None:
         for action in actions:
             match action:
-                case Send(message):
+                case SendMessage(message):
                     self.send(message)
-                case Met(hello) if self.own.name < hello.name:
+                case Greeted(hello) if self.own.name < hello.name:
                     self.act(self.link.admit(self._now()))
                 case Up():
                     self.is_up = True
                 case Learnt(addresses):
                     self.told.append(addresses)
-                case Received(packets):
+                case PacketsReceived(packets):
                     self.packets.extend(packets)
                 case Over():
                     self.over = action

@@ -7,9 +7,19 @@ import random
 
 import pytest
 
-from pancakes.net.peers import FORGET_AFTER, MAX_AGENTS, MAX_CLIENTS, MAX_LEARNT, Admit, Dial, Peers, Turn, reachable
+from pancakes.net.peers import (
+    FORGET_AFTER,
+    MAX_AGENTS,
+    MAX_CLIENTS,
+    MAX_LEARNT,
+    Admit,
+    Dial,
+    Peers,
+    TurnDown,
+    reachable,
+)
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Goodbye, Hello
+from pancakes.wire.link_messages import Goodbye, Hello
 
 
 def hello(name, listen=None, **more):
@@ -84,7 +94,7 @@ def test_our_own_dial_goes_before_the_others():
     assert it.met(theirs, hello("z"), "", 0.1) == [], "it waits"
     assert it.met(mine.link, hello("z"), "tcp://z:1", 0.2) == [Admit(mine.link)]
     (turned,) = it.up(mine.link, 0.2)
-    assert isinstance(turned, Turn) and (turned.link, turned.code) == (theirs, "duplicate")
+    assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (theirs, "duplicate")
 
 
 def test_the_others_dial_is_taken_where_ours_fails():
@@ -317,7 +327,7 @@ def test_a_client_that_only_answers_pings_gives_its_place_to_the_next():
     it = full_of_clients(math.inf)
     link = it.new_link()
     turned, admitted = it.met(link, hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
-    assert isinstance(turned, Turn) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
+    assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
     assert admitted == Admit(link)
 
 

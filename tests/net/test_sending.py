@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.net.outbox import PeerBusy
+from pancakes.net.send_buffer import PeerBusy
 from pancakes.net.sending import MOST_WAYS, Sending, Way
 from pancakes.net.session import BATCH_BYTES
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pancakes.net.session import MOST_UNSENT_BYTES, Session
 from pancakes.net.transport import Connection
 from pancakes.wire.codec import Encoder
-from pancakes.wire.messages import Pong
+from pancakes.wire.link_messages import Pong
 
 
 class Nobody:

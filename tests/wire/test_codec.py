@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from pancakes.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
-from pancakes.wire.bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.messages import HELLO_NUMBER, Hello, Identity, Peers, Ping
+from pancakes.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
+from pancakes.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH
 from pancakes.wire.runs import RowEncoder, head_of, messages_from_payload, packets_of, run_of
 
 
@@ -257,7 +257,7 @@ def test_any_bytes_are_read_or_refused(data):
     [
         Hello(1, "default", "a", "agent", "uuid", 3, "tcp://127.0.0.1:1"),
         Ping(4),
-        Peers(("tcp://a:1", "tcp://b:1")),
+        Gossip(("tcp://a:1", "tcp://b:1")),
     ],
 )
 def test_messages_of_the_link_travel(message):

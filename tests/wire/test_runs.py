@@ -19,14 +19,14 @@ from hypothesis import strategies as st
 from pancakes.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, known_types, packet_type
-from pancakes.wire.bodies import encodable
 from pancakes.wire.closed import is_closed
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.messages import HELLO_NUMBER, Ping
+from pancakes.wire.link_messages import HELLO_NUMBER, Ping
+from pancakes.wire.packet_bodies import encodable
 from pancakes.wire.runs import (
     LONGEST_REASON,
+    PacketRun,
     RowEncoder,
-    Run,
     Unfit,
     foreign_version,
     head_of,
@@ -50,7 +50,7 @@ def payload_of(*packets):
 
 def read(payload):
     """Returns the messages of a link, and for each run its packets and those whose bodies do not fit."""
-    return [_all_of(packets_of(it)) if isinstance(it, Run) else it for it in messages_from_payload(payload)]
+    return [_all_of(packets_of(it)) if isinstance(it, PacketRun) else it for it in messages_from_payload(payload)]
 
 
 def _all_of(found):

@@ -6,11 +6,18 @@ import math
 
 import pytest
 
-from pancakes.net.places import IDLE_S, KEPT_FOR_THIS_MACHINE, THIS_MACHINE, Place, machine_of, who_makes_room
+from pancakes.net.client_places import (
+    IDLE_S,
+    KEPT_FOR_THIS_MACHINE,
+    THIS_MACHINE,
+    ClientPlace,
+    machine_of,
+    who_makes_room,
+)
 
 
 def places(*rows):
-    return [Place(number, machine, quiet_s) for number, (machine, quiet_s) in enumerate(rows)]
+    return [ClientPlace(number, machine, quiet_s) for number, (machine, quiet_s) in enumerate(rows)]
 
 
 def test_the_one_that_was_quiet_longest_makes_room():

@@ -80,7 +80,7 @@ class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """Sent by the lower name, on one connection to a peer at a time: this is the one that stays."""
 
 
-class Refuse(msgspec.Struct, frozen=True, array_like=True, tag=3):
+class RefuseLink(msgspec.Struct, frozen=True, array_like=True, tag=3):
     """The last message on a link that its sender does not want, or no longer wants."""
 
     code: Refusal
@@ -111,13 +111,13 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
     for_s: Duration | None = None
 
 
-class Peers(msgspec.Struct, frozen=True, array_like=True, tag=7):
+class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
     """Gossip: addresses of agents that the sender is connected to, never those of clients."""
 
     addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
 
 
-LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers
+LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip
 
 
 class Identity(msgspec.Struct, frozen=True):

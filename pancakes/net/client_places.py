@@ -25,7 +25,7 @@ KEPT_FOR_THIS_MACHINE: Final = 8
 THIS_MACHINE: Final = "this machine"
 
 
-class Place(msgspec.Struct, frozen=True):
+class ClientPlace(msgspec.Struct, frozen=True):
     """The place of one client.
 
     Attributes:
@@ -55,7 +55,7 @@ def machine_of(remote: str) -> str:
     return THIS_MACHINE if (mapped or address).is_loopback else str(mapped or address)
 
 
-def who_makes_room(machine: str, places: Sequence[Place]) -> int | None:
+def who_makes_room(machine: str, places: Sequence[ClientPlace]) -> int | None:
     """Returns the link of the client whose place a new client gets.
 
     Args:
@@ -77,5 +77,5 @@ def who_makes_room(machine: str, places: Sequence[Place]) -> int | None:
     return None
 
 
-def _quietest(places: Sequence[Place]) -> int:
+def _quietest(places: Sequence[ClientPlace]) -> int:
     return max(places, key=lambda place: place.quiet_s).link
