@@ -31,12 +31,12 @@ class Timeline:
     def __init__(self) -> None:
         self.clock = VirtualClock()
         self._heap: list[tuple[float, int, TimerHandle]] = []
-        self._count = 0
+        self.count = 0
 
     def call_at(self, time_s: float, function: Callable[[], None]) -> TimerHandle:
         timer = TimerHandle(function)
-        self._count += 1
-        heapq.heappush(self._heap, (max(time_s, self.clock.now()), self._count, timer))
+        self.count += 1
+        heapq.heappush(self._heap, (max(time_s, self.clock.now()), self.count, timer))
         return timer
 
     def step(self) -> bool:
@@ -294,7 +294,7 @@ class Agent:
             peers,
             random.Random(name),
             rig.clock,
-            on_packets=lambda peer, packets, size: self._note_all(packets),
+            on_packets=lambda peer, packets, size: self.take(packets),
             on_unfit=lambda *news: self._note(self.unfit, news),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
@@ -309,7 +309,7 @@ class Agent:
         kept.append(news)
         self._rig.note()
 
-    def _note_all(self, packets: Sequence[Packet]) -> None:
+    def take(self, packets: Sequence[Packet]) -> None:
         for packet in packets:
             self._note(self.packets, packet)
 

@@ -171,6 +171,17 @@ def test_another_journal_under_a_connected_name_is_refused_by_either_side():
         assert turned.code == "name" and "name m" in turned.reason
 
 
+@pytest.mark.parametrize("journal", ["a disk", "z disk"])
+def test_another_journal_is_refused_also_where_both_connections_met_before_one_stood(journal):
+    it = peers(own="z")
+    first, second = it.new_link(), it.new_link()
+    it.met(first, hello("m"), "", 0.0)
+    it.met(second, hello("m", journal=journal), "", 0.0)
+    assert it.up(first, 0.1) == []
+    (turned,) = it.up(second, 0.2)
+    assert (turned.link, turned.code) == (second, "name")
+
+
 def test_a_new_journal_is_taken_once_the_old_one_has_gone():
     it = peers()
     it.over(connect(it, "z"), 1.0)
@@ -364,3 +375,14 @@ def test_the_sentence_with_which_an_agent_refuses_us_is_kept_until_it_takes_us()
 )
 def test_who_listens_everywhere_is_dialled_where_it_was_seen(listen, remote, address):
     assert reachable(listen, remote) == address
+
+
+def test_the_end_of_one_link_leaves_the_dials_to_other_agents_alone():
+    it = peers("tcp://a:1", "tcp://b:1")
+    first, second = it.tick(0.0)
+    it.met(first.link, hello("a"), "", 0.0)
+    it.up(first.link, 0.0)
+    it.over(first.link, 5.0, goodbye=Goodbye("stop"))
+    assert it.tick(5.0) == [], "b is being dialled still, and a is left alone for a while"
+    it.over(second.link, 6.0)
+    assert it.due_s() < 7.0

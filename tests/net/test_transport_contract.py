@@ -68,6 +68,8 @@ def test_a_dial_that_fails_is_told_once(rig, ear, nobody):
     rig.until(lambda: here.closed_for)
     assert here.connection is None
     assert len(here.closed_for) == 1 and address in here.closed_for[0]
+    if nobody:
+        assert here.closed_for == [f"{address} cannot be reached: connection refused"]
 
 
 def test_closing_is_told_once_to_each_side(rig, ear):

@@ -275,3 +275,46 @@ def test_a_welcome_is_waited_for_until_an_older_link_may_have_died():
         assert rest(link.tick(now_s)) == []
     link.receive(wire(Ping(2)), 3.9)
     assert link.tick(4.0) == [Over("a did not say welcome in 4 s")]
+
+
+@pytest.mark.parametrize(
+    ("message", "fits"),
+    [
+        ([4, 0], True),
+        ([4, -1], False),
+        ([4, 2**53], True),
+        ([4, 2**53 + 1], False),
+        ([6, "sleep", 0], True),
+        ([6, "sleep", -1.0], False),
+        ([6, "sleep", 1e9], True),
+        ([6, "sleep", 1.1e9], False),
+        ([3, "full", "x" * 1000], True),
+        ([3, "full", "x" * 1001], False),
+        ([7, ["tcp://" + "x" * 248 + ":1"]], True),
+        ([7, ["tcp://" + "x" * 249 + ":1"]], False),
+        ([7, ["tcp://x:1"] * 128], True),
+        ([7, ["tcp://x:1"] * 129], False),
+    ],
+)
+def test_the_parts_of_a_message_have_limits(message, fits):
+    actions = up().receive(frame([msgpack.packb(message)]), 1.0)
+    assert [it for it in actions if isinstance(it, Over) and it.broken] == [] if fits else actions[-1].broken
+
+
+def test_an_address_that_is_none_breaks_the_protocol():
+    over = up().receive(wire(Gossip(("tcp://c:1", "tcp://c d:1"))), 1.0)[-1]
+    assert over.broken and "'tcp://c d:1' is no address" in over.reason
+
+
+def test_a_run_with_a_part_too_many_breaks_the_protocol():
+    message = msgpack.unpackb(run(PACKET))
+    assert up().receive(frame([msgpack.packb(message)]), 1.0) == [received(PACKET)]
+    over = up().receive(frame([msgpack.packb([*message, 1])]), 1.0)[-1]
+    assert isinstance(over, Over) and over.broken
+
+
+def test_a_heartbeat_too_late_is_not_late_yet():
+    """A link that is looked at just one heartbeat after its end is only looked at once more."""
+    link = up()
+    assert link.tick(2.5) == []
+    assert link.tick(2.5)[-1:] == [Over("nothing was heard from b for 2 s")]
