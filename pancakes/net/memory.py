@@ -274,7 +274,7 @@ class _Pipe:
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""
-        if not self.cut and not self.exempt:
+        if self.network.partitions and not self.cut and not self.exempt:
             self.cut = self.network.parted(*self.agents)
         return self.cut
 

@@ -85,6 +85,10 @@ class _Turn:
         """Sends all of it."""
         trains, self._trains, self._size = self._trains, [], 0
         self._last.clear()
+        if len(trains) == 1:
+            for session in trains[0].sessions:
+                session.send(trains)
+            return
         by_session: dict[Session, list[Train]] = {}
         for train in trains:
             for session in train.sessions:

@@ -25,6 +25,8 @@ def frame(messages: Sequence[bytes]) -> bytes:
     Raises:
         LocalProtocolError: a message does not fit a frame.
     """
+    if len(messages) == 1 and len(messages[0]) <= MAX_MESSAGE_BYTES:  # most frames of a dialogue
+        return _LENGTH.pack(len(messages[0]) + 1) + b"\x91" + messages[0]
     parts: list[bytes] = []
     start = length = 0
     for index, message in enumerate(messages):
@@ -69,6 +71,8 @@ class FrameReader:
             RemoteProtocolError: a length of 0 or above the limit was announced. Nothing was kept for it; the
                 reader is of no more use.
         """
+        if not self._rest and len(data) > 4 and _LENGTH.unpack_from(data)[0] == len(data) - 4 <= MAX_PAYLOAD_BYTES:
+            return [memoryview(data)[4:]]  # one whole frame, as most that come
         if self._missing > len(data):  # a long frame arrives in many pieces: join them once, not each time
             self._chunks.append(data)
             self._missing -= len(data)
