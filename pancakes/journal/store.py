@@ -56,7 +56,7 @@ class RecordStore(ABC):
     """Something that makes entries durable, in the order in which they come.
 
     An entry that could not be written is left alone for a while when it comes again, at most for 5 s, and others go
-    before it: so nobody who tries again at once keeps the machine busy, or fills its log.
+    before it: so a caller that tries again at once neither keeps the machine busy nor fills its log.
 
     Args:
         journal: the journal, which is the store's from now on, and is closed with it.
@@ -273,7 +273,7 @@ class VirtualStore(RecordStore):
         self._journal.close()
 
     def crash(self) -> None:
-        """Ends as a power cut does: what waits is never written, and nobody is told."""
+        """Ends as a power cut does: what waits is never written, and no caller is told."""
         self._jobs.clear()
         self._closed = True
         self._journal.close()

@@ -301,7 +301,7 @@ class _End(Connection):
         self._unsent = 0
         self._free_s = 0.0  # when the bytes before have left
         self._arrival_s = 0.0  # of what was sent last
-        self.coming: list[bytes] = []  # what comes in at one time, at once: as it may in a stream
+        self.coming: list[bytes] = []  # the parts that come in at one time are handed over at once, as a stream may
         self.coming_s = -1.0
         self.on_the_way: deque[list[bytes]] = deque()  # the order is kept, so what was sent first arrives next
         self.arrive = self._arrived  # bound once, not for each

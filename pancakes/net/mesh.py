@@ -52,7 +52,7 @@ class Mesh:
     `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
 
     Args:
-        identity: who this agent is.
+        identity: name, journal, fleet and role of this agent.
         transport: how bytes travel.
         listen: address to listen at; empty for none (a client).
         peers: addresses that are always dialled.
@@ -112,7 +112,7 @@ class Mesh:
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
 
-    # For everybody
+    # From any thread
 
     @property
     def listen(self) -> str:
@@ -159,13 +159,13 @@ class Mesh:
         self._transport.call_later(0.0, lambda: self._learn(named))
 
     def redial(self) -> None:
-        """Dials all known addresses now at which nobody is connected, instead of when their next attempt is due."""
+        """Dials all known addresses now at which no agent is connected, instead of when their next attempt is due."""
         self._transport.call_later(0.0, self._redial)
 
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
-        Who dials in the meantime is told the same. It lasts until `wake`.
+        An agent that dials in the meantime is told the same. It lasts until `wake`.
         """
         self._transport.call_later(0.0, lambda: self._sleep(for_s))
 
@@ -425,7 +425,7 @@ class Mesh:
         addresses = self._peers.gossip()
         for first in range(0, len(addresses), GOSSIP_ADDRESSES):
             self._gossip(session, addresses[first : first + GOSSIP_ADDRESSES])
-        # Who was found by what others have said is known to those, and who comes hears of all and dials them.
+        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
         if hello.listen and hello.role != "client" and self._peers.is_news(session.number):
             for other in self._links:
                 self._gossip(other, (hello.listen,))

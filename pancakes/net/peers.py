@@ -65,7 +65,7 @@ class _KnownAddress(msgspec.Struct):
     static: bool
     due_s: float
     name: str = ""  # of the agent that was last met there
-    link: int | None = None  # of the dial under way, until it has met somebody or failed
+    link: int | None = None  # of the dial under way, until a peer said hello there, or it failed
     failures: int = 0
     ours: bool = False  # it is this agent's own
     refused: str = ""  # why the agent there will not have us, in its words
@@ -78,7 +78,7 @@ class _Candidate(msgspec.Struct):
     hello: Hello
     address: str  # that we dialled, or empty
     machine: str  # where it is
-    is_news: bool  # nobody had named the address at which it listens
+    is_news: bool  # no peer had named the address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
 
@@ -281,7 +281,7 @@ class Peers:
             refused: why it was refused, by either side.
             goodbye: what the peer said, if it left on purpose.
             broken: whether it broke the protocol.
-            refusal: the peer's sentence, where it was the peer who refused.
+            refusal: the peer's sentence, where the peer refused.
         """
         hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
@@ -333,7 +333,7 @@ class Peers:
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
-        """Returns whether a peer listens where nobody had said that somebody does: others may not know it either."""
+        """Returns whether no peer had named the address of this one: others may not know it either."""
         return self._candidates[link].is_news
 
     def redial(self, now_s: float) -> None:
@@ -344,7 +344,7 @@ class Peers:
     def _wanted(self, address: str, it: _KnownAddress) -> bool:
         if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
             return False
-        # Whom we met there is still to say whether the link stands, or when to come again.
+        # The peer that we met there has still to say whether the link stands, or when to dial again.
         return address not in self._met_at
 
     def _dialling(self, listen: str) -> bool:
@@ -358,7 +358,7 @@ class Peers:
             if address:
                 self._book[address].ours = True
             return [TurnDown(link, "self", f"{own.name} dialled itself")]
-        if address:  # the one who dials is the newcomer, and waits to be told
+        if address:  # the agent that dials is the newcomer, and waits to be told
             self._book[address].due_s = now_s + self._times.retry_longest_s
             return []
         return [TurnDown(link, "name", _taken(own.name, own.name))]

@@ -41,7 +41,7 @@ Key = tuple[str, str, str]
 
 
 class PeerBusy(MailboxFull):
-    """The window of a (peer, channel) is full: the packet was given to nobody, the publisher may try again."""
+    """The window of a (peer, channel) is full: the packet went to no peer, and the publisher may try again."""
 
 
 class Counters(msgspec.Struct):

@@ -25,8 +25,8 @@ BATCH_BYTES: Final = 16 * 1024
 one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
 """
 MOST_UNSENT_BYTES: Final = 512 * 1024
-"""Where more waits in the connection, the link itself has nothing more to say: who sends pings all the time and takes
-next to nothing of the answers must not fill the memory.
+"""Where more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
+and takes next to nothing of the answers must not fill the memory.
 """
 
 

@@ -110,7 +110,7 @@ class Transport(ABC):
         """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
 
     def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Lets this transport's thread give the turns of those to whom it has brought something.
+        """Lets this transport's thread give turns to the actors that it has brought something.
 
         A transport that has no thread of its own, or would rather not, need not do anything.
 

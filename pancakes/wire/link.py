@@ -7,7 +7,7 @@ came back before the other noticed that it had gone), so one of them chooses: th
 `Welcome` on the connection that stays, and only then do packets flow, on either side. No packet is ever sent
 on a connection that will be given up for another, so none is lost or overtaken.
 
-Who does the sending, and where the time comes from, is the caller's business.
+The caller sends, and says what time it is.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class Link:
         state: where it is.
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
-        sent_s: when something was last sent, which makes a heartbeat needless; set by who sends packets, in any thread.
+        sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float) -> None:
@@ -183,7 +183,7 @@ class Link:
         Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
         as many heartbeats.
         """
-        # Who waits for the other's pings measures nothing: first the round trip is to be known.
+        # A side that waits for the other's pings measures nothing: the round trip is to be known first.
         patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
         self._quiet_s = self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 

@@ -32,7 +32,7 @@ peers. `protocol`: the peer broke the protocol.
 """
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
-"""Of anybody; what a name may be `fault_of_hello` says, in words."""
+"""Of an agent or a fleet; `fault_of_hello` checks its letters."""
 Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -40,7 +40,7 @@ Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
-    """The first message on a link, from both sides: who I am.
+    """The first message on a link, from both sides: what its sender is.
 
     Attributes:
         version: version of the wire protocol.
@@ -81,7 +81,7 @@ class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
 
 
 class RefuseLink(msgspec.Struct, frozen=True, array_like=True, tag=3):
-    """The last message on a link that its sender does not want, or no longer wants."""
+    """The last message on a link that its sender does not want."""
 
     code: Refusal
     reason: Sentence
@@ -121,7 +121,7 @@ LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Who an agent is, for its links; see `Hello` for the attributes."""
+    """What an agent is, for its links; see `Hello` for the attributes."""
 
     name: str
     journal: str

@@ -1,7 +1,7 @@
 """What the body of a packet may hold, and what it becomes on the wire.
 
-What cannot travel is an error at the one who publishes; what does not fit its class is found where it arrives, and
-costs that packet. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
+A value that cannot travel is an error at its publisher. A body that does not fit its class costs that packet, where it
+arrives. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
 extension type (`pancakes.arrays`).
 """
 
