@@ -1,7 +1,7 @@
 """How a thread waits for packets: asleep, or awake for a moment where the next ones come at once (busy polling).
 
-To sleep and to be woken costs more than a packet: the processor halts, and finds its caches cold when it goes on. So two
-tasks that answer each other across two processes are about three times as quick where both sides stay awake. For
+To sleep and to be woken costs more than a packet: the processor halts, and finds its caches cold when it goes on. So
+two tasks that answer each other across two processes are about three times as quick where both sides stay awake. For
 packets at longer intervals the thread waits asleep, so that a battery pays for no more than that.
 """
 
@@ -29,8 +29,8 @@ Ready = list[tuple[int, int]]
 class BusyPoll:
     """Waits until sockets are ready.
 
-    It gives way to any other process that wants the core, so that agents that share cores cost each other nothing. Where
-    the system knows no way to give way, it always sleeps.
+    It gives way to any other process that wants the core, so that agents that share cores cost each other nothing.
+    Where the system knows no way to give way, it always sleeps.
 
     Args:
         poll: waits for sockets, so many seconds or, with None, for ever.

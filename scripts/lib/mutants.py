@@ -56,7 +56,7 @@ class Mutant:
         """Returns the lines that the change removes and those that it adds, without the space around them."""
         lines = list(difflib.ndiff(self.before.splitlines(), self.after.splitlines()))
         removed, added = ([line[2:].strip() for line in lines if line.startswith(mark)] for mark in ("- ", "+ "))
-        return " ".join(removed), " ".join(added)
+        return " ".join(filter(None, removed)), " ".join(filter(None, added))
 
     def diff(self) -> str:
         """Returns the change as a unified diff."""

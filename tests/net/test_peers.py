@@ -133,6 +133,22 @@ def test_a_second_connection_is_taken_when_the_first_dies():
     assert it.over(first, 2.0) == [Admit(second)]
 
 
+def test_of_two_connections_that_wait_the_newest_is_taken():
+    it = peers()
+    first, second, third = connect(it, "z"), it.new_link(), it.new_link()
+    it.met(second, hello("z"), "", 1.0)
+    it.met(third, hello("z"), "", 1.1)
+    assert it.over(first, 2.0) == [Admit(third)]
+
+
+def test_no_dial_is_due_before_the_last_one_failed():
+    for seed in range(20):
+        it = peers("tcp://a:1", seed=seed)
+        (dial,) = it.tick(0.0)
+        it.over(dial.link, 7.0)
+        assert 7.0 <= it.due_s() <= 7.1
+
+
 def test_a_dial_of_our_own_beside_a_link_is_needless():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
