@@ -30,6 +30,9 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "scripts" / "lib" / "mutants.toml"
+KILLED, TOO_LONG, SURVIVES = "killed", "killed, as it took too long", "SURVIVES"
+NO_TESTS = 5
+"""The exit code of pytest where it found no test."""
 MEMORY_BYTES = 6 * 1024**3
 """A mutant that allocates without end fails at this size."""
 
@@ -217,8 +220,8 @@ class Tree:
                         traces[name].lines.setdefault(file, set()).add(int(line))
         return list(traces.values()), notes["failed"]
 
-    def kills(self, mutant: Mutant, tests: Sequence[Trace]) -> bool:
-        """Returns whether one of some tests notices a mutant."""
+    def verdict(self, mutant: Mutant, tests: Sequence[Trace]) -> str:
+        """Returns what some tests say of a mutant: `KILLED`, `TOO_LONG` or `SURVIVES`."""
         file = self.root / mutant.file
         self._write(file, mutant.after)
         try:
@@ -226,7 +229,8 @@ class Tree:
             order = [test.test for test in tests]
             files = list(dict.fromkeys(name.partition("::")[0] for name in order))
             limit_s = self._patience_s + 3.0 * seconds
-            return self._pytest(files, {"MUTANTS_ORDER": json.dumps(order)}, limit_s) not in (0, 5)
+            code = self._pytest(files, {"MUTANTS_ORDER": json.dumps(order)}, limit_s)
+            return TOO_LONG if code is None else SURVIVES if code in (0, NO_TESTS) else KILLED
         finally:
             self._write(file, mutant.before)
 
@@ -293,10 +297,10 @@ def main() -> int:
             finally:
                 trees.put(tree)
 
-        def judge(mutant: Mutant) -> bool:
+        def judge(mutant: Mutant) -> str:
             tree = trees.get()
             try:
-                return tree.kills(mutant, tests_for(mutant, traces))
+                return tree.verdict(mutant, tests_for(mutant, traces))
             finally:
                 trees.put(tree)
 
@@ -307,13 +311,14 @@ def main() -> int:
                 print(f"left out, as it fails without a mutant: {name}", flush=True)
         print(f"{len(traces)} tests, {len(mutants)} mutants of {options.area} (seed {options.seed})", flush=True)
         killed = same = 0
-        for number, (mutant, dead) in enumerate(zip(mutants, pool.map(judge, mutants), strict=True), 1):
+        for number, (mutant, verdict) in enumerate(zip(mutants, pool.map(judge, mutants), strict=True), 1):
             equal = next((it for it in equals if it.is_of(mutant)), None)
-            killed += dead or equal is not None
-            same += not dead and equal is not None
-            state = "killed" if dead else f"equal to the original: {equal.why}" if equal is not None else "SURVIVES"
-            print(f"{number:4} {mutant.file}:{mutant.start} {state}", flush=True)
-            if not dead and equal is None:
+            if verdict == SURVIVES and equal is not None:
+                verdict = f"equal to the original: {equal.why}"
+                same += 1
+            killed += verdict != SURVIVES
+            print(f"{number:4} {mutant.file}:{mutant.start} {verdict}", flush=True)
+            if verdict == SURVIVES:
                 print(mutant.diff() + "\n", flush=True)
     print(f"{options.area}: {killed} of {len(mutants)} killed, {same} of these equal to the original")
     return 0 if killed >= 0.9 * len(mutants) else 1

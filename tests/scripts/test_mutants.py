@@ -54,7 +54,7 @@ def mutants() -> ModuleType:
 
 @pytest.fixture
 def tree(mutants, tmp_path):
-    """A copy of a small project, whose tests may take two seconds longer than they should."""
+    """Makes a copy of a small project, whose tests may take so much longer than they should."""
     project = tmp_path / "project"
     for name, text in {FILE: TEXT, "area/__init__.py": "", "test_sums.py": TESTS, "setup.cfg": ""}.items():
         (project / name).parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def tree(mutants, tmp_path):
     subprocess.run(["git", "init", "-q", str(project)], check=True)
     place = tmp_path / "place"
     place.mkdir()
-    return mutants.Tree(project, place, patience_s=2.0)
+    return lambda patience_s=60.0: mutants.Tree(project, place, patience_s)
 
 
 def mutant_of(mutants, line: int, old: str, new: str):
@@ -76,19 +76,21 @@ def trace_of(mutants, test: str, seconds: float, *lines: int):
 
 def test_a_mutant_that_a_test_notices_is_killed_and_any_other_survives(mutants, tree):
     tests = [trace_of(mutants, "test_sums.py::test_doubles", 0.0, 5)]
-    assert tree.kills(mutant_of(mutants, 7, "* 2", "* 3"), tests)
-    assert not tree.kills(mutant_of(mutants, 7, "* 2", "+ 2"), tests)
-    assert (tree.root / FILE).read_text() == TEXT
+    copy = tree()
+    assert copy.verdict(mutant_of(mutants, 7, "* 2", "* 3"), tests) == mutants.KILLED
+    assert copy.verdict(mutant_of(mutants, 7, "* 2", "+ 2"), tests) == mutants.SURVIVES
+    assert (copy.root / FILE).read_text() == TEXT
 
 
 def test_a_mutant_that_never_ends_is_killed(mutants, tree):
     tests = [trace_of(mutants, "test_sums.py::test_counts", 0.0, 12)]
-    assert tree.kills(mutant_of(mutants, 14, "found += 1", "found -= 1"), tests)
+    endless = mutant_of(mutants, 14, "found += 1", "found -= 1")
+    assert tree(patience_s=5.0).verdict(endless, tests) == mutants.TOO_LONG
 
 
 def test_a_trace_names_the_lines_that_each_test_runs(mutants, tree):
     pytest.importorskip("coverage")
-    traces, failed = tree.trace("test_sums.py", [FILE])
+    traces, failed = tree().trace("test_sums.py", [FILE])
     lines = {trace.test: trace.lines[FILE] for trace in traces}
     assert not failed
     assert lines["test_sums.py::test_doubles"] & {5, 6, 7} and 13 not in lines["test_sums.py::test_doubles"]
@@ -119,7 +121,8 @@ def test_annotations_are_no_place_for_a_mutant(mutants):
 
 def test_mutants_are_drawn_by_their_seed(mutants, tree):
     pytest.importorskip("cosmic_ray")
-    drawn = [mutants.draw(tree.root, [FILE], 5, mutants.random.Random(seed)) for seed in (1, 1, 2)]
+    root = tree().root
+    drawn = [mutants.draw(root, [FILE], 5, mutants.random.Random(seed)) for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2]
     assert len({mutant.after for mutant in drawn[0]}) == 5
     assert all("int | None" in mutant.after for mutants_ in drawn for mutant in mutants_)
