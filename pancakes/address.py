@@ -1,4 +1,4 @@
-"""Addresses of agents, as a configuration writes them: `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`."""
+"""Addresses of agents: `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`, and paths on this computer, `unix:///run/robot1`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import re
 import msgspec
 
 _ADDRESS = re.compile(
-    r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?:\[(?P<six>[^\[\]]*)\]|(?P<host>[^\[\]:/@\s]*))(?::(?P<port>[^:/\s]*))?"
+    r"(?P<scheme>[a-z][a-z0-9+.-]*)://"
+    r"(?:(?P<path>/[A-Za-z0-9._/+-]+)|(?:\[(?P<six>[A-Za-z0-9:._%-]*)\]|(?P<host>[^\[\]:/@\s]*))(?::(?P<port>[^:/\s]*))?)"
 )
 _HOST = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9._-]*[A-Za-z0-9_.])?")
 
@@ -19,11 +20,18 @@ class Address(msgspec.Struct, frozen=True):
         scheme: the name of the transport.
         host: a name or number; an IPv6 number without its brackets.
         port: 0 to 65535; 0 asks for a free one.
+        path: a path on this computer, in the place of host and port.
     """
 
     scheme: str
-    host: str
-    port: int
+    host: str = ""
+    port: int = 0
+    path: str = ""
+
+    @property
+    def any_port(self) -> bool:
+        """Whether it asks for a free port, so that no other agent can dial it."""
+        return not self.port and not self.path
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -34,6 +42,8 @@ class Address(msgspec.Struct, frozen=True):
         """Whether only this computer can reach it."""
         from ipaddress import ip_address
 
+        if self.path:
+            return True
         try:
             return ip_address(self.host.partition("%")[0]).is_loopback
         except ValueError:
@@ -52,6 +62,8 @@ def parse_address(text: str) -> Address:
         if bare.count(":") > 1 and "[" not in bare:
             raise ValueError(f"{text!r} is no address: an IPv6 host stands in brackets, such as tcp://[::1]:7401")
         raise ValueError(f"{text!r} is no address: write it as tcp://host:port")
+    if found["path"]:
+        return Address(found["scheme"], path=found["path"])
     host = found["six"] if found["six"] is not None else found["host"]
     if not host:
         raise ValueError(f"{text!r} has no host: write 127.0.0.1 for this computer alone, 0.0.0.0 for every interface")
@@ -75,7 +87,7 @@ def dialled(text: str) -> str:
         ValueError: it is none, or none at which an agent could be reached; the message says why.
     """
     address = text if "://" in text else f"tcp://{text}"
-    if parse_address(address).port == 0:
+    if parse_address(address).any_port:
         raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
     return address
 

@@ -28,7 +28,8 @@ from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
 from pancakes.migration.rest import resting
-from pancakes.net.mesh import DROPS_REPORTED_EVERY_S, Mesh
+from pancakes.net.link_log import DROPS_REPORTED_EVERY_S
+from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
@@ -51,7 +52,7 @@ from pancakes.services.wanted_recording import WantedRecording
 from pancakes.settings import make_settings
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Hello, Identity
+from pancakes.wire.link_messages import Hello, Identity
 
 FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
 """Services of these classes start before all others, in this order; the tasks of the user need them."""
@@ -425,9 +426,8 @@ class Agent:
     def _open_transport(self) -> Transport:
         agent = self.config.agent
         address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
-        make = self._plugins.get("pancakes.transports", address.partition("://")[0])
-        transport: Transport = make(self.kernel.host, self.name)
-        return transport
+        cls: type[Transport] = self._plugins.get("pancakes.transports", address.partition("://")[0])
+        return cls(self.kernel.host, self.name, make_settings(cls.Settings, self._network_settings().transport))
 
     def _network_settings(self) -> NetworkService.Settings:
         """Returns those settings of the network that are for transport and mesh, which are there before the service.
@@ -437,7 +437,7 @@ class Agent:
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s") if name in given}
+        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transport") if name in given}
         return make_settings(NetworkService.Settings, known)
 
     def _services(self) -> list[ServiceSpec]:

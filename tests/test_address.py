@@ -15,6 +15,7 @@ from pancakes.config import Address, parse_address
         ("tcp://[fe80::1%eth0]:1", Address("tcp", "fe80::1%eth0", 1), False),
         ("tcp://0.0.0.0:1", Address("tcp", "0.0.0.0", 1), False),
         ("tcp://robot-1.lab.example:1", Address("tcp", "robot-1.lab.example", 1), False),
+        ("unix:///run/robot-1.sock", Address("unix", path="/run/robot-1.sock"), True),
         ("tcp://localhost.evil.example:1", Address("tcp", "localhost.evil.example", 1), False),
     ],
 )
@@ -31,6 +32,9 @@ def test_addresses(text: str, address: Address, loopback: bool):
         ("tcp://::1:7401", "an IPv6 host stands in brackets"),
         ("tcp://127.0.0.1:7401/x", "is no address"),
         ("tcp://me@host:1", "is no address"),
+        ("unix://run/robot1", "is no address"),
+        ("unix:///run/robot 1", "is no address"),
+        ("tcp://[fe80::1%\x1b[2J]:1", "is no address"),
         ("tcp://host", "has no port"),
         ("tcp://host:", "has no port"),
         ("tcp://host:http", "has a bad port, 'http'"),
@@ -47,3 +51,8 @@ def test_what_is_no_address_says_why(text: str, problem: str):
     with pytest.raises(ValueError, match="^'") as error:
         parse_address(text)
     assert problem in str(error.value)
+
+
+def test_only_a_port_of_0_asks_for_any_port():
+    assert parse_address("tcp://localhost:0").any_port
+    assert not parse_address("tcp://localhost:1").any_port and not parse_address("unix:///run/robot1").any_port

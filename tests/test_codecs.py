@@ -103,8 +103,8 @@ SHORT = """
 import os, resource, sys
 from pancakes.errors import PancakesError
 from pancakes.packet import Packet, packet_type
-from pancakes.journal import Entry
-from pancakes.journal.entry import seal
+from pancakes.journal import JournalEntry
+from pancakes.journal.seal import seal
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Snapshot
 from pancakes.recording import message
@@ -120,7 +120,7 @@ data = message.data_of(Packet("system", "unknown to all", "a/client/t", "b", 0.0
 TRIES = {
     "row": lambda: RowEncoder(head_of(it)).encode(it),
     "letter": lambda: Encoder().packet(listed),
-    "seal": lambda: seal("journal", Entry("task", "a/t", LARGE)),
+    "seal": lambda: seal("journal", JournalEntry("task", "a/t", LARGE)),
     "snapshot": lambda: Snapshot(TaskId("a", "t"), "x.T", "1", "client", state={"data": LARGE}).encode(),
     "checkpoint": lambda: plain_of(Carried({}, {"data": LARGE}, {}, {})),
     "recorded": lambda: message.data_of(listed),

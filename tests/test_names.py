@@ -14,7 +14,7 @@ from pancakes.migration.record import TaskId
 from pancakes.names import fault_of_name, nearest_name
 from pancakes.packet import Packet
 from pancakes.printable import printable, printable_data, printable_line
-from pancakes.wire.messages import Identity, fault_of_address
+from pancakes.wire.link_messages import Identity, fault_of_address
 from pancakes.wire.runs import RowEncoder, Unfit, head_of, messages_from_payload, packets_of, run_of
 
 

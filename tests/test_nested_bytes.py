@@ -14,7 +14,7 @@ from pancakes.cli.json_bodies import BadBody, body_of
 from pancakes.control import Stop
 from pancakes.demo.mission_record import read_events
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.journal.entry import Entry, Unbelievable, seal, unseal
+from pancakes.journal.seal import JournalEntry, Unbelievable, seal, unseal
 from pancakes.migration.record import Record
 from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Snapshot
@@ -22,7 +22,7 @@ from pancakes.packet import type_name
 from pancakes.recording.message import packet_from_data
 from pancakes.runtime_dir import entries, runtime_dir
 from pancakes.sim.bus import Attach, Refused, ReplyReader, RequestReader
-from pancakes.wire.framing import frame_of
+from pancakes.wire.framing import frame
 from pancakes.wire.runs import messages_from_payload
 
 DEPTH = 50_000
@@ -39,7 +39,7 @@ def test_of_a_journal_and_of_a_hand_off(thing: Any):
 
 
 def test_in_the_file_of_a_journal():
-    sealed = seal("journal", Entry("task", "T", b""))
+    sealed = seal("journal", JournalEntry("task", "T", b""))
     digests = [sha256(sealed[end:]).digest() for end in range(len(sealed))]
     begin = next(end for end, digest in enumerate(digests) if sealed[:end].endswith(digest))
     magic = sealed[: begin - len(digests[0])]
@@ -54,7 +54,7 @@ def test_in_the_file_of_a_journal():
 def test_from_a_simulated_world_and_to_it(reader: Any, message: Any):
     encoded = msgspec.msgpack.encode(message)
     with pytest.raises(RemoteProtocolError, match="simulated world: it is nested too deep"):
-        reader().feed(frame_of(b"\x91" + bytes([encoded[0] + 1]) + encoded[1:] + LIST))
+        reader().feed(frame([bytes([encoded[0] + 1]) + encoded[1:] + LIST]))
 
 
 def test_in_a_frame_of_a_link():

@@ -13,7 +13,7 @@ from pancakes.errors import PancakesError
 from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import SYSCTRL, Packet, body_class, type_name
-from pancakes.wire.messages import Hello, Identity
+from pancakes.wire.link_messages import Hello, Identity
 
 Answer = Reply | str
 """What became of a request: the agent's reply, or the reason why there will be none."""

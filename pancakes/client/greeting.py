@@ -8,7 +8,7 @@ from typing import Final
 from pancakes.clock import Clock
 from pancakes.net.transport import Connection, Transport
 from pancakes.wire.link import Link, LinkTimes, Over
-from pancakes.wire.messages import Hello, Identity
+from pancakes.wire.link_messages import Hello, Identity
 
 _NOBODY: Final = Identity("greeting", "greeting", role="client").hello()
 """Only to have a link; it is never sent, so the agent there refuses nothing."""

@@ -22,7 +22,7 @@ from pancakes.net.transport import Transport
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries, runtime_dir
 from pancakes.suggestion import hint_of
-from pancakes.wire.messages import Hello
+from pancakes.wire.link_messages import Hello
 
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of the agent."""
@@ -303,8 +303,8 @@ class Client:
 
     def _transport(self, scheme: str) -> Transport:
         if scheme not in self._transports:
-            make = self._plugins.get("pancakes.transports", scheme)
-            self._transports[scheme] = make(self._clock, self.name)
+            cls: type[Transport] = self._plugins.get("pancakes.transports", scheme)
+            self._transports[scheme] = cls(self._clock, self.name, cls.Settings())
         return self._transports[scheme]
 
     def _learn(self, fleet: str, description: dict[str, Any]) -> None:

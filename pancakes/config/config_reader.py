@@ -204,7 +204,7 @@ class _ConfigReader:
         for index, peer in enumerate(agent.peers):
             key = ("agent", "peers", index)
             try:
-                if parse_address(peer).port == 0:
+                if parse_address(peer).any_port:
                     self._fault(key, f"{peer!r} has the port 0, at which no agent can be reached")
             except ValueError as error:
                 self._fault(key, str(error))

@@ -3,7 +3,7 @@ need there?"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pancakes.address import parse_address
@@ -117,6 +117,18 @@ class _Check:
                 self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
             elif self._must_load:
                 self._get(TRANSPORTS, scheme, key)
+        self._check_transport_settings([text for _, text in addresses])
+
+    def _check_transport_settings(self, addresses: Sequence[str]) -> None:
+        """Checks what the network's settings say of the transport, which is that of the first address."""
+        network = self._config.services.get("network")
+        given = network.settings.get("transport") if network is not None else None
+        if not isinstance(given, dict) or not addresses:
+            return
+        table = ("service", "network", "settings", "transport")
+        found = self._get(TRANSPORTS, addresses[0].partition("://")[0], table)
+        for problem in check_settings(found.Settings, given) if found is not None else ():
+            self._fault((*table, *problem.path), problem.text, problem.suggestion)
 
     def _check_services(self) -> None:
         from pancakes.services.device import DeviceService

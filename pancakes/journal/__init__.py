@@ -1,13 +1,13 @@
 """What an agent keeps on disk: its identity, and the durable records of its tasks."""
 
-from pancakes.journal.entry import Entry, JournalError, JournalLost, SetAside
 from pancakes.journal.file import FileJournal, empty
 from pancakes.journal.journal import Journal
-from pancakes.journal.memory import MemoryJournal
+from pancakes.journal.memory_journal import MemoryJournal
+from pancakes.journal.seal import JournalEntry, JournalError, JournalLost, SetAside
 from pancakes.journal.store import RecordStore, ThreadedStore, VirtualStore
 
 __all__ = [
-    "Entry",
+    "JournalEntry",
     "FileJournal",
     "Journal",
     "JournalError",

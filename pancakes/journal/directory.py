@@ -9,7 +9,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
-from pancakes.journal.entry import JournalError, JournalLost
+from pancakes.journal.seal import JournalError, JournalLost
 
 _OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 _GONE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ESTALE, errno.ELOOP)

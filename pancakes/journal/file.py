@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.journal.directory import StateDirectory
-from pancakes.journal.entry import JournalError
 from pancakes.journal.journal import BAD, SUFFIX, Journal
+from pancakes.journal.seal import JournalError
 
 _LOCK: Final = "lock"
 _TEMPORARY: Final = ".tmp"

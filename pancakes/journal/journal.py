@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 from urllib.parse import quote, unquote
 
 from pancakes import codecs
-from pancakes.journal.entry import Entry, JournalError, SetAside, Unbelievable, seal, unseal
+from pancakes.journal.seal import JournalEntry, JournalError, SetAside, Unbelievable, seal, unseal
 from pancakes.malformed import MALFORMED, why_malformed
 
 SUFFIX: Final = ".rec"
@@ -45,15 +45,15 @@ class Journal(ABC):
     remarks: tuple[str, ...] = ()
     check_s: float | None = None
 
-    def entries(self, kind: str) -> list[Entry]:
+    def entries(self, kind: str) -> list[JournalEntry]:
         """Returns all entries of a kind, in the order of their keys."""
         return [entry for (has, _), entry in sorted(self._entries.items()) if has == kind]
 
-    def read(self, kind: str, key: str) -> Entry | None:
+    def read(self, kind: str, key: str) -> JournalEntry | None:
         """Returns one entry, or None where there is none."""
         return self._entries.get((kind, key))
 
-    def write(self, batch: Sequence[Entry]) -> None:
+    def write(self, batch: Sequence[JournalEntry]) -> None:
         """Makes entries durable, all of them at the price of little more than one.
 
         When it returns they are on disk for good. When it raises, or when the machine dies in it, each of
@@ -63,7 +63,7 @@ class Journal(ABC):
             JournalError: the disk is full, gone, or read-only; or an entry's kind is no word.
             JournalLost: see `check`.
         """
-        newest: dict[tuple[str, str], Entry] = {}
+        newest: dict[tuple[str, str], JournalEntry] = {}
         for entry in batch:
             if not re.fullmatch(r"[a-z]+", entry.kind) or entry.kind == _IDENTITY:
                 raise JournalError(f"{entry.kind!r} is no kind of journal entry: lower-case letters are")
@@ -85,7 +85,7 @@ class Journal(ABC):
 
     def _open(self, new_uuid: Callable[[], str]) -> None:
         """Reads everything there is, puts aside what cannot be believed, and counts the boot."""
-        self._entries: dict[tuple[str, str], Entry] = {}
+        self._entries: dict[tuple[str, str], JournalEntry] = {}
         aside: list[SetAside] = []
         names = self._names(SUFFIX)
         identity = _name_of(_IDENTITY, _IDENTITY)
@@ -111,8 +111,8 @@ class Journal(ABC):
         self.set_aside = tuple(aside)
         self.missing = self._missing()
         self.boot += 1
-        contents = codecs.encode_small(_Identity(self.uuid, self.boot))
-        self._replace({identity: seal(self.uuid, Entry(_IDENTITY, _IDENTITY, contents))})
+        contents = codecs.encode_small(_JournalIdentity(self.uuid, self.boot))
+        self._replace({identity: seal(self.uuid, JournalEntry(_IDENTITY, _IDENTITY, contents))})
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
         kind, key = _parts_of(name)
@@ -162,15 +162,15 @@ class Journal(ABC):
         """Gives `name` a name that ends with `BAD` and is free, and returns that."""
 
 
-class _Identity(NamedTuple):
+class _JournalIdentity(NamedTuple):
     uuid: str
     boot: int
 
 
-_DECODE_IDENTITY: Final = codecs.decoder(_Identity)
+_DECODE_IDENTITY: Final = codecs.decoder(_JournalIdentity)
 
 
-def _read_identity(sealed: bytes) -> _Identity:
+def _read_identity(sealed: bytes) -> _JournalIdentity:
     entry = unseal("", sealed)
     try:
         return _DECODE_IDENTITY(entry.data)
@@ -178,7 +178,7 @@ def _read_identity(sealed: bytes) -> _Identity:
         raise Unbelievable(f"cannot be understood ({why_malformed(error)})") from None
 
 
-def _readable(sealed: bytes, name: str) -> Entry | None:
+def _readable(sealed: bytes, name: str) -> JournalEntry | None:
     try:
         entry = unseal("", sealed)
     except Unbelievable:

@@ -15,8 +15,8 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.clock import MonotonicClock
-from pancakes.journal.entry import Entry, JournalError, JournalLost
 from pancakes.journal.journal import Journal
+from pancakes.journal.seal import JournalEntry, JournalError, JournalLost
 from pancakes.journal.troubles import Key, Troubles
 
 Persisted = Callable[[], None]
@@ -31,7 +31,7 @@ SLOW_S: Final = 1.0
 
 
 class _Job(msgspec.Struct, eq=False):
-    entry: Entry
+    entry: JournalEntry
     persisted: Persisted
     failed: Failed
     since_s: float
@@ -56,7 +56,7 @@ class RecordStore(ABC):
     """Something that makes entries durable, in the order in which they come.
 
     An entry that could not be written is left alone for a while when it comes again, at most for 5 s, and others go
-    before it: so nobody who tries again at once keeps the machine busy, or fills its log.
+    before it: so a caller that tries again at once neither keeps the machine busy nor fills its log.
 
     Args:
         journal: the journal, which is the store's from now on, and is closed with it.
@@ -71,7 +71,7 @@ class RecordStore(ABC):
         self._troubles = Troubles()
 
     @abstractmethod
-    def persist(self, entry: Entry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
         """Begins to write an entry. Never waits; from any thread.
 
         Args:
@@ -154,7 +154,7 @@ class ThreadedStore(RecordStore):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def persist(self, entry: Entry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
         with self._news:
             if not self._closing and not self._gone:
                 self._jobs.append(_Job(entry, persisted, failed, self._now()))
@@ -253,7 +253,7 @@ class VirtualStore(RecordStore):
         self._jobs: dict[_Job, None] = {}
         self._closed = False
 
-    def persist(self, entry: Entry, persisted: Persisted, failed: Failed) -> None:
+    def persist(self, entry: JournalEntry, persisted: Persisted, failed: Failed) -> None:
         if self._closed:
             failed("the journal is closed")
             return
@@ -273,7 +273,7 @@ class VirtualStore(RecordStore):
         self._journal.close()
 
     def crash(self) -> None:
-        """Ends as a power cut does: what waits is never written, and nobody is told."""
+        """Ends as a power cut does: what waits is never written, and no caller is told."""
         self._jobs.clear()
         self._closed = True
         self._journal.close()

@@ -63,7 +63,7 @@ class Troubles:
 
     def saying(self, now_s: float) -> Saying | None:
         """Returns what is to be said after a round of writing; None: nothing, or nothing new."""
-        # One that was not tried again when it might have been has been given up by whoever asked for it.
+        # One that was not tried again when it might have been has been given up by the code that asked for it.
         for key in [key for key, trouble in self._troubles.items() if trouble.due_s + LONGEST_PAUSE_S < now_s]:
             del self._troubles[key]
         if self._troubles:

@@ -1,10 +1,9 @@
 """How many bytes may be on their way over a connection, in the buffers of both kernels.
 
-What is urgent overtakes what waits in an agent, but not what a kernel has already. By itself Linux takes megabytes, and
-where the reader is slower than its sender they are full all the time: with 64-byte packets as fast as they could be
-published, the reply to a control packet took 90 to 380 ms (p50; 350 to 1280 at worst) across the link. So bounded it
-takes as long as the reader needs for a quarter of a megabyte. Bulk of 64 KiB packets over loopback came at 816 MB/s
-with these bounds and 935 without (medians, 630 to 960 in either); half of them cost two thirds.
+An urgent packet overtakes those that wait in an agent, but not those that a kernel has already. By itself Linux takes
+megabytes, and where the reader is slower than its sender they are full all the time: a reply then waits behind all of
+them. With these bounds it waits for as long as the reader needs for a quarter of a megabyte, and bulk over a short way
+is hardly slower.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ def bound_buffers(sock: socket.socket) -> None:
     """Bounds the buffers of a connection that has just come to stand; leaves them alone where the system cannot."""
     if not hasattr(socket, "TCP_NOTSENT_LOWAT") or not hasattr(socket, "TCP_INFO"):
         return
-    with contextlib.suppress(OSError):  # it may be gone already, which whoever uses it will see
+    with contextlib.suppress(OSError):  # it may be gone already, which its next use shows
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, NOT_SENT_BYTES)
         (round_trip_us,) = _ROUND_TRIP.unpack(sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _ROUND_TRIP.size))
         if round_trip_us <= SHORT_S * 1e6:

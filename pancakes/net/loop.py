@@ -31,7 +31,7 @@ fast as they can to one: 2.1 µs of its processor time a packet, where reading t
 _LOG = logging.getLogger("pancakes.net")
 
 
-class Timer:
+class TimerHandle:
     """A call that was put off."""
 
     __slots__ = ("function",)
@@ -62,7 +62,7 @@ class Loop:
         self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files
         self._forgotten: dict[int, None] = {}  # since the sockets were asked for that are served now
         self._lock = threading.Lock()
-        self._timers: list[tuple[float, int, Timer]] = []
+        self._timers: list[tuple[float, int, TimerHandle]] = []
         self._count = 0
         self._stopping = False
         self._ended = False
@@ -82,15 +82,15 @@ class Loop:
         self._make_guest = make_guest
         self.busy_poll.busy_poll_s = busy_poll_s
 
-    def call_later(self, delay_s: float, function: Callable[[], None]) -> Timer:
+    def call_later(self, delay_s: float, function: Callable[[], None]) -> TimerHandle:
         """Runs `function` in the loop's thread in `delay_s` seconds, or in turn where that is 0. From any thread.
 
         After `stop` nothing is run any more.
         """
         with self._lock:
             if self._stopping:
-                return Timer(None)
-            timer = Timer(function)
+                return TimerHandle(None)
+            timer = TimerHandle(function)
             due_s = self._now() + delay_s
             self._count += 1
             heapq.heappush(self._timers, (due_s, self._count, timer))
@@ -130,7 +130,7 @@ class Loop:
             if not self._stopping:
                 self._stopping = True
                 self._count += 1
-                heapq.heappush(self._timers, (self._now(), self._count, Timer(lambda: self._end(last))))
+                heapq.heappush(self._timers, (self._now(), self._count, TimerHandle(lambda: self._end(last))))
                 self._wake()
         if not self.is_here():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.

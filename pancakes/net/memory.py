@@ -14,8 +14,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, Protocol
 
+from pancakes.address import parse_address
 from pancakes.errors import PancakesError
-from pancakes.net.transport import Connection, Handler, Scheduled, Transport
+from pancakes.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_FREE_PORT: Final = 49_152
 _TRICKLE_S: Final = 0.05  # of sending go into one portion, where the rate is limited
@@ -78,7 +79,7 @@ class MemoryNetwork:
         self.default = quality or Quality()
         self.qualities: dict[tuple[str, str], Quality] = {}
         self.partitions: list[_Partition] = []
-        self._listeners: dict[str, tuple[MemoryTransport, Callable[[], Handler]]] = {}
+        self._listeners: dict[str, tuple[MemoryTransport, Callable[[], ConnectionHandler]]] = {}
         self._exempt: dict[str, None] = {}
         self._pipes: dict[_Pipe, None] = {}
         self._next_port = _FIRST_FREE_PORT
@@ -162,21 +163,21 @@ class MemoryNetwork:
             return quality.latency_s + self._random.uniform(0.0, quality.jitter_s)
         return quality.latency_s
 
-    def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, owner: MemoryTransport, accept: Callable[[], ConnectionHandler]) -> str:
         """See `Transport.listen`."""
-        scheme, _, place = address.partition("://")
-        host, colon, port = place.rpartition(":")
-        if not (scheme and host and colon and port.isdigit()):
-            raise PancakesError(f"{address!r} is no address: it must read tcp://host:port, such as tcp://robot1:7401")
-        if port == "0":
-            address = f"{scheme}://{host}:{self._next_port}"
+        try:
+            parts = parse_address(address)
+        except ValueError as error:
+            raise PancakesError(f"cannot listen at {address}: {error}") from None
+        if parts.any_port:
+            address = f"{parts.scheme}://{parts.host}:{self._next_port}"
             self._next_port += 1
         if address in self._listeners:
             raise PancakesError(f"cannot listen at {address}: address already in use")
         self._listeners[address] = (owner, accept)
         return address
 
-    def dial(self, address: str, owner: MemoryTransport, handler: Handler) -> None:
+    def dial(self, address: str, owner: MemoryTransport, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
         found = self._listeners.get(address)
         exempt = address in self._exempt
@@ -225,14 +226,14 @@ class MemoryTransport(Transport):
 
     def __init__(self, network: MemoryNetwork, agent: str) -> None:
         self.agent = agent
-        self.dials: dict[Handler, None] = {}
+        self.dials: dict[ConnectionHandler, None] = {}
         self._network = network
         self._closed = False
 
-    def listen(self, address: str, accept: Callable[[], Handler]) -> str:
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         return self._network.listen(address, self, accept)
 
-    def dial(self, address: str, handler: Handler) -> None:
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
         if not self._closed:
             self._network.dial(address, self, handler)
 
@@ -269,11 +270,11 @@ class _Pipe:
 
     def quality(self) -> Quality:
         network = self.network
-        return network.default if self.exempt or not network.qualities else network.quality(*self.agents)
+        return network.default if self.exempt else network.quality(*self.agents)
 
     def is_cut(self) -> bool:
         """Whether what is sent now is lost: then all that follows is, as in a stream."""
-        if not self.cut and not self.exempt:
+        if self.network.partitions and not self.cut and not self.exempt:
             self.cut = self.network.parted(*self.agents)
         return self.cut
 
@@ -294,48 +295,42 @@ class _End(Connection):
         self.owner = owner
         self._pipe = pipe
         self._network = pipe.network
-        self._handler: Handler | None = None
+        self._handler: ConnectionHandler | None = None
         self._closing = False
         self._closed = False
         self._unsent = 0
         self._free_s = 0.0  # when the bytes before have left
         self._arrival_s = 0.0  # of what was sent last
-        self.coming: list[bytes] = []  # what comes in at one time, at once: as it may in a stream
+        self.coming: list[bytes] = []  # the parts that come in at one time are handed over at once, as a stream may
         self.coming_s = -1.0
         self.on_the_way: deque[list[bytes]] = deque()  # the order is kept, so what was sent first arrives next
         self.arrive = self._arrived  # bound once, not for each
 
-    def begin(self, handler: Handler) -> None:
+    def begin(self, handler: ConnectionHandler) -> None:
         self._handler = handler
         handler.opened(self)
 
     def send(self, data: bytes) -> int:
         if self._closing or not data:
             return self._unsent
-        network = self._network
-        # Where nothing is said of any two agents, which is the usual case, without a call.
-        quality = self._pipe.quality() if network.qualities else network.default
-        now = network.now
+        network, quality = self._network, self._pipe.quality()
         if quality.bytes_per_s == math.inf:
-            self._send_part(data, now(), quality)
+            self._send_part(data, network.now(), quality)
             return self._unsent
         # A slow stream trickles: the other side hears something all the time, not everything at the end.
         part_bytes = max(1, int(quality.bytes_per_s * _TRICKLE_S))
         self._unsent += len(data)
         for start in range(0, len(data), part_bytes):
             part = data[start : start + part_bytes]
-            self._free_s = max(self._free_s, now()) + len(part) / quality.bytes_per_s
+            self._free_s = max(self._free_s, network.now()) + len(part) / quality.bytes_per_s
             network.call_at(self._free_s, partial(self._left, len(part)))
             self._send_part(part, self._free_s, quality)
         return self._unsent
 
     def _send_part(self, data: bytes, left_s: float, quality: Quality) -> None:
         network = self._network
-        arrival_s = left_s + (network.travel_s(quality) if quality.jitter_s else quality.latency_s)
-        if arrival_s < self._arrival_s:
-            arrival_s = self._arrival_s
-        self._arrival_s = arrival_s
-        if (network.partitions or self._pipe.cut) and self._pipe.is_cut():
+        arrival_s = self._arrival_s = max(self._arrival_s, left_s + network.travel_s(quality))
+        if self._pipe.is_cut():
             return
         other = self.other
         if arrival_s == other.coming_s:
@@ -343,8 +338,7 @@ class _End(Connection):
             return
         other.coming, other.coming_s = [data], arrival_s
         other.on_the_way.append(other.coming)
-        call_at = network.call_at
-        call_at(arrival_s, other.arrive)
+        network.call_at(arrival_s, other.arrive)
 
     def unsent(self) -> int:
         return self._unsent
@@ -367,7 +361,7 @@ class _End(Connection):
         parts = self.on_the_way.popleft()
         if parts is self.coming:
             self.coming_s = -1.0  # what is sent from now on comes later, even if at the same time
-        if self._closing or ((self._network.partitions or self._pipe.cut) and self._pipe.is_cut()):
+        if self._closing or self._pipe.is_cut():
             return
         if self._handler is not None:
             self._handler.received(parts[0] if len(parts) == 1 else b"".join(parts))

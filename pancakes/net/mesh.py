@@ -8,47 +8,41 @@ from __future__ import annotations
 
 import math
 import random
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from pancakes.clock import Clock
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.net.alarm import Alarm
-from pancakes.net.outbox import CountersOfAll
-from pancakes.net.peers import Admit, Decision, Dial, Peers, reachable
+from pancakes.net.link_log import LinkLog
+from pancakes.net.links import Links
+from pancakes.net.peers import Admit, Decision, Dial, Peers
 from pancakes.net.sending import Sending
 from pancakes.net.session import Session, Unwanted
-from pancakes.net.transport import Handler, Transport
+from pancakes.net.transport import ConnectionHandler, Transport
 from pancakes.packet import Packet, agent_of
 from pancakes.wire.link import (
     Action,
+    Greeted,
     Learnt,
     Link,
     LinkTimes,
-    Met,
     Over,
-    Received,
-    Send,
+    PacketsReceived,
+    SendMessage,
     Up,
 )
-from pancakes.wire.messages import Goodbye, Hello, Identity
+from pancakes.wire.link_messages import Goodbye, Hello, Identity
 from pancakes.wire.runs import Unfit
 
 MAX_HANDSHAKES: Final = 256
 """Most connections from others that have not yet come to be links; a whole fleet may come at once. One more takes the
 place of the oldest that has not said hello.
 """
-BEACON_ADDRESSES: Final = 8
-"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
-every agent the square of the fleet, for what everybody knows: a new link gets them all.
-"""
 GOSSIP_ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
 TOGETHER: Final = 0.1
 """So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
-DROPS_REPORTED_EVERY_S: Final = 5.0
-"""A slow peer is named in the log at most that often, in seconds of host time."""
 
 
 class Mesh:
@@ -58,7 +52,7 @@ class Mesh:
     `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
 
     Args:
-        identity: who this agent is.
+        identity: name, journal, fleet and role of this agent.
         transport: how bytes travel.
         listen: address to listen at; empty for none (a client).
         peers: addresses that are always dialled.
@@ -94,7 +88,6 @@ class Mesh:
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
     ) -> None:
-        # Fewer than thirty attributes: those of a larger object Python 3.11 has to search for.
         self.identity = identity
         self._transport = transport
         self._listen_at = listen
@@ -106,25 +99,20 @@ class Mesh:
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._on_refused = on_refused
-        self._on_log = on_log
         self._times = times or LinkTimes()
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
-        self._up: dict[str, Session] = {}  # replaced, never changed: read by all threads
-        self._counters = CountersOfAll()
+        self._links = Links()
+        self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
         self._established = False
-        self._sending = Sending(self._packet_lost, defer)
+        self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
-        self._beacons = 0
-        self._tally_lock = threading.Lock()
-        self._mission_packets = 0
-        self._last_words: dict[str, str] = {}
 
-    # For everybody
+    # From any thread
 
     @property
     def listen(self) -> str:
@@ -171,13 +159,13 @@ class Mesh:
         self._transport.call_later(0.0, lambda: self._learn(named))
 
     def redial(self) -> None:
-        """Dials all known addresses now at which nobody is connected, instead of when their next attempt is due."""
+        """Dials all known addresses now at which no agent is connected, instead of when their next attempt is due."""
         self._transport.call_later(0.0, self._redial)
 
     def sleep(self, for_s: float | None = None) -> None:
         """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
 
-        Who dials in the meantime is told the same. It lasts until `wake`.
+        An agent that dials in the meantime is told the same. It lasts until `wake`.
         """
         self._transport.call_later(0.0, lambda: self._sleep(for_s))
 
@@ -191,25 +179,22 @@ class Mesh:
 
     def neighbours(self) -> list[str]:
         """Returns the names of the connected peers in the role `agent`, sorted."""
-        return [session.peer for session in self._sending.neighbours]
+        return [session.peer for session in self._links.neighbours()]
 
     def connected(self) -> list[Hello]:
         """Returns what all connected peers said about themselves, by name."""
-        up = self._up
-        return [hello for name in sorted(up) if (hello := up[name].hello) is not None]
+        return self._links.connected()
 
     def rtt_s(self, peer: str) -> float | None:
         """Returns the smoothed round trip time to a peer, or None where there is none yet."""
-        session = self._up.get(peer)
-        return session.link.rtt_s if session is not None and session.link is not None else None
+        return self._links.rtt_s(peer)
 
     def mission_packets_sent(self) -> int:
         """Returns how many mission packets went out: packets and announcements, one for each peer they went to.
 
         Heartbeats, the mesh's own messages and retries do not count.
         """
-        with self._tally_lock:
-            return self._mission_packets + sum(session.counted for session in self._up.values())
+        return self._links.mission_packets_sent()
 
     def describe(self) -> dict[str, Any]:
         """Returns the state of the mesh as plain values, for the command line."""
@@ -229,30 +214,12 @@ class Mesh:
 
     def links(self) -> list[dict[str, Any]]:
         """Returns the state of the links that stand, by the names of the peers. Any thread."""
-        up = self._up
-        return [self._describe_peer(up[name]) for name in sorted(up)]
+        return self._links.describe()
 
-    def _describe_peer(self, session: Session) -> dict[str, Any]:
-        hello = session.hello
-        counters = session.counters
-        return {
-            "name": session.peer,
-            "role": hello.role if hello is not None else "",
-            "address": hello.listen if hello is not None else "",
-            "remote": session.remote,
-            "boot": hello.boot if hello is not None else 0,
-            "rtt_s": session.link.rtt_s if session.link is not None else None,
-            "packets_out": counters.packets_out,
-            "packets_in": counters.packets_in,
-            "bytes_out": counters.bytes_out,
-            "bytes_in": counters.bytes_in,
-            "dropped": dict(sorted(counters.dropped.items())),
-            "waiting": session.waiting(),
-        }
-
-    def _lost(self, name: str, what: str) -> PancakesError:
-        """Returns why nothing goes to an agent."""
-        own = self.identity.name
+    def _lost(self, packet: Packet) -> PancakesError:
+        """Returns why a packet cannot go to its agent."""
+        own, name = self.identity.name, agent_of(packet.destination)
+        what = f"the packet {packet.type!r} of {packet.source}"
         if name == own or not name:
             return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
         if self._state == "asleep":
@@ -260,11 +227,8 @@ class Mesh:
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
         if name in asleep:
             return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
-        there = ", ".join(sorted(self._up)) or "nobody"
+        there = ", ".join(session.peer for session in self._links) or "nobody"
         return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
-
-    def _packet_lost(self, packet: Packet) -> PancakesError:
-        return self._lost(agent_of(packet.destination), f"the packet {packet.type!r} of {packet.source}")
 
     # In the transport's thread from here on
 
@@ -288,7 +252,7 @@ class Mesh:
         if self._state == "running":
             self._state = "asleep"
             self._asleep_until_s = math.inf if for_s is None else self._now() + for_s
-            self._leave("sleep")
+            self._leave()
 
     def _wake(self) -> None:
         if self._state == "asleep" and self._peers is not None:
@@ -298,9 +262,9 @@ class Mesh:
     def _stop(self) -> None:
         if self._state != "stopped":
             self._state = "stopped"
-            self._leave("stop")
+            self._leave()
 
-    def _leave(self, why: str) -> None:
+    def _leave(self) -> None:
         for session in list(self._sessions.values()):
             if session.link is not None:
                 self._act(session, session.link.leave(self._goodbye(), self._now()))
@@ -317,18 +281,10 @@ class Mesh:
     def _beacon(self) -> None:
         if self._peers is None:
             return
-        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
-        others = self._peers.gossip()
-        if len(others) > BEACON_ADDRESSES:
-            first = self._beacons * BEACON_ADDRESSES % len(others)
-            others = (others + others)[first : first + BEACON_ADDRESSES]
-        self._beacons += 1
-        addresses = ((own,) if own else ()) + others
-        told = sum([self._gossip(session, addresses) for _, session in sorted(self._up.items())])
-        with self._tally_lock:
-            self._mission_packets += told
+        addresses = self._peers.beacon()
+        self._links.announced(sum([self._gossip(session, addresses) for session in self._links]))
 
-    def _accept(self) -> Handler:
+    def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
         waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
@@ -371,20 +327,11 @@ class Mesh:
         was_up = session.is_up
         actions = session.link.receive(data, now_s)
         # Where all sessions are up, as most of the time, there is none that this link could make needless.
-        if was_up and self._peers is not None and len(self._sessions) > len(self._up):
+        if was_up and self._peers is not None and len(self._sessions) > len(self._links):
             rivals = self._peers.heard(session.number, now_s)
             if rivals:
                 self._carry_out(rivals)
-        for action in actions:
-            if action.__class__ is Received and session.number in self._sessions:
-                # As `_act` does it, but past what is made for all actions: this is the way of every packet.
-                session.counters.packets_in += len(action.packets)
-                try:
-                    self._on_packets(session.peer, action.packets, action.size)
-                except Exception as error:  # as in `_call`
-                    self._failed(self._on_packets, error)
-            else:
-                self._act(session, (action,))
+        self._act(session, actions)
         if was_up and session.is_up:
             # Of two agents the one with the lower name takes a link to stand before the other has had its say.
             self._established = True
@@ -422,7 +369,7 @@ class Mesh:
                 return
             session.quiet_s(now_s)
             if session.counters.dropped:
-                self._report_drops(session, now_s)
+                self._log.drops(session, now_s)
         due_s = link.due_s()
         if due_s > now_s:  # mostly something has been sent meanwhile, and nothing is to be done yet
             session.due_s = due_s
@@ -431,18 +378,20 @@ class Mesh:
         self._watch(session)
 
     def _act(self, session: Session, actions: Sequence[Action]) -> None:
-        """Carries out what a link asks for, except that it hands on packets: see `session_received`."""
+        """Carries out what a link asks for."""
         for action in actions:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
-            if type(action) is Send:  # most of all are, and to match takes ten times as long
-                session.send_link(action.message)
-                continue
             match action:
+                case PacketsReceived(packets, size):
+                    session.counters.packets_in += len(packets)
+                    self._call(self._on_packets, session.peer, packets, size)
+                case SendMessage(message):
+                    session.send_link(message)
                 case Unfit(packet, reason):
                     session.counters.packets_in += 1
                     self._call(self._on_unfit, session.peer, packet, reason)
-                case Met(hello):
+                case Greeted(hello):
                     self._met(session, hello)
                 case Up():
                     self._stood_up(session)
@@ -469,18 +418,16 @@ class Mesh:
             return
         name = session.link.peer.name
         hello = next(peer for peer in self._peers.connected() if peer.name == name)
-        session.stood_up(hello, self._counters.of(name, self._up))
-        self._set_up({**self._up, name: session})
-        # Whoever looks from a terminal comes and goes all the time, which is no news of the fleet.
-        level = "debug" if hello.role == "client" else "info"
-        self._on_log(level, f"{name} ({hello.role}, {session.remote}) is connected")
+        self._links.add(session, hello)
+        self._sending.change(self._links.by_name(), self._links.neighbours())
+        self._log.stood_up(session, hello)
         self._call(self._on_peer_up, hello)
         addresses = self._peers.gossip()
         for first in range(0, len(addresses), GOSSIP_ADDRESSES):
             self._gossip(session, addresses[first : first + GOSSIP_ADDRESSES])
-        # Who was found by what others have said is known to those, and who comes hears of all and dials them.
+        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
         if hello.listen and hello.role != "client" and self._peers.is_news(session.number):
-            for other in self._up.values():
+            for other in self._links:
                 self._gossip(other, (hello.listen,))
 
     def _over(self, session: Session, over: Over) -> None:
@@ -491,43 +438,19 @@ class Mesh:
         refusal = over.reason if over.refused is not None else ""
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
-            session.is_up = False
-            with self._tally_lock:
-                self._mission_packets += session.counted
-                self._set_up({name: other for name, other in self._up.items() if other is not session})
+            self._links.remove(session)
+            self._sending.change(self._links.by_name(), self._links.neighbours())
             asleep_s = None
             if over.goodbye is not None and over.goodbye.why == "sleep":
                 asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
-            client = session.hello is not None and session.hello.role == "client"
-            if client:
-                self._counters.forget(session.peer)  # clients come under ever new names
-            # A client gives its place up to another as often as one comes: nothing to warn of each time.
-            is_usual = why is None or (client and over.refusing == "full")
-            level = "warning" if over.broken or not is_usual else "debug" if client else "info"
-            self._on_log(level, f"the link to {session.peer} has ended: {over.reason}")
+            self._log.ended(session, over)
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
-        else:
-            self._explain(session, over)
+        elif self._state == "running":
+            self._log.not_made(session, over)
         if over.refused == "name" and not self._established:
             self._call(self._on_refused, over.reason)
         if self._state == "running":
             self._carry_out(decisions)
-
-    def _explain(self, session: Session, over: Over) -> None:
-        """Logs why a connection did not come to be a link: aloud, but only when it is news."""
-        if self._state != "running":
-            return
-        why = over.refused or over.refusing or ""
-        place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
-        text = f"no link over {place}: {over.reason}"
-        loud = over.broken or why in ("version", "fleet", "name", "full", "protocol")
-        if len(self._last_words) > 256:
-            self._last_words.clear()
-        if self._last_words.get(place) != text:
-            self._last_words[place] = text
-            # An address from the configuration is one that a person counts on; that one of two links goes is usual.
-            quiet = "info" if session.address in self._static and not why else "debug"
-            self._on_log("warning" if loud else quiet, text)
 
     def _carry_out(self, decisions: Sequence[Decision]) -> None:
         """Carries out what membership asks for."""
@@ -555,11 +478,6 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _set_up(self, up: dict[str, Session]) -> None:
-        self._up = up
-        peers = [(up[name], up[name].hello) for name in sorted(up)]
-        self._sending.change(up, tuple(it for it, hello in peers if hello is not None and hello.role == "agent"))
-
     def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
         """Tells a peer the addresses that are not its own; returns whether there were any."""
         # A client that looks at two agents must not make neighbours of them: it belongs to neither.
@@ -570,21 +488,9 @@ class Mesh:
             self._act(session, session.link.gossip(others, self._now()))
         return bool(others)
 
-    def _report_drops(self, session: Session, now_s: float) -> None:
-        dropped = sum(session.counters.dropped.values())
-        if dropped > session.reported_drops and now_s - session.reported_s >= DROPS_REPORTED_EVERY_S:
-            lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
-            self._on_log("warning", f"{session.peer} is slow; packets given up so far: {lost}")
-            session.reported_drops, session.reported_s = dropped, now_s
-
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls what was given to us; its failure must not cost a link."""
         try:
             function(*arguments)
         except Exception as error:  # whatever it is, it belongs in the log
-            self._failed(function, error)
-
-    def _failed(self, function: Callable[..., None], error: Exception) -> None:
-        text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
-        name = getattr(function, "__qualname__", repr(function))
-        self._on_log("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+            self._log.failed(function, error)

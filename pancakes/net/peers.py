@@ -17,16 +17,20 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.net.places import Place, machine_of, who_makes_room
+from pancakes.net.client_places import ClientPlace, machine_of, who_makes_room
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Goodbye, Hello, Refusal, fault_of_address
+from pancakes.wire.link_messages import Goodbye, Hello, Refusal, fault_of_address
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
-"""Most clients connected to one agent; see `pancakes.net.places` for the next one."""
+"""Most clients connected to one agent; see `pancakes.net.client_places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""
 FORGET_AFTER: Final = 20
 """A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
 
@@ -44,7 +48,7 @@ class Admit(msgspec.Struct, frozen=True):
     link: int
 
 
-class Turn(msgspec.Struct, frozen=True):
+class TurnDown(msgspec.Struct, frozen=True):
     """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
 
     link: int
@@ -52,16 +56,16 @@ class Turn(msgspec.Struct, frozen=True):
     reason: str
 
 
-Decision = Dial | Admit | Turn
+Decision = Dial | Admit | TurnDown
 
 
-class _Address(msgspec.Struct):
+class _KnownAddress(msgspec.Struct):
     """An address that can be dialled."""
 
     static: bool
     due_s: float
     name: str = ""  # of the agent that was last met there
-    link: int | None = None  # of the dial under way, until it has met somebody or failed
+    link: int | None = None  # of the dial under way, until a peer said hello there, or it failed
     failures: int = 0
     ours: bool = False  # it is this agent's own
     refused: str = ""  # why the agent there will not have us, in its words
@@ -74,7 +78,7 @@ class _Candidate(msgspec.Struct):
     hello: Hello
     address: str  # that we dialled, or empty
     machine: str  # where it is
-    is_news: bool  # nobody had named the address at which it listens
+    is_news: bool  # no peer had named the address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
 
@@ -105,7 +109,7 @@ class Peers:
         self._random = source
         self._times = times
         self._quiet_s = quiet_s
-        self._book = {address: _Address(True, now_s) for address in static if address != own.listen}
+        self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
         self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
         self._met_at: dict[str, int] = {}  # of the candidates that we dialled
@@ -113,6 +117,7 @@ class Peers:
         self._up: dict[str, _Candidate] = {}
         self._asleep: dict[str, float] = {}
         self._last_link = 0
+        self._beacons = 0
 
     def new_link(self) -> int:
         """Returns a number for a connection that came in."""
@@ -137,6 +142,16 @@ class Peers:
             for _, candidate in sorted(self._up.items())
             if candidate.hello.listen and candidate.hello.role != "client"
         )
+
+    def beacon(self) -> tuple[str, ...]:
+        """Returns the addresses of the next beacon: this agent's own, and some of those to tell others."""
+        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
+        others = self.gossip()
+        if len(others) > BEACON_ADDRESSES:
+            first = self._beacons * BEACON_ADDRESSES % len(others)
+            others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        return ((own,) if own else ()) + others
 
     def describe(self) -> list[dict[str, Any]]:
         """Returns each known address with what is known of it."""
@@ -201,15 +216,15 @@ class Peers:
         known = self._up.get(name)
         room: list[Decision] = []
         if known is not None and known.hello.journal != hello.journal:
-            decisions.append(Turn(link, "name", _taken(name, own.name)))
+            decisions.append(TurnDown(link, "name", _taken(name, own.name)))
         elif known is not None and known.hello.boot > hello.boot:
-            decisions.append(Turn(link, "old", f"a later boot of {name} is connected to {own.name}"))
+            decisions.append(TurnDown(link, "old", f"a later boot of {name} is connected to {own.name}"))
         elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
-            decisions.append(Turn(link, "full", full))
+            decisions.append(TurnDown(link, "full", full))
         else:
             decisions.extend(room)
             if known is not None and known.hello.boot < hello.boot:
-                decisions.append(Turn(known.link, "old", f"{name} was started again"))
+                decisions.append(TurnDown(known.link, "old", f"{name} was started again"))
             if own.name < name:
                 if not address and self._dialling(hello.listen):
                     candidate.until_s = now_s + self._times.hold_s
@@ -224,7 +239,7 @@ class Peers:
         if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
             return []
         return [
-            Turn(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
+            TurnDown(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
             for other in self._candidates.values()
             if other.hello.name == mine.hello.name and other.up_s is None and self._own.name < other.hello.name
         ]
@@ -235,7 +250,7 @@ class Peers:
         name = candidate.hello.name
         known = self._up.get(name)
         if known is not None and known.hello.journal != candidate.hello.journal:
-            return [Turn(link, "name", _taken(name, self._own.name))]
+            return [TurnDown(link, "name", _taken(name, self._own.name))]
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
@@ -244,7 +259,7 @@ class Peers:
             known_address.refused = ""
         decisions: list[Decision] = []
         if known is not None:
-            decisions.append(Turn(known.link, "duplicate", f"{name} chose another link"))
+            decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))
         if self._own.name < name:  # it is alive now, so what waited beside it is not needed
             decisions.extend(self.heard(link, now_s))
         return decisions
@@ -266,7 +281,7 @@ class Peers:
             refused: why it was refused, by either side.
             goodbye: what the peer said, if it left on purpose.
             broken: whether it broke the protocol.
-            refusal: the peer's sentence, where it was the peer who refused.
+            refusal: the peer's sentence, where the peer refused.
         """
         hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
         candidate = self._candidates.pop(link, None)
@@ -318,7 +333,7 @@ class Peers:
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
-        """Returns whether a peer listens where nobody had said that somebody does: others may not know it either."""
+        """Returns whether no peer had named the address of this one: others may not know it either."""
         return self._candidates[link].is_news
 
     def redial(self, now_s: float) -> None:
@@ -326,10 +341,10 @@ class Peers:
         for it in self._book.values():
             it.failures, it.due_s = 0, now_s
 
-    def _wanted(self, address: str, it: _Address) -> bool:
+    def _wanted(self, address: str, it: _KnownAddress) -> bool:
         if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
             return False
-        # Whom we met there is still to say whether the link stands, or when to come again.
+        # The peer that we met there has still to say whether the link stands, or when to dial again.
         return address not in self._met_at
 
     def _dialling(self, listen: str) -> bool:
@@ -342,11 +357,11 @@ class Peers:
         if hello.journal == own.journal:
             if address:
                 self._book[address].ours = True
-            return [Turn(link, "self", f"{own.name} dialled itself")]
-        if address:  # the one who dials is the newcomer, and waits to be told
+            return [TurnDown(link, "self", f"{own.name} dialled itself")]
+        if address:  # the agent that dials is the newcomer, and waits to be told
             self._book[address].due_s = now_s + self._times.retry_longest_s
             return []
-        return [Turn(link, "name", _taken(own.name, own.name))]
+        return [TurnDown(link, "name", _taken(own.name, own.name))]
 
     def _full(self, hello: Hello) -> str:
         """Returns why there is no room for one more peer, or an empty string."""
@@ -362,7 +377,7 @@ class Peers:
         if newcomer.hello.role != "client":
             return []
         places = [
-            Place(it.link, it.machine, self._quiet_s(it.link, now_s))
+            ClientPlace(it.link, it.machine, self._quiet_s(it.link, now_s))
             for it in self._up.values()
             if it.hello.role == "client"
         ]
@@ -370,7 +385,7 @@ class Peers:
         if link is None:
             return []
         reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"
-        return [Turn(link, "full", reason)]
+        return [TurnDown(link, "full", reason)]
 
     def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
         """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
@@ -379,7 +394,7 @@ class Peers:
             return [Admit(candidate.link)]
         if candidate.address:  # we dialled while we had a link: needless
             reason = f"{self._own.name} has another link to {candidate.hello.name}, which stays"
-            return [Turn(candidate.link, "duplicate", reason)]
+            return [TurnDown(candidate.link, "duplicate", reason)]
         return []
 
     def _freed(self, address: str, now_s: float) -> None:
@@ -395,7 +410,7 @@ class Peers:
         if it is None:
             if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
                 return False
-            it = self._book[address] = _Address(False, now_s)
+            it = self._book[address] = _KnownAddress(False, now_s)
             self._learnt += 1
         it.name = name or it.name
         return is_new
@@ -411,7 +426,7 @@ class Peers:
         else:
             self._retry(it, now_s)
 
-    def _retry(self, it: _Address, now_s: float) -> None:
+    def _retry(self, it: _KnownAddress, now_s: float) -> None:
         """Puts the next dial off by a random time with a doubling bound: full jitter."""
         doublings = min(max(it.failures - 1, 0), 30)
         bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)

@@ -9,24 +9,24 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import msgspec
 
-from pancakes.net.outbox import FIRST, Counters, Key, Message, Outbox, PeerBusy
+from pancakes.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.net.transport import Connection
 from pancakes.wire.framing import frame
 from pancakes.wire.link import Link
-from pancakes.wire.messages import Hello
-from pancakes.wire.runs import framed_run, run_of
+from pancakes.wire.link_messages import Hello
+from pancakes.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
 """How much is handed to a connection at a time when the link is busy. What is urgent waits for no more than that (or
 one packet, where that is larger); much smaller, and the system calls would cost more than the packets.
 """
 MOST_UNSENT_BYTES: Final = 512 * 1024
-"""Where more waits in the connection, the link itself has nothing more to say: who sends pings all the time and takes
-next to nothing of the answers must not fill the memory.
+"""Where more waits in the connection, the link sends no messages of its own: a peer that sends pings all the time
+and takes next to nothing of the answers must not fill the memory.
 """
 
 
@@ -60,14 +60,14 @@ class Unwanted:
     """The handler of a connection to an agent that takes none: it only begins, or ends."""
 
     def opened(self, connection: Connection) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         connection.close("this agent takes no connections")
 
     def received(self, data: bytes) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
 
     def closed(self, reason: str) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
 
 
 class Owner(Protocol):
@@ -114,7 +114,7 @@ class Session:
         self._connection: Connection | None = None
         self._remote = address
         self._lock = threading.Lock()
-        self._outbox = Outbox("", self.counters)
+        self._outbox = SendBuffer("", self.counters)
         self._closed = False
         self._written = 0
         self._taken = (0, 0.0)  # how much the peer had taken when it last took something, and when that was seen
@@ -124,6 +124,29 @@ class Session:
     def remote(self) -> str:
         """Address of the other end, for messages to people."""
         return self._remote
+
+    @property
+    def role(self) -> str:
+        """The peer's role; empty where the link is not up yet."""
+        return self.hello.role if self.hello is not None else ""
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the state of the link as plain values. From any thread."""
+        counters, hello = self.counters, self.hello
+        return {
+            "name": self.peer,
+            "role": self.role,
+            "address": hello.listen if hello is not None else "",
+            "remote": self.remote,
+            "boot": hello.boot if hello is not None else 0,
+            "rtt_s": self.link.rtt_s if self.link is not None else None,
+            "packets_out": counters.packets_out,
+            "packets_in": counters.packets_in,
+            "bytes_out": counters.bytes_out,
+            "bytes_in": counters.bytes_in,
+            "dropped": dict(sorted(counters.dropped.items())),
+            "waiting": self.waiting(),
+        }
 
     def stood_up(self, hello: Hello, counters: Counters) -> None:
         """The link to the agent that said `hello` is up: from now on packets may be offered."""
@@ -139,12 +162,12 @@ class Session:
     # The transport's callbacks
 
     def opened(self, connection: Connection) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         self._connection, self._remote = connection, connection.remote
         self._owner.session_opened(self)
 
     def received(self, data: bytes) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         self.counters.bytes_in += len(data)
         self._owner.session_received(self, data)
 
@@ -154,7 +177,7 @@ class Session:
             self._pump()
 
     def closed(self, reason: str) -> None:
-        """See `Handler`."""
+        """See `ConnectionHandler`."""
         with self._lock:
             self._closed = True
         self._owner.session_closed(self, reason)
@@ -170,14 +193,10 @@ class Session:
             if self._unsent() <= MOST_UNSENT_BYTES:
                 self._write(frame([message]))
 
-    def send(self, trains: Sequence[Train], data: bytes = b"") -> None:
+    def send(self, trains: Sequence[Train]) -> None:
         """Sends what one turn has for this peer, at once. From any thread.
 
-        Who finds `congested` set must `offer` instead; what was published before that goes before what waits.
-
-        Args:
-            trains: the packets.
-            data: all of them as a frame, if it is there already.
+        A thread that finds `congested` set must `offer` instead; what it published before goes before what waits.
         """
         with self._lock:
             if self._closed:
@@ -188,8 +207,7 @@ class Session:
             for train in trains:
                 packets += len(train.rows)
                 retries += train.retries
-            if not data:
-                data = frame([train.message() for train in sorted(trains, key=_comes_first)])
+            data = frame([train.message() for train in sorted(trains, key=_comes_after)])
             self._write(data, packets, packets - retries)
 
     def offer(self, channel: str, key: Key, message: Message) -> None:
@@ -208,7 +226,7 @@ class Session:
                     self.counters.drop(channel)
                     raise
             else:
-                self._write(framed_run(message.head, [message.data], len(message.data)), 1, message.counts)
+                self._write(frame([run_of(message.head, [message.data])]), 1, message.counts)
 
     def end(self, reason: str) -> None:
         """Closes the connection once what it was given is sent."""
@@ -258,26 +276,22 @@ class Session:
 
     def _write(self, data: bytes, packets: int = 0, counted: int = 0) -> None:
         """Writes frames. Under the lock."""
-        connection, link, counters = self._connection, self.link, self.counters
-        if connection is None:
+        if self._connection is None:
             return
-        unsent = connection.send(data)
-        length = len(data)
-        self._written += length
-        counters.packets_out += packets
-        counters.bytes_out += length
-        self.counted += counted
-        if link is not None:
-            now = self._now
-            link.sent_s = now()
-        if unsent:
+        if self._connection.send(data):
             self.congested = True
+        self._written += len(data)
+        self.counters.packets_out += packets
+        self.counters.bytes_out += len(data)
+        self.counted += counted
+        if self.link is not None:
+            self.link.sent_s = self._now()
 
     def _unsent(self) -> int:
         return self._connection.unsent() if self._connection is not None else 0
 
 
-def _comes_first(train: Train) -> bool:
+def _comes_after(train: Train) -> bool:
     return train.channel not in FIRST
 
 

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
+import msgspec
+
+from pancakes.clock import Clock
 from pancakes.kernel.guest import Guest
 
 
@@ -37,7 +40,7 @@ class Connection(ABC):
         """Closes the connection; `reason` is what this side's handler is told. A second call does nothing."""
 
 
-class Handler(Protocol):
+class ConnectionHandler(Protocol):
     """What a user of a connection implements."""
 
     def opened(self, connection: Connection) -> None:
@@ -53,7 +56,7 @@ class Handler(Protocol):
         ...
 
 
-class PacedHandler(Handler, Protocol):
+class PacedHandler(ConnectionHandler, Protocol):
     """A handler that waits for room. A transport calls `drained` on every handler that has it."""
 
     def drained(self) -> None:
@@ -70,14 +73,25 @@ class Scheduled(Protocol):
 
 
 class Transport(ABC):
-    """A way to reach other processes (entry point group `pancakes.transports`)."""
+    """A way to reach other processes (entry point group `pancakes.transports`).
+
+    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. An
+    agent makes it with the host clock, the agent's name, and what the configuration says under `transport` in the
+    settings of `[service.network]`.
+    """
+
+    class Settings(msgspec.Struct):
+        """It has no settings."""
 
     @abstractmethod
-    def listen(self, address: str, accept: Callable[[], Handler]) -> str:
+    def __init__(self, clock: Clock, name: str, settings: Any) -> None: ...
+
+    @abstractmethod
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
         """Takes connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
 
         Args:
-            address: where to listen.
+            address: where to listen; for the parts of an address see `pancakes.address`.
             accept: makes the handler for each connection that comes in.
 
         Returns:
@@ -88,7 +102,7 @@ class Transport(ABC):
         """
 
     @abstractmethod
-    def dial(self, address: str, handler: Handler) -> None:
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
         """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
     @abstractmethod
@@ -96,7 +110,7 @@ class Transport(ABC):
         """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
 
     def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Lets this transport's thread give the turns of those to whom it has brought something.
+        """Lets this transport's thread give turns to the actors that it has brought something.
 
         A transport that has no thread of its own, or would rather not, need not do anything.
 

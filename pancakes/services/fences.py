@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from pancakes import codecs
-from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.journal import Journal, JournalEntry, RecordStore
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Fence
 
@@ -70,4 +70,4 @@ class Fences:
             self._on_disk[actuator] = marks
             then()
 
-        self._store.persist(Entry(KIND, actuator, codecs.encode_small(marks)), written, failed)
+        self._store.persist(JournalEntry(KIND, actuator, codecs.encode_small(marks)), written, failed)

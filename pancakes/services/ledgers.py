@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes import codecs
-from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.journal import Journal, JournalEntry, RecordStore
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.ledger import Ledger
 
@@ -91,7 +91,7 @@ class Ledgers:
         def failed(why: str) -> None:
             self._log("warning", f"the account of the move of {ledger.task_id} is not in the journal: {why}")
 
-        self._store.persist(Entry(KIND, key, codecs.encode(kept)), lambda: None, failed)
+        self._store.persist(JournalEntry(KIND, key, codecs.encode(kept)), lambda: None, failed)
 
     def plain(self) -> list[dict[str, Any]]:
         """Returns the accounts, oldest first, as plain values: the fields of `Ledger` besides those of `Kept`."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
-from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.journal import Journal, JournalEntry, RecordStore
 from pancakes.migration.record import Record, TaskId
 from pancakes.services.lost import Lost
 
@@ -100,14 +100,14 @@ class Records:
         except MemoryError as error:
             failed(str(error))
             return
-        self._store.persist(Entry(KIND, str(record.task_id), data), written, failed)
+        self._store.persist(JournalEntry(KIND, str(record.task_id), data), written, failed)
 
     def close(self) -> None:
         """Writes what still waits, and closes the journal. Waits for the disk."""
         self._store.close()
 
 
-def _read(entry: Entry | None) -> Record | None:
+def _read(entry: JournalEntry | None) -> Record | None:
     if entry is None:
         return None
     try:

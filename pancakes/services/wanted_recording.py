@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from pancakes import codecs
-from pancakes.journal import Entry, Journal, RecordStore
+from pancakes.journal import Journal, JournalEntry, RecordStore
 from pancakes.malformed import MALFORMED, why_malformed
 
 KIND = "recording"
@@ -73,4 +73,4 @@ class WantedRecording:
             self.on_disk = wanted
             then()
 
-        self._store.persist(Entry(KIND, self._key, codecs.encode_small(wanted or Wanted())), written, failed)
+        self._store.persist(JournalEntry(KIND, self._key, codecs.encode_small(wanted or Wanted())), written, failed)

@@ -16,7 +16,7 @@ from pancakes import codecs
 from pancakes.errors import RemoteProtocolError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import body_class
-from pancakes.wire.framing import FrameReader, frame_of
+from pancakes.wire.framing import FrameReader, frame
 
 
 class Attach(msgspec.Struct, tag_field="is", tag="attach", array_like=True, frozen=True):
@@ -137,7 +137,7 @@ def _decoder(cls: Any) -> Callable[[Any], Any]:
 
 def encode(message: Request | Reply) -> bytes:
     """Returns a message as a frame."""
-    return frame_of(codecs.encode((message,)))
+    return frame([codecs.encode(message)])
 
 
 class BusReader(Generic[_Message]):

@@ -1,7 +1,7 @@
 """Classes of bodies that say all about what they hold: numbers, texts, bytes, and lists, maps and classes of these.
 
-What comes as one of these is checked by the decoder of its class alone, and what leaves needs no look before: it fits,
-or is found not to where it arrives.
+The decoder of such a class alone checks a body that arrives. A body that leaves needs no check before: where it does
+not fit, the receiver finds out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def is_closed(cls: type) -> bool:
 def _is_closed(info: inspect.Type, within: tuple[type, ...]) -> bool:
     """Returns whether a value of a type holds nothing but what its type says, to a depth that the type sets.
 
-    Where a type leaves something open, what comes may be nested deeper than is good, or hold an extension type.
+    Where a type leaves something open, a value may be nested too deep, or hold an extension type.
     """
     match info:
         case inspect.Metadata(inner):

@@ -13,9 +13,9 @@ import msgspec
 from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.packet import Fence, Packet
-from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES
-from pancakes.wire.messages import LinkMessage
+from pancakes.wire.link_messages import LinkMessage
+from pancakes.wire.packet_bodies import encodable, received_body, unpacked
 
 Text = Annotated[str, msgspec.Meta(max_length=256)]
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=256)]

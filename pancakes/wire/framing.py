@@ -15,8 +15,6 @@ MAX_PAYLOAD_BYTES: Final = 256 * 1024
 """Longest payload of a frame."""
 MAX_MESSAGE_BYTES: Final = MAX_PAYLOAD_BYTES - 5
 """Longest message that still fits a frame, behind the header of the frame's array."""
-FEW_BYTES: Final = 2048
-"""What comes in at a time is copied, where it is no more than that, instead of looked at through a view."""
 
 _LENGTH = struct.Struct(">I")
 
@@ -27,7 +25,7 @@ def frame(messages: Sequence[bytes]) -> bytes:
     Raises:
         LocalProtocolError: a message does not fit a frame.
     """
-    if len(messages) == 1 and len(messages[0]) < MAX_MESSAGE_BYTES:  # nearly every frame of an idle link
+    if len(messages) == 1 and len(messages[0]) <= MAX_MESSAGE_BYTES:  # most frames of a dialogue
         return _LENGTH.pack(len(messages[0]) + 1) + b"\x91" + messages[0]
     parts: list[bytes] = []
     start = length = 0
@@ -43,20 +41,13 @@ def frame(messages: Sequence[bytes]) -> bytes:
     return b"".join(parts)
 
 
-def frame_of(payload: bytes) -> bytes:
-    """Returns the frame of a payload, an encoded array of messages.
-
-    Raises:
-        LocalProtocolError: it is too long.
-    """
-    if len(payload) > MAX_PAYLOAD_BYTES:
-        raise LocalProtocolError(f"a payload of {len(payload)} bytes does not fit a frame ({MAX_PAYLOAD_BYTES})")
-    return _LENGTH.pack(len(payload)) + payload
+def array_head(count: int) -> bytes:
+    """Returns what a msgpack array of up to 65,535 items begins with."""
+    return bytes((0x90 | count,)) if count < 16 else b"\xdc" + count.to_bytes(2, "big")
 
 
 def _one_frame(messages: Sequence[bytes], length: int, parts: list[bytes]) -> None:
-    count = len(messages)
-    header = bytes((0x90 | count,)) if count < 16 else b"\xdc" + count.to_bytes(2, "big")
+    header = array_head(len(messages))
     parts.append(_LENGTH.pack(len(header) + length))
     parts.append(header)
     parts.extend(messages)
@@ -70,21 +61,18 @@ class FrameReader:
         self._missing = 0  # bytes without which `_rest` holds no whole frame
         self._chunks: list[bytes] = []
 
-    def feed(self, data: bytes) -> list[bytes | memoryview]:
+    def feed(self, data: bytes) -> list[memoryview]:
         """Takes bytes that came in.
 
         Returns:
-            The payloads that are now complete, in order: views of what was joined anyway, not copied once more; of
-            few bytes, copies, because those are quicker to make, to cut and to compare than views.
+            The payloads that are now complete, in order: views of what was joined anyway, not copied once more.
 
         Raises:
             RemoteProtocolError: a length of 0 or above the limit was announced. Nothing was kept for it; the
                 reader is of no more use.
         """
-        length = len(data)
-        if not self._rest and length > 4 and _LENGTH.unpack_from(data)[0] == length - 4 <= MAX_PAYLOAD_BYTES:
-            # One whole frame, as most of an idle link.
-            return [data[4:] if length <= FEW_BYTES else memoryview(data)[4:]]
+        if not self._rest and len(data) > 4 and _LENGTH.unpack_from(data)[0] == len(data) - 4 <= MAX_PAYLOAD_BYTES:
+            return [memoryview(data)[4:]]  # one whole frame, as most that come
         if self._missing > len(data):  # a long frame arrives in many pieces: join them once, not each time
             self._chunks.append(data)
             self._missing -= len(data)
@@ -92,9 +80,9 @@ class FrameReader:
         if self._chunks or self._rest:
             data = b"".join((self._rest, *self._chunks, data))
             self._chunks.clear()
-        payloads: list[bytes | memoryview] = []
+        payloads: list[memoryview] = []
         position, end = 0, len(data)
-        view = data if end <= FEW_BYTES else memoryview(data)
+        view = memoryview(data)
         self._missing = 0
         while end - position >= 4:
             (length,) = _LENGTH.unpack_from(data, position)

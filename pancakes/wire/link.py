@@ -7,7 +7,7 @@ came back before the other noticed that it had gone), so one of them chooses: th
 `Welcome` on the connection that stays, and only then do packets flow, on either side. No packet is ever sent
 on a connection that will be given up for another, so none is lost or overtaken.
 
-Who does the sending, and where the time comes from, is the caller's business.
+The caller sends, and says what time it is.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from pancakes.errors import RemoteProtocolError
 from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import FrameReader
-from pancakes.wire.messages import (
+from pancakes.wire.link_messages import (
     Goodbye,
+    Gossip,
     Hello,
     LinkMessage,
-    Peers,
     Ping,
     Pong,
     Refusal,
-    Refuse,
+    RefuseLink,
     Welcome,
     fault_of_address,
     fault_of_hello,
 )
-from pancakes.wire.runs import Run, RunReader, Unfit, foreign_version, messages_from_payload, packets_of
+from pancakes.wire.runs import PacketRun, Unfit, foreign_version, messages_from_payload, packets_of
 
 PATIENCE: Final = 1.2
 """So much longer than `LinkTimes.heartbeat_s` the agent with the higher name waits before it sends a heartbeat."""
@@ -70,7 +70,7 @@ class LinkTimes(msgspec.Struct, frozen=True):
         return self.heartbeat_s * self.missed
 
 
-class State(Enum):
+class LinkState(Enum):
     """Where a link is; see the module's text."""
 
     GREETING = "greeting"
@@ -79,17 +79,13 @@ class State(Enum):
     OVER = "over"
 
 
-_UP: Final = State.UP  # for what is asked of every frame: to look a member up takes Python longer than to compare it
-_OVER: Final = State.OVER
-
-
-class Send(msgspec.Struct, frozen=True):
+class SendMessage(msgspec.Struct, frozen=True):
     """Send this message, before any packet that waits."""
 
     message: bytes
 
 
-class Met(msgspec.Struct, frozen=True):
+class Greeted(msgspec.Struct, frozen=True):
     """The peer said who it is; answer with `Link.admit` (the lower name, once) or `Link.refuse`."""
 
     hello: Hello
@@ -99,7 +95,7 @@ class Up(msgspec.Struct, frozen=True):
     """The link stands: packets may flow."""
 
 
-class Received(msgspec.Struct, frozen=True):
+class PacketsReceived(msgspec.Struct, frozen=True):
     """Packets came in, in this order: of one channel, type, source and destination.
 
     Attributes:
@@ -135,7 +131,7 @@ class Over(msgspec.Struct, frozen=True):
     broken: bool = False
 
 
-Action = Send | Met | Up | Received | Unfit | Learnt | Over
+Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | Over
 
 
 class Link:
@@ -150,17 +146,15 @@ class Link:
         state: where it is.
         peer: what the peer said about itself, once it has.
         rtt_s: smoothed round trip time, once measured.
-        sent_s: when something was last sent, which makes a heartbeat needless; set by who sends packets, in any thread.
+        sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
     """
 
     def __init__(self, own: Hello, times: LinkTimes, now_s: float) -> None:
-        self.state = State.GREETING
+        self.state = LinkState.GREETING
         self.peer: Hello | None = None
         self.rtt_s: float | None = None
         self._own = own
         self._times = times
-        self._gone_s = times.gone_s
-        self._measure_s = times.measure_s
         self._quiet_s = times.heartbeat_s  # so long this side is silent before it sends a ping
         self._opened_s = now_s
         self._heard_s = now_s
@@ -171,7 +165,6 @@ class Link:
         self._patient_until_s = float("-inf")
         self._unanswered: dict[int, float] = {}
         self._reader = FrameReader()
-        self._runs = RunReader()
         self._encoder = Encoder()
 
     def open(self, now_s: float) -> list[Action]:
@@ -180,13 +173,9 @@ class Link:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do, if nothing comes in before."""
-        if self.state is _OVER:
+        if self.state is LinkState.OVER:
             return float("inf")
-        # With comparisons: `min` takes five times as long, and each link is asked some ten times a second.
-        due_s, measure_s, end_s = self.sent_s + self._quiet_s, self._pinged_s + self._measure_s, self._end_s()
-        if measure_s < due_s:
-            due_s = measure_s
-        return end_s if end_s < due_s else due_s
+        return min(self.sent_s + self._quiet_s, self._pinged_s + self._times.measure_s, self._end_s())
 
     def _set_quiet(self) -> None:
         """Decides how long this side is silent before it sends a ping.
@@ -194,18 +183,18 @@ class Link:
         Of two silent agents the one with the lower name comes first, and the other's answer is its sign of life: half
         as many heartbeats.
         """
-        # Who waits for the other's pings measures nothing: first the round trip is to be known.
+        # A side that waits for the other's pings measures nothing: the round trip is to be known first.
         patient = self.peer is not None and self.rtt_s is not None and self._own.name > self.peer.name
         self._quiet_s = self._times.heartbeat_s * (PATIENCE if patient else 1.0)
 
     def tick(self, now_s: float) -> list[Action]:
         """Does what the time asks for: a heartbeat, or the end of a silent link."""
-        if self.state is State.OVER:
+        if self.state is LinkState.OVER:
             return []
         end_s = self._end_s()
         if now_s >= end_s:
             is_late = now_s - end_s > self._times.heartbeat_s
-            if self._excused_s > self._heard_s or not (is_late or self.state is State.UP):
+            if self._excused_s > self._heard_s or not (is_late or self.state is LinkState.UP):
                 return self._over(self._silence())
             self._excused_s = now_s
             if not is_late:
@@ -225,61 +214,54 @@ class Link:
 
     def receive(self, data: bytes, now_s: float) -> list[Action]:
         """Takes bytes that came in. Where they break the protocol, the last action is `Over`."""
-        if self.state is _OVER:
+        if self.state is LinkState.OVER:
             return []
         self._heard_s = now_s  # any byte counts as life
         actions: list[Action] = []
         try:
             for payload in self._reader.feed(data):
-                if self.state is _UP and (read := self._runs.read(payload)) is not None:
-                    packets, unfit, size = read
-                    if packets:
-                        actions.append(Received(packets, size))
-                    actions.extend(unfit)
-                    continue
                 self._payload(payload, now_s, actions)
-                if self.state is _OVER:
+                if self.state is LinkState.OVER:
                     break
         except RemoteProtocolError as error:
-            actions.append(self._send(Refuse("protocol", str(error)[:1000]), now_s))
+            actions.append(self._send(RefuseLink("protocol", str(error)[:1000]), now_s))
             actions.extend(self._over(f"{self._who()} broke the protocol: {error}", broken=True))
         return actions
 
     def admit(self, now_s: float) -> list[Action]:
-        """Makes this the link that stays. Only the lower name does so, after `Met`."""
-        if self.state is not State.MET:
+        """Makes this the link that stays. Only the lower name does so, after `Greeted`."""
+        if self.state is not LinkState.MET:
             return []
-        self.state = State.UP
+        self.state = LinkState.UP
         return [self._send(Welcome(), now_s), Up()]
 
     def refuse(self, code: Refusal, reason: str, now_s: float) -> list[Action]:
         """Tells the peer why it is not wanted, and ends the link."""
-        if self.state is State.OVER:
+        if self.state is LinkState.OVER:
             return []
-        return [self._send(Refuse(code, reason[:1000]), now_s), *self._over(reason, refusing=code)]
+        return [self._send(RefuseLink(code, reason[:1000]), now_s), *self._over(reason, refusing=code)]
 
     def leave(self, goodbye: Goodbye, now_s: float) -> list[Action]:
         """Says goodbye, and ends the link."""
-        if self.state is State.OVER:
+        if self.state is LinkState.OVER:
             return []
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
     def gossip(self, addresses: tuple[str, ...], now_s: float) -> list[Action]:
         """Tells the peer addresses of other agents."""
-        return [self._send(Peers(addresses), now_s)] if self.state is State.UP else []
+        return [self._send(Gossip(addresses), now_s)] if self.state is LinkState.UP else []
 
     def _who(self) -> str:
         return self.peer.name if self.peer is not None else "the other side"
 
     def _end_s(self) -> float:
         """Returns when the link ends if nothing comes in."""
-        end_s = self._heard_s + self._gone_s
-        if self.state is not _UP:
-            if self.state is State.GREETING:
-                end_s = self._opened_s + self._times.hello_s
-            elif self.state is State.MET:
-                end_s = min(end_s, self._no_welcome_s())
-        return end_s if end_s > self._patient_until_s else self._patient_until_s
+        end_s = self._heard_s + self._times.gone_s
+        if self.state is LinkState.GREETING:
+            end_s = self._opened_s + self._times.hello_s
+        elif self.state is LinkState.MET:
+            end_s = min(end_s, self._no_welcome_s())
+        return max(end_s, self._patient_until_s)
 
     def _no_welcome_s(self) -> float:
         # The lower name may have to find out first that an older link has died.
@@ -288,15 +270,15 @@ class Link:
     def _silence(self) -> str:
         """Returns why the link ends if nothing comes in."""
         times = self._times
-        if self.state is State.GREETING:
+        if self.state is LinkState.GREETING:
             return f"no hello came within {times.hello_s:g} s"
-        if self.state is State.MET and self._no_welcome_s() < self._heard_s + times.gone_s:
+        if self.state is LinkState.MET and self._no_welcome_s() < self._heard_s + times.gone_s:
             return f"{self._who()} did not say welcome in {times.hello_s + times.gone_s:g} s"
         return f"nothing was heard from {self._who()} for {times.gone_s:g} s"
 
-    def _send(self, message: LinkMessage, now_s: float) -> Send:
+    def _send(self, message: LinkMessage, now_s: float) -> SendMessage:
         self.sent_s = now_s
-        return Send(self._encoder.link_message(message))
+        return SendMessage(self._encoder.link_message(message))
 
     def _over(
         self,
@@ -306,31 +288,29 @@ class Link:
         goodbye: Goodbye | None = None,
         broken: bool = False,
     ) -> list[Action]:
-        self.state = State.OVER
+        self.state = LinkState.OVER
         return [Over(reason, refused, refusing, goodbye, broken)]
 
-    def _payload(self, payload: bytes | memoryview, now_s: float, actions: list[Action]) -> None:
+    def _payload(self, payload: memoryview, now_s: float, actions: list[Action]) -> None:
         try:
             messages = messages_from_payload(payload)
         except RemoteProtocolError:
-            theirs = foreign_version(payload, self._own.version) if self.state is State.GREETING else None
+            theirs = foreign_version(payload, self._own.version) if self.state is LinkState.GREETING else None
             if theirs is None:
                 raise
             actions.extend(self._other_version(theirs, now_s))
             return
         for message in messages:
-            if isinstance(message, Run):
-                if self.state is not State.UP:
+            if isinstance(message, PacketRun):
+                if self.state is not LinkState.UP:
                     raise RemoteProtocolError("a packet came before the link was up")
                 packets, unfit = packets_of(message)
                 if packets:
-                    actions.append(Received(packets, memoryview(message.rows).nbytes))
+                    actions.append(PacketsReceived(packets, memoryview(message.rows).nbytes))
                 actions.extend(unfit)
-                if len(messages) == 1:
-                    self._runs.remember(payload, message)
                 continue
             actions.extend(self._message(message, now_s))
-            if self.state is _OVER:
+            if self.state is LinkState.OVER:
                 return
 
     def _other_version(self, theirs: object, now_s: float) -> list[Action]:
@@ -339,7 +319,7 @@ class Link:
         return self.refuse("version", reason, now_s)
 
     def _hello(self, hello: Hello, now_s: float) -> list[Action]:
-        if self.state is not State.GREETING:
+        if self.state is not LinkState.GREETING:
             raise RemoteProtocolError("a second hello came")
         own = self._own
         if hello.version != own.version:
@@ -351,34 +331,34 @@ class Link:
         if hello.fleet != own.fleet:
             reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
             return self.refuse("fleet", reason, now_s)
-        self.state = State.MET
-        return [Met(hello)]
+        self.state = LinkState.MET
+        return [Greeted(hello)]
 
     def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
-        if type(message) is Ping:  # first, because these two are most of all, and to match takes ten times as long
-            return [self._send(Pong(message.token), now_s)]
-        if type(message) is Pong:
-            self._pong(message.token, now_s)
-            return []
         match message:
+            case Ping(token):
+                return [self._send(Pong(token), now_s)]
+            case Pong(token):
+                self._pong(token, now_s)
+                return []
             case Hello():
                 return self._hello(message, now_s)
-            case Refuse(code, reason):
+            case RefuseLink(code, reason):
                 return self._over(f"{self._who()} refused the link: {reason}", refused=code)
             case Goodbye(why, for_s):
                 until = "" if for_s is None else f" for {for_s:g} s"
                 reason = f"{self._who()} sleeps{until}" if why == "sleep" else f"{self._who()} stopped"
                 return self._over(reason, goodbye=message)
-        if self.state is State.GREETING:
+        if self.state is LinkState.GREETING:
             raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
         if isinstance(message, Welcome):
-            if self.state is not State.MET or self.peer is None or self._own.name < self.peer.name:
+            if self.state is not LinkState.MET or self.peer is None or self._own.name < self.peer.name:
                 raise RemoteProtocolError("a welcome came that was not the peer's to send")
-            self.state = State.UP
+            self.state = LinkState.UP
             return [Up()]
-        if self.state is not State.UP:
+        if self.state is not LinkState.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
-        assert isinstance(message, Peers)
+        assert isinstance(message, Gossip)
         for address in message.addresses:
             if fault := fault_of_address(address):
                 raise RemoteProtocolError(fault)

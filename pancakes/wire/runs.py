@@ -2,8 +2,7 @@
 
 A run is the array [0, channel, type, source, destination, fence, rows], each row the array [stamp, seq, cause, body].
 Packets of a busy source have most often the same head as the one before; so the head is made and checked once for all
-of them, and its receiver finds out once where they go. Measured with 100 packets of two numbers: 0.3 µs each to
-encode, where an array for each took 1.4, and 0.3 µs to decode, where it took 2.0.
+of them, and its receiver finds out once where they go.
 
 A body that does not fit its class costs that packet, and not the link: two agents may have learnt a type from different
 versions of a plug-in, and what one task gets wrong must not part the others.
@@ -13,7 +12,6 @@ All limits are checked before memory is taken: msgspec refuses a length that is 
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final
 
@@ -24,11 +22,11 @@ from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.packet import Cause, Fence, Packet, body_class
 from pancakes.weight import is_small
-from pancakes.wire.bodies import encodable, received_body, unpacked
 from pancakes.wire.closed import is_closed
 from pancakes.wire.codec import Seq, Stamp, Text, Word, unsendable
-from pancakes.wire.framing import MAX_MESSAGE_BYTES
-from pancakes.wire.messages import HELLO_NUMBER, LinkMessage
+from pancakes.wire.framing import MAX_MESSAGE_BYTES, array_head
+from pancakes.wire.link_messages import HELLO_NUMBER, LinkMessage
+from pancakes.wire.packet_bodies import encodable, received_body, unpacked
 
 MAX_ROWS: Final = 65_535
 """Most packets in a run."""
@@ -36,10 +34,7 @@ LONGEST_REASON: Final = 1000
 """Of what is wrong with a body no more characters are told: the sentence may quote what a peer made up."""
 _ROOM: Final = MAX_MESSAGE_BYTES - 3  # for a head and its rows, behind the longest header of the array of rows
 
-ENCODE: Final = codecs.encode_small
-"""Encodes a row, the tuple of a packet's stamp, seq, cause and body, where the body's class is small."""
 _HEAD_LENGTH: Final = 7
-_FRAME_OF_ONE: Final = struct.Struct(">IB")  # a frame's length, and the head of its array of one message
 _BAD_BODY: Final = (
     WireError,
     OverflowError,
@@ -53,10 +48,9 @@ _BAD_BODY: Final = (
 """What a body raises that cannot travel: the last three one without one of its fields, one that holds itself, and one
 for which there is no memory.
 """
-_ARRAYS: Final = tuple(bytes((0x90 | count,)) for count in range(16))  # the heads of short arrays
 
 
-class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
+class PacketRun(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fields=True):
     """Packets of one source to one destination, of one type on one channel and under one right, in their order.
 
     Attributes:
@@ -76,8 +70,8 @@ class Run(msgspec.Struct, array_like=True, tag=0, frozen=True, forbid_unknown_fi
     rows: msgspec.Raw
 
 
-_FRAME: Final[Callable[[Any], list[Run | LinkMessage]]] = codecs.decoder(
-    Annotated[list[Run | LinkMessage], msgspec.Meta(min_length=1)]
+_FRAME: Final[Callable[[Any], list[PacketRun | LinkMessage]]] = codecs.decoder(
+    Annotated[list[PacketRun | LinkMessage], msgspec.Meta(min_length=1)]
 )
 _Cause = tuple[Text, Seq] | None
 _Row = tuple[Stamp, Seq, _Cause, Any]
@@ -87,12 +81,11 @@ _RAW_ROWS: Final[Callable[[Any], list[tuple[float, int, Cause | None, msgspec.Ra
 )
 
 _DECODERS: Final[dict[type, _Rows | None]] = {}
-_NO_ROWS: Final = msgspec.Raw()
 _SOME_ROWS: Final[_Rows] = codecs.converter(Annotated[list[_Row], msgspec.Meta(min_length=1)])
 
 
 class Unfit(msgspec.Struct, frozen=True):
-    """A packet came whose body does not fit its type, or holds what no packet may: it is for nobody.
+    """A packet came whose body does not fit its type, or holds what no packet may: no subscriber gets it.
 
     Attributes:
         packet: the packet, with None for a body.
@@ -120,15 +113,13 @@ def head_of(packet: Packet) -> bytes:
     try:
         if not all(words[:3]) or max(map(len, words)) > 256:
             raise LocalProtocolError("its channel, type, source or destination has not 1 to 256 characters")
-        return bytes((0x90 | _HEAD_LENGTH, 0)) + b"".join(map(ENCODE, (*words, packet.fence)))
+        return bytes((0x90 | _HEAD_LENGTH, 0)) + b"".join(map(codecs.encode_small, (*words, packet.fence)))
     except (WireError, UnicodeError) as error:
         raise unsendable(packet, error) from None
 
 
 class RowEncoder:
     """Encodes packets as rows of the runs that begin with `head`, which all of them would have. Any thread.
-
-    Measured with a structure of two fields: 0.2 µs a packet, where a look at each field took 0.35.
 
     Attributes:
         closed: the class of the last body whose class was closed and small: such a body needs no look before it is
@@ -152,7 +143,7 @@ class RowEncoder:
         try:
             if body.__class__ is not self.closed:
                 body = self._look(body)
-            encode = ENCODE if body.__class__ is self.closed else codecs.encode
+            encode = codecs.encode_small if body.__class__ is self.closed else codecs.encode
             try:
                 row = encode((packet.stamp, packet.seq, packet.cause, body))
             except TypeError:  # a number of numpy's, say, where its class has a number
@@ -175,23 +166,13 @@ class RowEncoder:
 
 def run_of(head: bytes, rows: Sequence[bytes]) -> bytes:
     """Returns a run as one message of a frame; not more than `MAX_ROWS` rows."""
-    return b"".join((head, _array_of(len(rows)), *rows))
-
-
-def framed_run(head: bytes, rows: Sequence[bytes], size: int) -> bytes:
-    """Returns a run as a frame of its own, without a copy in between; `size`: the bytes of all rows, as many as fit."""
-    array = _array_of(len(rows))
-    return b"".join((_FRAME_OF_ONE.pack(1 + len(head) + len(array) + size, 0x91), head, array, *rows))
-
-
-def _array_of(count: int) -> bytes:
-    return _ARRAYS[count] if count < 16 else b"\xdc" + count.to_bytes(2, "big")
+    return b"".join((head, array_head(len(rows)), *rows))
 
 
 # Receiving -------------------------------------------------------------------------------------------------------
 
 
-def messages_from_payload(payload: bytes | memoryview) -> list[Run | LinkMessage]:
+def messages_from_payload(payload: bytes | memoryview) -> list[PacketRun | LinkMessage]:
     """Takes a frame's payload apart; what is in a run is decoded by `packets_of`.
 
     Raises:
@@ -218,78 +199,42 @@ def foreign_version(payload: bytes | memoryview, own: int) -> object:
     return None if version == own else version if isinstance(version, int) else "unknown"
 
 
-class RunReader:
-    """Reads the frames of one link that hold one run each, with the same head as the one before.
-
-    Nearly all frames of a busy link do, and those of a dialogue. Only their rows are decoded: a packet that comes alone
-    takes 1.3 µs, where the frame, the head and the rows one after the other take 2.0.
-    """
-
-    __slots__ = ("_head", "_start")
-
-    def __init__(self) -> None:
-        self._start = b""
-        self._head: Run | None = None
-
-    def read(self, payload: bytes | memoryview) -> tuple[list[Packet], Sequence[Unfit], int] | None:
-        """Returns the packets of such a frame as `packets_of` does, and the bytes that they took; None of any other.
-
-        Raises:
-            RemoteProtocolError: as there.
-        """
-        start, head = self._start, self._head
-        if head is None or payload[: len(start)] != start:
-            return None
-        rows = payload[len(start) :]
-        return *_packets(head, rows), len(rows)
-
-    def remember(self, payload: bytes | memoryview, run: Run) -> None:
-        """Notes the head of the only run of a payload that was not such a frame."""
-        self._start = bytes(payload[: len(payload) - memoryview(run.rows).nbytes])
-        # Without its rows, which would keep the memory of all that was read with them.
-        self._head = Run(run.channel, run.kind, run.source, run.destination, run.fence, _NO_ROWS)
-
-
-def packets_of(run: Run) -> tuple[list[Packet], Sequence[Unfit]]:
+def packets_of(run: PacketRun) -> tuple[list[Packet], Sequence[Unfit]]:
     """Returns the packets of a run, whose bodies become the registered class, and those whose bodies do not fit it.
 
     Raises:
         RemoteProtocolError: they are malformed.
     """
-    return _packets(run, run.rows)
-
-
-def _packets(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list[Packet], Sequence[Unfit]]:
-    channel, kind, source, destination, fence = head.channel, head.kind, head.source, head.destination, head.fence
+    channel, kind, source, destination, fence = run.channel, run.kind, run.source, run.destination, run.fence
     cls = body_class(kind)
     decoder = _DECODERS[cls] if cls in _DECODERS else _decoder(cls)
     try:
-        rows = decoder(encoded) if decoder is not None else _checked_rows(head, encoded)
+        rows = decoder(run.rows) if decoder is not None else _checked_rows(run)
     except Exception:  # also of a registered class, which may run code of its own in __post_init__
-        return _one_by_one(head, encoded)
+        return _one_by_one(run)
     return [
         Packet(channel, kind, source, destination, stamp, seq, body, cause, fence) for stamp, seq, cause, body in rows
     ], ()
 
 
-def _checked_rows(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> list[_Row]:
+def _checked_rows(run: PacketRun) -> list[_Row]:
     """Decodes rows whose bodies may hold anything: with a look at each part of them."""
-    rows = _SOME_ROWS(unpacked(encoded))
-    kind, source = head.kind, head.source
+    rows = _SOME_ROWS(unpacked(run.rows))
+    kind, source = run.kind, run.source
     return [(stamp, seq, cause, received_body(kind, body, source)) for stamp, seq, cause, body in rows]
 
 
-def _one_by_one(head: Run, encoded: bytes | memoryview | msgspec.Raw) -> tuple[list[Packet], list[Unfit]]:
+def _one_by_one(run: PacketRun) -> tuple[list[Packet], list[Unfit]]:
     """Decodes rows of which one at least has something wrong with it."""
-    kind, source = head.kind, head.source
+    kind, source = run.kind, run.source
     try:
-        rows = _RAW_ROWS(encoded)
+        rows = _RAW_ROWS(run.rows)
     except MALFORMED as error:
         reason = f"a packet of the type {kind!r} from {source} is malformed: {why_malformed(error)}"
         raise RemoteProtocolError(reason) from None
     packets, unfit = [], []
     for stamp, seq, cause, raw in rows:
-        packet = Packet(head.channel, kind, source, head.destination, stamp, seq, None, cause, head.fence)
+        packet = Packet(run.channel, kind, source, run.destination, stamp, seq, None, cause, run.fence)
         try:
             packets.append(msgspec.structs.replace(packet, body=received_body(kind, unpacked(raw), source)))
         except RemoteProtocolError as error:

@@ -89,6 +89,7 @@ def configuration() -> str:
         ("Settings of services", "pancakes.services"),
         ("Settings of tasks", "pancakes.tasks"),
         ("Settings of drivers", "pancakes.drivers"),
+        ("Settings of transports", "pancakes.transports"),
     ):
         parts.append(f"## {title}\n")
         for name in _core(plugins, group):

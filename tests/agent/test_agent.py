@@ -1,10 +1,12 @@
 """An agent put together from its configuration: what runs, in which order, and how it ends."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import pytest
 
 from pancakes.agent import Agent, default_state_dir
+from pancakes.clock import Clock
 from pancakes.config import parse
 from pancakes.control import Describe
 from pancakes.devices.types import Load, Pose
@@ -12,6 +14,7 @@ from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.fleet import VirtualFleet
 from pancakes.net.memory import Quality
+from pancakes.net.tcp import TcpTransport
 from pancakes.service import Service
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published, config_of, no_thread_left, registered, threaded_agent
@@ -134,6 +137,22 @@ def test_a_port_in_use_on_threads_leaves_no_thread(tmp_path):
             second = Agent(config)
             with pytest.raises(PancakesError, match="address already in use"):
                 second.start()
+
+
+def test_the_settings_of_a_transport_reach_it(tmp_path):
+    class Noted(TcpTransport):
+        made_with: ClassVar[list[TcpTransport.Settings]] = []
+
+        def __init__(self, clock: Clock, name: str, settings: TcpTransport.Settings) -> None:
+            self.made_with.append(settings)
+            super().__init__(clock, name, settings)
+
+    text = "[service.network]\nsettings = { transport = { dial_s = 2.5 } }\n"
+    config = config_of("a", text, peers=["noted:///run/b"], state_dir=str(tmp_path))
+    agent = Agent(config, registered({}, {("pancakes.transports", "noted"): Noted}))
+    agent.start()
+    agent.stop()
+    assert Noted.made_with == [TcpTransport.Settings(dial_s=2.5)]
 
 
 def test_two_agents_of_one_name_do_not_both_stay():

@@ -87,7 +87,7 @@ class Abuse:
         self._changed = threading.Condition()
         self.clients: list[Listener] = []
         for index in range(CLIENTS):
-            transport = TcpTransport(self.clock, f"abuse{index}")
+            transport = TcpTransport(self.clock, f"abuse{index}", TcpTransport.Settings())
             door = Door(f"abuse{index}", "test", transport, self.clock, self._news)
             client = Listener(door, transport, {name: [] for name in agents})
             door.listen(lambda agent, packet, client=client: self._heard(client, agent, packet))  # type: ignore[misc]

@@ -13,7 +13,7 @@ from processes import PATIENCE_S
 from pancakes.errors import RemoteProtocolError
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import FrameReader, frame
-from pancakes.wire.messages import VERSION, Hello, LinkMessage, Ping, Pong, Refuse, Role, Welcome
+from pancakes.wire.link_messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
 from pancakes.wire.runs import messages_from_payload
 
 
@@ -47,7 +47,7 @@ class Stranger:
         try:
             for payload in self._reader.feed(data):
                 for message in messages_from_payload(payload):
-                    if isinstance(message, Refuse):
+                    if isinstance(message, RefuseLink):
                         self.refusal = message.reason
                     elif isinstance(message, Welcome):
                         self.is_up = True

@@ -23,8 +23,7 @@ from pancakes.cli.verbs.machine_checks import (
     check_runtime_dir,
     check_state_dirs,
 )
-from pancakes.journal import FileJournal
-from pancakes.journal import RunningAgent as JournalEntry
+from pancakes.journal import FileJournal, JournalEntry
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import VARIABLE, RunningAgent
 

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 from processes import Rig, Running
 
-from pancakes.journal import Entry, FileJournal
+from pancakes.journal import FileJournal, JournalEntry
 from pancakes.migration.record import Epoch, Phase, Record
 
 SOURCE = """
@@ -204,7 +204,7 @@ def give_away(rig: Rig, agent: str, peer: str) -> None:
     assert entry is not None
     offer = Epoch(1, agent)
     record = replace(Record.decode(entry.data), phase=Phase.COMMITTED, seen=offer, offer=offer, peer=peer)
-    journal.write([Entry("record", entry.key, record.encode())])
+    journal.write([JournalEntry("record", entry.key, record.encode())])
     journal.close()
 
 

@@ -58,7 +58,7 @@ def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
             changed.notify_all()
 
     clock = MonotonicClock()
-    transport = TcpTransport(clock, "busy")
+    transport = TcpTransport(clock, "busy", TcpTransport.Settings())
     doors = [Door(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
     try:
         for door in doors:

@@ -13,7 +13,7 @@ import pytest
 from processes import PATIENCE_S, Rig, Running
 
 from pancakes.wire.framing import frame
-from pancakes.wire.messages import HELLO_NUMBER, VERSION
+from pancakes.wire.link_messages import HELLO_NUMBER, VERSION
 
 OWNED = "\x1b]0;owned\x07 \x9b31m\u202egpj\r\x7f"
 """Sets a terminal's title, colours what follows, turns its direction, and overwrites the line."""

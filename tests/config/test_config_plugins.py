@@ -11,6 +11,7 @@ from pancakes.config import load, parse
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.devices.types import Battery, Pose
 from pancakes.errors import ConfigError
+from pancakes.net.tcp import TcpTransport
 from pancakes.plugins import Plugins
 from pancakes.service import Service
 from pancakes.services.device import DeviceService
@@ -57,7 +58,7 @@ PARTS = {
     **{("pancakes.services", name): Service for name in ("log", "client")},
     ("pancakes.services", "device"): DeviceService,
     ("pancakes.services", "network"): NetworkService,
-    ("pancakes.transports", "tcp"): object,
+    ("pancakes.transports", "tcp"): TcpTransport,
     ("pancakes.drivers", "test.compass"): Compass,
     ("pancakes.drivers", "test.wheels"): Wheels,
     ("pancakes.drivers", "test.untyped"): Untyped,
@@ -101,6 +102,14 @@ def test_an_address_of_a_transport_that_nobody_offers():
     assert faults('listen = "tpc://127.0.0.1:1"\npeers = ["udp://127.0.0.1:1"]\n') == [
         "a.toml:4: [agent] listen: unknown transport 'tpc' in 'tpc://127.0.0.1:1', did you mean 'tcp'?",
         "a.toml:5: [agent] peers[0]: unknown transport 'udp' in 'udp://127.0.0.1:1'",
+    ]
+
+
+def test_the_settings_of_the_transport_are_checked_against_its_class():
+    text = 'listen = "tcp://127.0.0.1:1"\n[service.network]\nsettings.transport = { dial_s = 0, dials_s = 1 }\n'
+    assert faults(text) == [
+        "a.toml:6: [service.network] settings.transport.dial_s: expected a number > 0, not 0",
+        "a.toml:6: [service.network] settings.transport.dials_s: unknown key",
     ]
 
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.journal import Entry, FileJournal, JournalError, empty
+from pancakes.journal import FileJournal, JournalEntry, JournalError, empty
 
 
 def test_a_journal_is_removed_with_what_was_put_aside_and_all_else_stays(tmp_path: Path) -> None:
     journal = FileJournal(tmp_path / "state")
-    journal.write([Entry("record", "a/Walk", b"1"), Entry("record", "a/Stay", b"2")])
+    journal.write([JournalEntry("record", "a/Walk", b"1"), JournalEntry("record", "a/Stay", b"2")])
     journal.close()
     torn = next((tmp_path / "state").glob("record.*Walk*"))
     torn.write_bytes(b"torn")

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.journal import Entry, FileJournal, JournalError, JournalLost
+from pancakes.journal import FileJournal, JournalEntry, JournalError, JournalLost
 
-SCAN = Entry("task", "agent1/ScanTarget", b"x")
+SCAN = JournalEntry("task", "agent1/ScanTarget", b"x")
 
 
 def test_the_directory_is_for_its_owner_alone(tmp_path: Path) -> None:
@@ -45,11 +45,11 @@ def test_a_process_that_was_killed_leaves_no_lock_and_no_half_entry(tmp_path: Pa
     # It dies between writing the temporary file and renaming it.
     code = (
         "import os, sys, pathlib, signal\n"
-        "from pancakes.journal import Entry, FileJournal\n"
+        "from pancakes.journal import JournalEntry, FileJournal\n"
         "journal = FileJournal(pathlib.Path(sys.argv[1]), 'first')\n"
-        "journal.write([Entry('task', 'agent1/ScanTarget', b'old')])\n"
+        "journal.write([JournalEntry('task', 'agent1/ScanTarget', b'old')])\n"
         "os.replace = lambda *names: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "journal.write([Entry('task', 'agent1/ScanTarget', b'new')])\n"
+        "journal.write([JournalEntry('task', 'agent1/ScanTarget', b'new')])\n"
     )
     subprocess.run([sys.executable, "-c", code, tmp_path], check=False)
     assert [path.name for path in tmp_path.glob("*.tmp")] == ["task.agent1%2FScanTarget.rec.tmp"]
@@ -77,7 +77,7 @@ def test_entries_are_on_disk_before_write_returns(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(os, "fsync", spy_fsync)
     monkeypatch.setattr(os, "replace", spy_replace)
-    journal.write([Entry("task", "a", b""), Entry("task", "b", b"")])
+    journal.write([JournalEntry("task", "a", b""), JournalEntry("task", "b", b"")])
 
     assert calls == [
         "fsync task.a.rec.tmp",
@@ -97,7 +97,7 @@ def test_a_full_disk_is_an_error_that_names_the_directory(tmp_path: Path, monkey
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(JournalError, match=f"cannot write: No space left on device .{tmp_path}.$"):
-        journal.write([Entry("task", SCAN.key, b"y")])
+        journal.write([JournalEntry("task", SCAN.key, b"y")])
 
     assert journal.entries("task") == [SCAN]
 

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import pytest
 
-from pancakes.journal import Entry, FileJournal, Journal, JournalError, MemoryJournal
+from pancakes.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
 
 
 class Disk(Protocol):
@@ -62,8 +62,8 @@ def disk(request: pytest.FixtureRequest, tmp_path: Path) -> Disk:
     return DirectoryDisk(tmp_path / "state") if request.param == "file" else DictionaryDisk()
 
 
-SCAN = Entry("task", "agent1/ScanTarget", b"on the circle")
-HOME = Entry("task", "agent1/GoHome", b"parked")
+SCAN = JournalEntry("task", "agent1/ScanTarget", b"on the circle")
+HOME = JournalEntry("task", "agent1/GoHome", b"parked")
 NAME = "task.agent1%2FScanTarget.rec"
 
 
@@ -83,7 +83,7 @@ def test_what_was_written_is_there_after_a_restart(disk: Disk) -> None:
 def test_a_later_entry_takes_the_place_of_an_earlier_one(disk: Disk) -> None:
     journal = disk.open()
     journal.write([SCAN])
-    journal.write([HOME, Entry("task", SCAN.key, b"2"), Entry("task", SCAN.key, b"3")])
+    journal.write([HOME, JournalEntry("task", SCAN.key, b"2"), JournalEntry("task", SCAN.key, b"3")])
     journal.close()
 
     reopened = disk.open()
@@ -229,15 +229,15 @@ def test_a_journal_that_lost_its_identity_is_another_one_and_believes_nothing(di
 @pytest.mark.parametrize("kind", ["", "Task", "task.x", "identity"])
 def test_a_kind_is_a_word(disk: Disk, kind: str) -> None:
     with pytest.raises(JournalError, match="no kind"):
-        disk.open().write([Entry(kind, "key", b"")])
+        disk.open().write([JournalEntry(kind, "key", b"")])
 
 
 def test_keys_may_have_any_letters_but_not_any_length(disk: Disk) -> None:
     journal = disk.open()
-    odd = Entry("task", "../agent 1/Straße\n%", b"x")
+    odd = JournalEntry("task", "../agent 1/Straße\n%", b"x")
     journal.write([odd])
     with pytest.raises(JournalError, match="too long"):
-        journal.write([Entry("task", "x" * 300, b"")])
+        journal.write([JournalEntry("task", "x" * 300, b"")])
     journal.close()
 
     assert disk.open().entries("task") == [odd]

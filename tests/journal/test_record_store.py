@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from pancakes.journal import Entry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
+from pancakes.journal import JournalEntry, JournalError, JournalLost, MemoryJournal, ThreadedStore, VirtualStore
 
 
 class SlowJournal(MemoryJournal):
@@ -19,7 +19,7 @@ class SlowJournal(MemoryJournal):
         self.writing = threading.Event()
         self.go_on = threading.Event()
 
-    def write(self, batch: Sequence[Entry]) -> None:
+    def write(self, batch: Sequence[JournalEntry]) -> None:
         self.rounds.append([entry.data for entry in batch])
         self.writing.set()
         assert self.go_on.wait(10)
@@ -39,8 +39,8 @@ class Later:
         self.calls.pop(0)[1]()
 
 
-def entry(data: bytes) -> Entry:
-    return Entry("task", data.decode(), data)
+def entry(data: bytes) -> JournalEntry:
+    return JournalEntry("task", data.decode(), data)
 
 
 def never(reason: str) -> None:
@@ -90,7 +90,7 @@ def test_one_entry_at_fault_does_not_fail_those_that_wait_with_it() -> None:
     store.persist(entry(b"a"), lambda: told.append("a"), never)
     assert journal.writing.wait(10)
     store.persist(entry(b"b"), lambda: told.append("b"), never)
-    store.persist(Entry("BAD", "x", b"x"), lambda: told.append("x"), told.append)
+    store.persist(JournalEntry("BAD", "x", b"x"), lambda: told.append("x"), told.append)
     store.persist(entry(b"c"), lambda: told.append("c"), never)
     journal.go_on.set()
     store.close()
@@ -145,7 +145,7 @@ def test_a_crash_loses_what_was_not_written_and_tells_nobody() -> None:
 
 def test_a_virtual_store_reports_a_write_that_fails() -> None:
     class Full(MemoryJournal):
-        def write(self, batch: Sequence[Entry]) -> None:
+        def write(self, batch: Sequence[JournalEntry]) -> None:
             raise JournalError("No space left on device")
 
     later = Later()
@@ -168,7 +168,7 @@ class FullJournal(MemoryJournal):
         self.full = True
         self.tries = 0
 
-    def write(self, batch: Sequence[Entry]) -> None:
+    def write(self, batch: Sequence[JournalEntry]) -> None:
         self.tries += 1
         if self.full:
             raise JournalError("the journal cannot write: No space left on device (/state)")

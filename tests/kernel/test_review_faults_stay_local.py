@@ -12,7 +12,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.net.mesh import Mesh
-from pancakes.net.outbox import PeerBusy
+from pancakes.net.send_buffer import PeerBusy
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 

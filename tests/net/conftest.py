@@ -12,14 +12,15 @@ from typing import Any
 import pytest
 
 from pancakes.clock import Clock, MonotonicClock, VirtualClock
-from pancakes.net.loop import Timer
+from pancakes.net.loop import TimerHandle
 from pancakes.net.memory import MemoryNetwork
 from pancakes.net.mesh import Mesh
 from pancakes.net.tcp import TcpTransport
 from pancakes.net.transport import Connection, Transport
 from pancakes.packet import Packet
-from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Identity, Role
+from pancakes.wire.framing import frame
+from pancakes.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.wire.link_messages import Identity, Role
 
 PATIENCE_S = 20.0
 
@@ -29,13 +30,13 @@ class Timeline:
 
     def __init__(self) -> None:
         self.clock = VirtualClock()
-        self._heap: list[tuple[float, int, Timer]] = []
-        self._count = 0
+        self._heap: list[tuple[float, int, TimerHandle]] = []
+        self.count = 0
 
-    def call_at(self, time_s: float, function: Callable[[], None]) -> Timer:
-        timer = Timer(function)
-        self._count += 1
-        heapq.heappush(self._heap, (max(time_s, self.clock.now()), self._count, timer))
+    def call_at(self, time_s: float, function: Callable[[], None]) -> TimerHandle:
+        timer = TimerHandle(function)
+        self.count += 1
+        heapq.heappush(self._heap, (max(time_s, self.clock.now()), self.count, timer))
         return timer
 
     def step(self) -> bool:
@@ -65,7 +66,7 @@ class TcpRig:
         self._transports: list[Transport] = []
 
     def transport(self, name: str) -> Transport:
-        made = TcpTransport(self.clock, name)
+        made = TcpTransport(self.clock, name, TcpTransport.Settings())
         self._transports.append(made)
         return made
 
@@ -87,6 +88,12 @@ class TcpRig:
 
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
+
+    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link."""
+        peer = BarePeer(self.clock.now, name, **more)
+        self.transport(name).dial(to.mesh.listen, peer)
+        return peer
 
     def close(self) -> None:
         for transport in self._transports:
@@ -121,8 +128,75 @@ class MemoryRig:
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
 
+    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link."""
+        peer = BarePeer(self.clock.now, name, **more)
+        self.transport(name).dial(to.mesh.listen, peer)
+        return peer
+
     def close(self) -> None:
         pass
+
+
+class BarePeer:
+    """A peer that is nothing but a link: it keeps a link up, and writes down what the other side does.
+
+    Args:
+        now: the host clock.
+        name: its name.
+        listen: the address that it names in its hello; nothing listens there.
+        role: its role.
+        journal: its journal; empty: one of its own.
+        boot: the boot of that journal.
+    """
+
+    def __init__(
+        self,
+        now: Callable[[], float],
+        name: str,
+        listen: str = "",
+        role: Role = "agent",
+        journal: str = "",
+        boot: int = 1,
+    ) -> None:
+        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listen)
+        self.told: list[tuple[str, ...]] = []
+        self.packets: list[Packet] = []
+        self.is_up = False
+        self.over: Over | None = None
+        self.closed_for: list[str] = []
+        self._now = now
+
+    def opened(self, connection: Connection) -> None:
+        self.connection = connection
+        self.link = Link(self.own, LinkTimes(), self._now())
+        self.act(self.link.open(self._now()))
+
+    def received(self, data: bytes) -> None:
+        self.act(self.link.receive(data, self._now()))
+
+    def closed(self, reason: str) -> None:
+        self.closed_for.append(reason)
+
+    def send(self, *messages: bytes) -> None:
+        self.connection.send(frame(messages))
+
+    def act(self, actions: Sequence[Action]) -> None:
+        for action in actions:
+            match action:
+                case SendMessage(message):
+                    self.send(message)
+                case Greeted(hello) if self.own.name < hello.name:
+                    self.act(self.link.admit(self._now()))
+                case Up():
+                    self.is_up = True
+                case Learnt(addresses):
+                    self.told.append(addresses)
+                case PacketsReceived(packets):
+                    self.packets.extend(packets)
+                case Over():
+                    self.over = action
+                    self.connection.close(action.reason)
 
 
 class Ear:
@@ -220,7 +294,7 @@ class Agent:
             peers,
             random.Random(name),
             rig.clock,
-            on_packets=lambda peer, packets, size: self._note_all(packets),
+            on_packets=lambda peer, packets, size: self.take(packets),
             on_unfit=lambda *news: self._note(self.unfit, news),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
@@ -235,7 +309,7 @@ class Agent:
         kept.append(news)
         self._rig.note()
 
-    def _note_all(self, packets: Sequence[Packet]) -> None:
+    def take(self, packets: Sequence[Packet]) -> None:
         for packet in packets:
             self._note(self.packets, packet)
 

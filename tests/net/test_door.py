@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pancakes.events  # noqa: F401 - it registers the type of a line of the log
 from pancakes.client.door import Door
 from pancakes.control import Describe, Reply
 from pancakes.packet import LOG, SYSCTRL, Packet

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pancakes.net.mesh import BEACON_ADDRESSES, GOSSIP_ADDRESSES
-from pancakes.wire.link import Learnt
+from pancakes.net.mesh import GOSSIP_ADDRESSES
+from pancakes.net.peers import BEACON_ADDRESSES
 
 MANY = 3 * BEACON_ADDRESSES
 
@@ -12,66 +12,60 @@ def crowd(rig, count):
     first = rig.agent("a00")
     agents = [first, *(rig.agent(f"a{number:02d}", [first.mesh.listen]) for number in range(1, count))]
     rig.until(lambda: all(len(agent.mesh.connected()) == count - 1 for agent in agents))
-    rig.timeline.run_until(rig.clock.now() + 1.0)
+    run_for(rig, 1.0)
     return agents
 
 
-def noted(agent):
-    """Returns a list to which goes what the agent is told from now on: each time the addresses."""
-    told = []
-    act = agent.mesh._act
-
-    def listen(session, actions):
-        told.extend(action.addresses for action in actions if isinstance(action, Learnt))
-        act(session, actions)
-
-    agent.mesh._act = listen
-    return told
+def run_for(rig, duration_s):
+    rig.timeline.run_until(rig.clock.now() + duration_s)
 
 
 def test_a_beacon_names_a_few_agents_and_the_next_ones_the_others(memory_rig):
     agents = crowd(memory_rig, MANY)
-    told = noted(agents[1])
+    watcher = memory_rig.bare_peer("w", agents[0])
+    run_for(memory_rig, 1.0)
+    watcher.told.clear()
     for _ in range(4):
         agents[0].mesh.announce()
-        memory_rig.timeline.run_until(memory_rig.clock.now() + 1.0)
-    assert len(told) == 4
-    assert all(len(addresses) <= BEACON_ADDRESSES + 1 for addresses in told), "some, and itself"
-    everybody = {agent.mesh.listen for agent in agents} - {agents[1].mesh.listen}
-    assert {address for addresses in told for address in addresses} == everybody
+        run_for(memory_rig, 1.0)
+    assert len(watcher.told) == 4
+    assert all(len(addresses) == BEACON_ADDRESSES + 1 for addresses in watcher.told), "some, and itself"
+    everybody = {agent.mesh.listen for agent in agents}
+    assert {address for addresses in watcher.told for address in addresses} == everybody
 
 
-def test_who_comes_is_told_of_all_and_the_others_only_by_who_did_not_know_it(memory_rig):
+def test_a_newcomer_hears_of_all_agents_and_the_others_hear_of_it_from_one(memory_rig):
     agents = crowd(memory_rig, MANY)
-    told = [noted(agent) for agent in agents]
-    newcomer = memory_rig.agent("new", [agents[0].mesh.listen])
-    heard = noted(newcomer)
-    memory_rig.until(lambda: len(newcomer.mesh.connected()) == MANY)
-    memory_rig.timeline.run_until(memory_rig.clock.now() + 1.0)
-    of_newcomer = [addresses for each in told for addresses in each if addresses == (newcomer.mesh.listen,)]
-    assert len(of_newcomer) < 2 * MANY, "not the square"
-    assert len(heard[0]) == MANY - 1
-    assert all(len(agent.mesh.connected()) == MANY for agent in agents)
+    watchers = [memory_rig.bare_peer(f"w{number:02d}", agent) for number, agent in enumerate(agents)]
+    run_for(memory_rig, 1.0)
+    newcomer = memory_rig.bare_peer("w", agents[0], listen="tcp://w:1")
+    run_for(memory_rig, 1.0)
+    assert set(newcomer.told[0]) == {agent.mesh.listen for agent in agents[1:]}
+    tellers = [watcher for watcher in watchers if ("tcp://w:1",) in watcher.told]
+    assert tellers == watchers[:1], "not the square"
 
 
 def test_more_addresses_than_a_message_may_hold_are_told_in_several(memory_rig):
     a = memory_rig.agent("a")
-    told = noted(a)
-    b = memory_rig.agent("b")
-    memory_rig.timeline.run_until(0.1)
-    many = tuple(f"tcp://x:{number}" for number in range(2 * GOSSIP_ADDRESSES + 1))
-    b.mesh._peers.gossip = lambda: many
-    b.mesh.learn([a.mesh.listen])
-    memory_rig.until(lambda: a.knows("b") and b.knows("a"))
-    memory_rig.timeline.run_until(1.0)
-    assert [len(addresses) for addresses in told] == [GOSSIP_ADDRESSES, GOSSIP_ADDRESSES, 1]
+    for number in range(2 * GOSSIP_ADDRESSES + 1):
+        memory_rig.bare_peer(f"b{number}", a, listen=f"tcp://x:{number + 1}")
+    memory_rig.until(lambda: len(a.mesh.connected()) == 2 * GOSSIP_ADDRESSES + 1)
+    last = memory_rig.bare_peer("c", a)
+    memory_rig.until(lambda: last.is_up)
+    run_for(memory_rig, 1.0)
+    assert [len(addresses) for addresses in last.told] == [GOSSIP_ADDRESSES, GOSSIP_ADDRESSES, 1]
 
 
 def test_the_heartbeats_of_many_links_are_served_by_few_wake_ups(memory_rig):
     agents = crowd(memory_rig, MANY)
     woken = []
-    alarm, run = agents[0].mesh._links_alarm, agents[0].mesh._run_links
-    alarm._function = lambda: woken.append(run())
-    memory_rig.timeline.run_until(memory_rig.clock.now() + 10.0)
+    transport = agents[0].transport
+    call_later = transport.call_later
+
+    def noted(delay_s, function):
+        return call_later(delay_s, lambda: woken.append(function()))
+
+    transport.call_later = noted
+    run_for(memory_rig, 10.0)
     assert 10 < len(woken) < 100, "and not two a second for each link"
     assert all(agent.downs == [] for agent in agents)

@@ -26,7 +26,7 @@ def kernel() -> Iterator[Kernel]:
 
 @pytest.fixture
 def transport(kernel: Kernel) -> Iterator[TcpTransport]:
-    made = TcpTransport(MonotonicClock(), "a")
+    made = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings())
     made.lend_thread(kernel.guest)
     yield made
     made.close()

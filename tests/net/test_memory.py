@@ -163,3 +163,19 @@ def test_the_same_seed_gives_the_same_jitter(timeline):
         return [network.travel_s(Quality(jitter_s=0.1)) for _ in range(5)]
 
     assert draws(1) == draws(1) != draws(2)
+
+
+def test_each_end_knows_the_other_by_its_address(memory_rig):
+    here, there = join(memory_rig)
+    assert (here.connection.remote, there.connection.remote) == ("tcp://b:1", "tcp://a:0")
+
+
+def test_a_dial_into_a_partition_fails_after_five_seconds(memory_rig):
+    memory_rig.network.partition(["a"])
+    here = memory_rig.ear()
+    memory_rig.transport("b").listen("tcp://b:1", memory_rig.ear)
+    memory_rig.transport("a").dial("tcp://b:1", here)
+    memory_rig.timeline.run_until(4.999)
+    assert here.closed_for == []
+    memory_rig.timeline.run_until(5.001)
+    assert here.closed_for == ["tcp://b:1 did not answer within 5 s"]

@@ -7,9 +7,19 @@ import random
 
 import pytest
 
-from pancakes.net.peers import FORGET_AFTER, MAX_AGENTS, MAX_CLIENTS, MAX_LEARNT, Admit, Dial, Peers, Turn, reachable
+from pancakes.net.peers import (
+    FORGET_AFTER,
+    MAX_AGENTS,
+    MAX_CLIENTS,
+    MAX_LEARNT,
+    Admit,
+    Dial,
+    Peers,
+    TurnDown,
+    reachable,
+)
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.messages import Goodbye, Hello
+from pancakes.wire.link_messages import Goodbye, Hello
 
 
 def hello(name, listen=None, **more):
@@ -84,7 +94,7 @@ def test_our_own_dial_goes_before_the_others():
     assert it.met(theirs, hello("z"), "", 0.1) == [], "it waits"
     assert it.met(mine.link, hello("z"), "tcp://z:1", 0.2) == [Admit(mine.link)]
     (turned,) = it.up(mine.link, 0.2)
-    assert isinstance(turned, Turn) and (turned.link, turned.code) == (theirs, "duplicate")
+    assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (theirs, "duplicate")
 
 
 def test_the_others_dial_is_taken_where_ours_fails():
@@ -123,6 +133,22 @@ def test_a_second_connection_is_taken_when_the_first_dies():
     assert it.over(first, 2.0) == [Admit(second)]
 
 
+def test_of_two_connections_that_wait_the_newest_is_taken():
+    it = peers()
+    first, second, third = connect(it, "z"), it.new_link(), it.new_link()
+    it.met(second, hello("z"), "", 1.0)
+    it.met(third, hello("z"), "", 1.1)
+    assert it.over(first, 2.0) == [Admit(third)]
+
+
+def test_no_dial_is_due_before_the_last_one_failed():
+    for seed in range(20):
+        it = peers("tcp://a:1", seed=seed)
+        (dial,) = it.tick(0.0)
+        it.over(dial.link, 7.0)
+        assert 7.0 <= it.due_s() <= 7.1
+
+
 def test_a_dial_of_our_own_beside_a_link_is_needless():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
@@ -159,6 +185,17 @@ def test_another_journal_under_a_connected_name_is_refused_by_either_side():
         connect(it, "m")
         (turned,) = it.met(it.new_link(), hello("m", journal="another"), "", 1.0)
         assert turned.code == "name" and "name m" in turned.reason
+
+
+@pytest.mark.parametrize("journal", ["a disk", "z disk"])
+def test_another_journal_is_refused_also_where_both_connections_met_before_one_stood(journal):
+    it = peers(own="z")
+    first, second = it.new_link(), it.new_link()
+    it.met(first, hello("m"), "", 0.0)
+    it.met(second, hello("m", journal=journal), "", 0.0)
+    assert it.up(first, 0.1) == []
+    (turned,) = it.up(second, 0.2)
+    assert (turned.link, turned.code) == (second, "name")
 
 
 def test_a_new_journal_is_taken_once_the_old_one_has_gone():
@@ -317,7 +354,7 @@ def test_a_client_that_only_answers_pings_gives_its_place_to_the_next():
     it = full_of_clients(math.inf)
     link = it.new_link()
     turned, admitted = it.met(link, hello("d", "", role="client"), "tcp://10.0.1.1:9", 0.0)
-    assert isinstance(turned, Turn) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
+    assert isinstance(turned, TurnDown) and (turned.link, turned.code) == (1, "full") and "full" in turned.reason
     assert admitted == Admit(link)
 
 
@@ -354,3 +391,14 @@ def test_the_sentence_with_which_an_agent_refuses_us_is_kept_until_it_takes_us()
 )
 def test_who_listens_everywhere_is_dialled_where_it_was_seen(listen, remote, address):
     assert reachable(listen, remote) == address
+
+
+def test_the_end_of_one_link_leaves_the_dials_to_other_agents_alone():
+    it = peers("tcp://a:1", "tcp://b:1")
+    first, second = it.tick(0.0)
+    it.met(first.link, hello("a"), "", 0.0)
+    it.up(first.link, 0.0)
+    it.over(first.link, 5.0, goodbye=Goodbye("stop"))
+    assert it.tick(5.0) == [], "b is being dialled still, and a is left alone for a while"
+    it.over(second.link, 6.0)
+    assert it.due_s() < 7.0

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.net.outbox import PeerBusy
+from pancakes.net.send_buffer import PeerBusy
 from pancakes.net.sending import MOST_WAYS, Sending, Way
 from pancakes.net.session import BATCH_BYTES
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
@@ -38,9 +38,8 @@ class Peer:
         self.full = False
         self.retries = 0
 
-    def send(self, trains, data=b""):
+    def send(self, trains):
         whole = frame([train.message() for train in trains])
-        assert data in (b"", whole)
         messages = messages_from_payload(whole[4:])
         self.sent.append([packet for run in messages for packet in packets_of(run)[0]])
         self.retries += sum(train.retries for train in trains)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from pancakes.net.session import MOST_UNSENT_BYTES, Session
 from pancakes.net.transport import Connection
 from pancakes.wire.codec import Encoder
-from pancakes.wire.messages import Pong
+from pancakes.wire.link_messages import Pong
 
 
 class Nobody:
@@ -51,3 +53,32 @@ def test_the_answers_to_endless_pings_that_nobody_takes_do_not_fill_the_memory()
     before = connection.waiting = 0
     session.send_link(pong)
     assert connection.waiting > before, "it has taken what waited, and is spoken to again"
+
+
+def test_a_link_is_quiet_since_its_last_packet_went_either_way() -> None:
+    session = Session(Nobody(), 1, "", lambda: 0.0)
+    assert session.quiet_s(100.0) == math.inf, "none ever came in"
+    session.counters.packets_in = 1
+    assert (session.quiet_s(100.0), session.quiet_s(103.0)) == (0.0, 3.0)
+    session.counters.packets_out = 1
+    assert (session.quiet_s(104.0), session.quiet_s(106.0)) == (0.0, 2.0)
+
+
+def test_a_link_on_which_one_packet_comes_in_at_once_is_quiet_since_then() -> None:
+    session = Session(Nobody(), 1, "", lambda: 0.0)
+    session.counters.packets_in = 1
+    assert (session.quiet_s(100.0), session.quiet_s(103.0)) == (0.0, 3.0)
+
+
+def test_a_peer_is_stuck_since_it_last_took_a_byte() -> None:
+    session = Session(Nobody(), 1, "", lambda: 0.0)
+    connection = Slow()
+    session.opened(connection)
+    assert session.stuck_s(10.0) == 0.0
+    session.send_link(bytes(100))
+    assert session.stuck_s(11.0) == 1.0, "nothing was taken since it was last seen to wait for nothing"
+    connection.waiting -= 1
+    assert session.stuck_s(12.0) == 0.0
+    assert session.stuck_s(14.5) == 2.5
+    connection.waiting = 0
+    assert session.stuck_s(15.0) == 0.0

@@ -46,7 +46,7 @@ def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
             filler.setblocking(False)
             filler.connect_ex(("127.0.0.1", port))
             fillers.append(filler)
-        transport = TcpTransport(MonotonicClock(), dial_s=0.1)
+        transport = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings(dial_s=0.1))
         here = tcp_rig.ear()
         transport.dial(f"tcp://127.0.0.1:{port}", here)
         tcp_rig.until(lambda: here.closed_for)
@@ -74,7 +74,7 @@ def test_a_dial_to_whom_has_gone_again_by_the_time_it_is_seen_fails_at_once(tcp_
 
 def test_closing_ends_the_thread_and_drops_what_was_put_off():
     before = threading.active_count()
-    transport = TcpTransport(MonotonicClock(), "a")
+    transport = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings())
     assert threading.active_count() == before + 1
     ran = []
     transport.call_later(0.0, lambda: ran.append("due"))
@@ -115,3 +115,12 @@ def test_senders_in_many_threads_do_not_mix_their_bytes(tcp_rig):
         assert there.data[start + 1 : start + 5] == seen[letter].to_bytes(4, "big")
         assert there.data[start + 5 : start + 5005] == letter * 5000
         seen[letter] += 1
+
+
+def test_a_path_is_no_place_on_a_network(tcp_rig):
+    transport, ear = tcp_rig.transport("a"), tcp_rig.ear()
+    with pytest.raises(PancakesError, match="cannot listen at tcp:///run/a: .* has no host"):
+        transport.listen("tcp:///run/a", lambda: ear)
+    transport.dial("tcp:///run/a", ear)
+    tcp_rig.until(lambda: ear.closed_for)
+    assert ear.closed_for == ["'tcp:///run/a' has no host"]

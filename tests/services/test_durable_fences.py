@@ -5,7 +5,7 @@ import pytest
 from pancakes.control import Migrate, Restart, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Twist
-from pancakes.journal import Entry, MemoryJournal, VirtualStore
+from pancakes.journal import JournalEntry, MemoryJournal, VirtualStore
 from pancakes.net.memory import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fences import Fences
@@ -129,7 +129,7 @@ def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
 def test_a_damaged_fence_is_told_by_name():
     disk = {}
     journal = MemoryJournal(disk, "x")
-    journal.write([Entry("fence", "wheels", b"\xc1"), Entry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
+    journal.write([JournalEntry("fence", "wheels", b"\xc1"), JournalEntry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
     fences = Fences(journal, VirtualStore(journal, lambda delay_s, function: function()))
     assert fences.highest("arm", "b/X") == (2, "b")
     assert fences.highest("wheels", "b/X") is None

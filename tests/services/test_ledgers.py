@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.control import Migrate, Migrations
-from pancakes.journal import Entry, MemoryJournal, VirtualStore
+from pancakes.journal import JournalEntry, MemoryJournal, VirtualStore
 from pancakes.migration.ledger import Ledger, Line
 from pancakes.services.ledgers import KEPT, KIND, Ledgers
 from pancakes.task import Task
@@ -102,7 +102,7 @@ def test_the_newest_hundred_are_kept(disk):
 def test_one_that_cannot_be_read_is_named_and_the_others_are_there(disk):
     ledgers, store = opened(disk)
     ledgers.add(ledger(), "", 1.0)
-    store.persist(Entry(KIND, "77", b"not an account"), lambda: None, print)
+    store.persist(JournalEntry(KIND, "77", b"not an account"), lambda: None, print)
     store.close()
 
     ledgers, _ = opened(disk)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.journal import Entry, MemoryJournal, VirtualStore
+from pancakes.journal import JournalEntry, MemoryJournal, VirtualStore
 from pancakes.services.wanted_recording import KIND, Wanted, WantedRecording
 
 
@@ -51,7 +51,7 @@ def test_each_log_service_has_a_recording_of_its_own(disk):
 
 def test_what_cannot_be_read_is_told_and_nothing_goes_on(disk):
     journal = MemoryJournal(disk, "3f0c2d8e-0000-4000-8000-000000000000")
-    journal.write([Entry(KIND, "log/Recorder", b"\xc1")])
+    journal.write([JournalEntry(KIND, "log/Recorder", b"\xc1")])
     journal.close()
     wanted, _ = opened(disk)
     assert wanted.now is None

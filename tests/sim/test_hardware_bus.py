@@ -302,7 +302,10 @@ def test_an_unknown_model_is_a_mistake_in_the_settings():
 
 def test_it_works_over_tcp_as_well():
     served, answered = threading.Event(), threading.Event()
-    world, agent = TcpTransport(MonotonicClock(), "world"), TcpTransport(MonotonicClock(), "agent1")
+    world, agent = (
+        TcpTransport(MonotonicClock(), "world", TcpTransport.Settings()),
+        TcpTransport(MonotonicClock(), "agent1", TcpTransport.Settings()),
+    )
     pose = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
 
     def serve(request):

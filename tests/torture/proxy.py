@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 
-from pancakes.wire.bodies import unpacked
 from pancakes.wire.framing import FrameReader
-from pancakes.wire.messages import HELLO_NUMBER, Peers
+from pancakes.wire.link_messages import HELLO_NUMBER, Gossip
+from pancakes.wire.packet_bodies import unpacked
 
 RUN = 0
 """What the array of a run of packets begins with; see `pancakes.wire.runs`."""
@@ -170,7 +170,7 @@ class Proxy:
                     kept.append([*message[:-1], rows])
                 if ends:
                     return kept, True
-            elif message[0] != Peers.__struct_config__.tag:
+            elif message[0] != Gossip.__struct_config__.tag:
                 kept.append(message)
         return kept, False
 

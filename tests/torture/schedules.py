@@ -27,7 +27,7 @@ from pancakes.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
-from pancakes.journal import Entry
+from pancakes.journal import JournalEntry
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
@@ -161,7 +161,7 @@ class Schedule:
         agent.kernel.stream.inject_all = partial(_one_by_one, inject)  # type: ignore[method-assign]
         write = virtual.journal.write
 
-        def write_and_tell(batch: Sequence[Entry]) -> None:
+        def write_and_tell(batch: Sequence[JournalEntry]) -> None:
             self._step(name, "write")
             if self.fleet.agents.get(name) is not agent:
                 return  # killed just before it was written

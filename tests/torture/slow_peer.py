@@ -8,8 +8,8 @@ import threading
 import time
 
 from pancakes.wire.framing import frame
-from pancakes.wire.link import Action, Link, LinkTimes, Over, Send, Up
-from pancakes.wire.messages import Identity
+from pancakes.wire.link import Action, Link, LinkTimes, Over, SendMessage, Up
+from pancakes.wire.link_messages import Identity
 
 LOOK_S = 0.02
 
@@ -78,7 +78,7 @@ class SlowPeer:
     def _act(self, actions: list[Action]) -> None:
         for action in actions:
             match action:
-                case Send(message):
+                case SendMessage(message):
                     self._sock.sendall(frame([message]))
                 case Up():
                     self.is_up.set()

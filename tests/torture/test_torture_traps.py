@@ -14,7 +14,7 @@ from torture.tally import Tally
 from torture.traps import Field, Trap
 from torture.waits import Waits
 
-from pancakes.journal import Entry, FileJournal, JournalError
+from pancakes.journal import FileJournal, JournalEntry, JournalError
 from pancakes.migration.record import Phase, Record, TaskId
 from pancakes.services.records import KIND
 
@@ -129,11 +129,11 @@ def test_each_point_has_a_name_of_its_own() -> None:
     assert len(names) == len(set(names))
 
 
-def entry(phase: Phase) -> Entry:
-    return Entry(KIND, str(TASK), Record(TASK, phase, snapshot=bytes(BALLAST_BYTES)).encode())
+def entry(phase: Phase) -> JournalEntry:
+    return JournalEntry(KIND, str(TASK), Record(TASK, phase, snapshot=bytes(BALLAST_BYTES)).encode())
 
 
-def fault(journal: FileJournal, one: Entry) -> str:
+def fault(journal: FileJournal, one: JournalEntry) -> str:
     try:
         journal.write([one])
     except JournalError as error:

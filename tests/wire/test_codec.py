@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from pancakes.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, packet_type
-from pancakes.wire.bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.messages import HELLO_NUMBER, Hello, Identity, Peers, Ping
+from pancakes.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
+from pancakes.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
 from pancakes.wire.runs import RowEncoder, head_of, messages_from_payload, packets_of, run_of
 
 
@@ -257,7 +257,7 @@ def test_any_bytes_are_read_or_refused(data):
     [
         Hello(1, "default", "a", "agent", "uuid", 3, "tcp://127.0.0.1:1"),
         Ping(4),
-        Peers(("tcp://a:1", "tcp://b:1")),
+        Gossip(("tcp://a:1", "tcp://b:1")),
     ],
 )
 def test_messages_of_the_link_travel(message):
@@ -277,3 +277,55 @@ def test_malformed_messages_of_the_link_are_the_peers_fault(row):
 def test_a_name_that_would_break_addresses_is_refused_at_home(name):
     with pytest.raises(LocalProtocolError, match="cannot introduce itself"):
         Identity(name, "uuid").hello()
+
+
+class Shade(enum.StrEnum):
+    RED = "red"
+
+
+class Rank(enum.Enum):
+    ONE = 1
+
+
+class Word(str):
+    """A string of a class of its own."""
+
+
+def test_the_keys_of_a_map_are_strings_and_what_stands_for_one():
+    assert encodable({Word("a"): 1, Shade.RED: 2}) == {"a": 1, "red": 2}
+    assert {type(key) for key in encodable({Word("a"): 1, Shade.RED: 2})} == {str}
+
+
+@pytest.mark.parametrize("key", [1, None, (1, 2), Rank.ONE, b"a"])
+def test_any_other_key_is_an_error_that_names_it(key):
+    with pytest.raises(LocalProtocolError, match="its body has the key .*, and keys must be strings"):
+        encodable({key: 1})
+
+
+def test_a_body_that_is_too_deep_is_named_by_the_beginning_of_the_way_there():
+    body = None
+    for _ in range(40):
+        body = {"long_name": body}
+    where = ("its body" + ".long_name" * 40)[:80]
+    with pytest.raises(LocalProtocolError) as error:
+        encodable(body)
+    assert str(error.value) == f"{where} is nested deeper than 32"
+
+
+def test_a_map_may_stand_as_deep_as_a_list():
+    def nested(depth, wrap):
+        body = 1
+        for _ in range(depth):
+            body = wrap(body)
+        return body
+
+    for wrap in (
+        lambda inner: [inner],
+        lambda inner: {"a": inner},
+        lambda inner: (inner,),
+        lambda inner: {"a": [inner]},
+    ):
+        per_level = 2 if wrap(1) == {"a": [1]} else 1
+        encodable(nested(30 // per_level, wrap))
+        with pytest.raises(LocalProtocolError, match="nested deeper"):
+            encodable(nested(32 // per_level, wrap))

@@ -8,8 +8,8 @@ import pytest
 from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import frame
-from pancakes.wire.link import Learnt, Link, LinkTimes, Met, Over, Received, Send, State, Up
-from pancakes.wire.messages import VERSION, Goodbye, Hello, Peers, Ping, Pong, Refuse, Welcome
+from pancakes.wire.link import Greeted, Learnt, Link, LinkState, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
 from pancakes.wire.runs import RowEncoder, head_of, run_of
 
 
@@ -32,7 +32,7 @@ def run(*packets):
 
 def received(*packets):
     head = head_of(packets[0])
-    return Received(list(packets), len(run(*packets)) - len(head))
+    return PacketsReceived(list(packets), len(run(*packets)) - len(head))
 
 
 def wire(*messages):
@@ -41,11 +41,11 @@ def wire(*messages):
 
 
 def sent(actions):
-    return frame([action.message for action in actions if isinstance(action, Send)])
+    return frame([action.message for action in actions if isinstance(action, SendMessage)])
 
 
 def rest(actions):
-    return [action for action in actions if not isinstance(action, Send)]
+    return [action for action in actions if not isinstance(action, SendMessage)]
 
 
 def opened(name="a", now_s=0.0, **more):
@@ -61,7 +61,7 @@ def up(name="a", peer="b", now_s=0.0):
         link.admit(now_s)
     else:
         link.receive(wire(Welcome()), now_s)
-    assert link.state is State.UP
+    assert link.state is LinkState.UP
     return link
 
 
@@ -71,13 +71,13 @@ PACKET = Packet("chat", "words", "b/c/d", "a", 0.0, 1, "hello")
 def test_two_links_come_up_when_the_lower_name_says_welcome():
     a, b = Link(hello("a"), LinkTimes(), 0.0), Link(hello("b"), LinkTimes(), 0.0)
     from_a, from_b = a.open(0.0), b.open(0.0)
-    assert rest(a.receive(sent(from_b), 0.1)) == [Met(hello("b"))]
-    assert rest(b.receive(sent(from_a), 0.1)) == [Met(hello("a"))]
-    assert a.state is b.state is State.MET
+    assert rest(a.receive(sent(from_b), 0.1)) == [Greeted(hello("b"))]
+    assert rest(b.receive(sent(from_a), 0.1)) == [Greeted(hello("a"))]
+    assert a.state is b.state is LinkState.MET
     welcome = a.admit(0.2)
     assert rest(welcome) == [Up()]
     assert b.receive(sent(welcome), 0.3) == [Up()]
-    assert a.state is b.state is State.UP
+    assert a.state is b.state is LinkState.UP
 
 
 def test_the_higher_name_cannot_welcome():
@@ -89,12 +89,12 @@ def test_the_higher_name_cannot_welcome():
 
 def test_hello_and_welcome_may_come_in_one_chunk():
     link = opened("b")
-    assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Met(hello("a")), Up(), received(PACKET)]
+    assert link.receive(wire(hello("a"), Welcome(), PACKET), 0.0) == [Greeted(hello("a")), Up(), received(PACKET)]
 
 
 def test_packets_and_messages_keep_their_order():
     link = up()
-    actions = link.receive(wire(PACKET, PACKET, Peers(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
+    actions = link.receive(wire(PACKET, PACKET, Gossip(("tcp://c:1",)), PACKET) + wire(PACKET), 1.0)
     assert actions == [
         received(PACKET),
         received(PACKET),
@@ -118,15 +118,15 @@ def test_the_packets_of_a_run_come_together():
     assert up().receive(frame([run(PACKET, *others)]), 1.0) == [received(PACKET, *others)]
 
 
-@pytest.mark.parametrize("early", [PACKET, Welcome(), Peers(())])
+@pytest.mark.parametrize("early", [PACKET, Welcome(), Gossip(())])
 def test_nothing_may_come_before_the_hello(early):
     link = opened("b")
     over = link.receive(wire(early), 0.0)[-1]
     assert isinstance(over, Over) and over.broken
-    assert link.state is State.OVER
+    assert link.state is LinkState.OVER
 
 
-@pytest.mark.parametrize("early", [PACKET, Peers(()), hello("a")])
+@pytest.mark.parametrize("early", [PACKET, Gossip(()), hello("a")])
 def test_nothing_but_a_welcome_may_follow_the_hello(early):
     link = opened("b")
     over = link.receive(wire(hello("a"), early), 0.0)[-1]
@@ -162,7 +162,7 @@ def test_a_hello_of_another_version_may_have_any_form():
 
 def test_being_refused_is_told_with_its_code():
     link = opened("a")
-    (over,) = link.receive(wire(Refuse("name", "the name a is taken")), 0.1)
+    (over,) = link.receive(wire(RefuseLink("name", "the name a is taken")), 0.1)
     assert over.refused == "name" and "the name a is taken" in over.reason
 
 
@@ -177,7 +177,7 @@ def test_saying_goodbye_ends_the_link():
     link = up()
     actions = link.leave(Goodbye("sleep", 5.0), 1.0)
     assert sent(actions) == wire(Goodbye("sleep", 5.0))
-    assert link.state is State.OVER
+    assert link.state is LinkState.OVER
     assert link.receive(wire(PACKET), 1.1) == link.tick(99.0) == link.leave(Goodbye("stop"), 1.2) == []
 
 
@@ -275,3 +275,46 @@ def test_a_welcome_is_waited_for_until_an_older_link_may_have_died():
         assert rest(link.tick(now_s)) == []
     link.receive(wire(Ping(2)), 3.9)
     assert link.tick(4.0) == [Over("a did not say welcome in 4 s")]
+
+
+@pytest.mark.parametrize(
+    ("message", "fits"),
+    [
+        ([4, 0], True),
+        ([4, -1], False),
+        ([4, 2**53], True),
+        ([4, 2**53 + 1], False),
+        ([6, "sleep", 0], True),
+        ([6, "sleep", -1.0], False),
+        ([6, "sleep", 1e9], True),
+        ([6, "sleep", 1.1e9], False),
+        ([3, "full", "x" * 1000], True),
+        ([3, "full", "x" * 1001], False),
+        ([7, ["tcp://" + "x" * 248 + ":1"]], True),
+        ([7, ["tcp://" + "x" * 249 + ":1"]], False),
+        ([7, ["tcp://x:1"] * 128], True),
+        ([7, ["tcp://x:1"] * 129], False),
+    ],
+)
+def test_the_parts_of_a_message_have_limits(message, fits):
+    actions = up().receive(frame([msgpack.packb(message)]), 1.0)
+    assert [it for it in actions if isinstance(it, Over) and it.broken] == [] if fits else actions[-1].broken
+
+
+def test_an_address_that_is_none_breaks_the_protocol():
+    over = up().receive(wire(Gossip(("tcp://c:1", "tcp://c d:1"))), 1.0)[-1]
+    assert over.broken and "'tcp://c d:1' is no address" in over.reason
+
+
+def test_a_run_with_a_part_too_many_breaks_the_protocol():
+    message = msgpack.unpackb(run(PACKET))
+    assert up().receive(frame([msgpack.packb(message)]), 1.0) == [received(PACKET)]
+    over = up().receive(frame([msgpack.packb([*message, 1])]), 1.0)[-1]
+    assert isinstance(over, Over) and over.broken
+
+
+def test_a_heartbeat_too_late_is_not_late_yet():
+    """A link that is looked at just one heartbeat after its end is only looked at once more."""
+    link = up()
+    assert link.tick(2.5) == []
+    assert link.tick(2.5)[-1:] == [Over("nothing was heard from b for 2 s")]

@@ -19,18 +19,16 @@ from hypothesis import strategies as st
 from pancakes.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 from pancakes.packet import Fence, Packet, known_types, packet_type
-from pancakes.wire.bodies import encodable
 from pancakes.wire.closed import is_closed
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.messages import HELLO_NUMBER, Ping
+from pancakes.wire.link_messages import HELLO_NUMBER, Ping
+from pancakes.wire.packet_bodies import encodable
 from pancakes.wire.runs import (
     LONGEST_REASON,
+    PacketRun,
     RowEncoder,
-    Run,
-    RunReader,
     Unfit,
     foreign_version,
-    framed_run,
     head_of,
     messages_from_payload,
     packets_of,
@@ -52,7 +50,7 @@ def payload_of(*packets):
 
 def read(payload):
     """Returns the messages of a link, and for each run its packets and those whose bodies do not fit."""
-    return [_all_of(packets_of(it)) if isinstance(it, Run) else it for it in messages_from_payload(payload)]
+    return [_all_of(packets_of(it)) if isinstance(it, PacketRun) else it for it in messages_from_payload(payload)]
 
 
 def _all_of(found):
@@ -227,13 +225,6 @@ def test_a_body_is_what_it_was_when_it_was_encoded():
     assert [msgpack.unpackb(row)[3] for row in rows] == [{"number": 1}, {"number": 2}]
 
 
-@pytest.mark.parametrize("count", [1, 15, 16, 300])
-def test_a_run_may_be_framed_at_once(count):
-    head = head_of(packet(1))
-    rows = [RowEncoder(head).encode(packet(number)) for number in range(count)]
-    assert framed_run(head, rows, sum(map(len, rows))) == frame([run_of(head, rows)])
-
-
 def test_a_packet_that_fits_no_frame_is_refused():
     head = head_of(packet(b""))
     spare = MAX_MESSAGE_BYTES - 3 - len(head) - len(RowEncoder(head).encode(packet(bytes(70_000)))) + 70_000
@@ -373,65 +364,3 @@ def test_frames_with_a_broken_bit_are_read_or_refused(kind):
 )
 def test_the_version_of_a_hello_in_another_form_is_found(rows, version):
     assert foreign_version(msgpack.packb(rows), 2) == version
-
-
-def reader_of(payload):
-    """What reads a frame when one like `payload` has come before."""
-    reader = RunReader()
-    (run,) = messages_from_payload(payload)
-    reader.remember(memoryview(payload), run)
-    return reader
-
-
-def read_again(reader, payload):
-    found = reader.read(memoryview(payload))
-    return None if found is None else _all_of(found)
-
-
-def test_a_run_with_the_head_of_the_one_before_is_read_at_once():
-    first = packet(Pose(1.0, 0.0, 0.0), "pose", 1)
-    others = [packet(Pose(2.0, 0.0, 0.0), "pose", seq, cause=("x/y", 3)) for seq in range(2, 40)]
-    reader = reader_of(payload_of(first))
-    payload = payload_of(*others)
-    assert reader.read(memoryview(payload)) == (others, (), len(payload) - 1 - len(head_of(first)))
-    assert read_again(reader, payload_of(packet({}, "no such type"))) is None
-    head = head_of(first)
-    one = run_of(head, [RowEncoder(head).encode(first)])
-    assert read_again(reader, frame([one, one])[4:]) is None, "there are two runs in it"
-    assert read_again(RunReader(), payload) is None
-
-
-def test_what_is_read_at_once_becomes_the_class_that_is_registered_by_then():
-    payload = payload_of(packet({"number": 5}, "runs test late"))
-    reader = reader_of(payload)
-    assert read_again(reader, payload)[0].body == {"number": 5}
-    late = packet_type("runs test late")(dataclass(frozen=True)(type("Late", (), {"__annotations__": {"number": int}})))
-    assert read_again(reader, payload)[0].body == late(5)
-
-
-@pytest.mark.parametrize("kind", ["no such type", "pose", "runs test open"])
-def test_what_is_read_at_once_is_what_would_be_read_anyhow(kind):
-    bodies = {"pose": Pose(1.0, 2.0, 3.0), "runs test open": Open([1, "b"])}
-    its = packet(bodies.get(kind, {"a": [1, "b"]}), kind, cause=("x/y", 3), fence=Fence("a/b", (1, "a")))
-    good = payload_of(its, its)
-    reader = reader_of(good)
-    source = random.Random(2)
-    as_before = 0
-    for _ in range(3000):
-        broken = bytearray(good)
-        broken[source.randrange(len(broken))] ^= 1 << source.randrange(8)
-        if source.random() < 0.2:
-            broken += b"\xc0"
-        try:
-            anyhow = read(bytes(broken))
-        except RemoteProtocolError:
-            anyhow = None
-        try:
-            at_once = read_again(reader, bytes(broken))
-        except RemoteProtocolError:
-            assert anyhow is None
-            continue
-        if at_once is not None:
-            as_before += 1
-            assert repr([at_once]) == repr(anyhow)
-    assert as_before > 100

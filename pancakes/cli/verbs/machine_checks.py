@@ -150,8 +150,8 @@ def check_state_dirs(base: Path) -> Iterator[Finding]:
 def _check_journal(directory: Path) -> Finding:
     """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
     from pancakes.journal.directory import fault_of
-    from pancakes.journal.entry import Unbelievable, unseal
     from pancakes.journal.journal import BAD, SUFFIX
+    from pancakes.journal.seal import Unbelievable, unseal
 
     about = f"state of {directory.parent.name}/{directory.name}"
     torn = []

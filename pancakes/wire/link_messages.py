@@ -5,12 +5,12 @@ On the wire each is an array that begins with its number; 0 is the number of a r
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Final, Literal
 
 import msgspec
 
 from pancakes import codecs
+from pancakes.address import parse_address
 from pancakes.errors import LocalProtocolError
 from pancakes.names import fault_of_name
 
@@ -32,17 +32,15 @@ peers. `protocol`: the peer broke the protocol.
 """
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
-"""Of anybody; what a name may be `fault_of_hello` says, in words."""
+"""Of an agent or a fleet; `fault_of_hello` checks its letters."""
 Address = Annotated[str, msgspec.Meta(max_length=256)]
 Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
 
-_ADDRESS: Final = re.compile(r"[a-z][a-z0-9+.-]*://[A-Za-z0-9._:%\[\]-]+")
-
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
-    """The first message on a link, from both sides: who I am.
+    """The first message on a link, from both sides: what its sender is.
 
     Attributes:
         version: version of the wire protocol.
@@ -71,15 +69,19 @@ def fault_of_hello(hello: Hello) -> str:
 
 def fault_of_address(address: str) -> str:
     """Returns why something cannot be an address at which an agent listens, as a sentence; empty where it can."""
-    return "" if _ADDRESS.fullmatch(address) else f"{address!a} is no address, such as tcp://192.0.2.1:7401"
+    try:
+        parse_address(address)
+    except ValueError:
+        return f"{address!a} is no address, such as tcp://192.0.2.1:7401"
+    return ""
 
 
 class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
     """Sent by the lower name, on one connection to a peer at a time: this is the one that stays."""
 
 
-class Refuse(msgspec.Struct, frozen=True, array_like=True, tag=3):
-    """The last message on a link that its sender does not want, or no longer wants."""
+class RefuseLink(msgspec.Struct, frozen=True, array_like=True, tag=3):
+    """The last message on a link that its sender does not want."""
 
     code: Refusal
     reason: Sentence
@@ -109,17 +111,17 @@ class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
     for_s: Duration | None = None
 
 
-class Peers(msgspec.Struct, frozen=True, array_like=True, tag=7):
+class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
     """Gossip: addresses of agents that the sender is connected to, never those of clients."""
 
     addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
 
 
-LinkMessage = Hello | Welcome | Refuse | Ping | Pong | Goodbye | Peers
+LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip
 
 
 class Identity(msgspec.Struct, frozen=True):
-    """Who an agent is, for its links; see `Hello` for the attributes."""
+    """What an agent is, for its links; see `Hello` for the attributes."""
 
     name: str
     journal: str

@@ -41,7 +41,7 @@ Key = tuple[str, str, str]
 
 
 class PeerBusy(MailboxFull):
-    """The window of a (peer, channel) is full: the packet was given to nobody, the publisher may try again."""
+    """The window of a (peer, channel) is full: the packet went to no peer, and the publisher may try again."""
 
 
 class Counters(msgspec.Struct):
@@ -100,7 +100,7 @@ class Message(msgspec.Struct):
     head: bytes
 
 
-class _Lane:
+class _ChannelBuffer:
     """The queue of one channel."""
 
     def __init__(self, channel: str) -> None:
@@ -147,7 +147,7 @@ class _Lane:
         return count > MAX_PACKETS or (count > 1 and self.bytes + more_bytes > self._max_bytes)
 
 
-class _NewestLane(_Lane):
+class _NewestBuffer(_ChannelBuffer):
     """The queue of `system`: the newest of each (source, type, destination).
 
     Sources take turns, and in its turn a source sends all that waits of it. So neither does a source that publishes
@@ -183,7 +183,7 @@ class _NewestLane(_Lane):
         return super().pop()
 
 
-class Outbox:
+class SendBuffer:
     """All that waits for one peer.
 
     Args:
@@ -194,8 +194,8 @@ class Outbox:
     def __init__(self, peer: str, counters: Counters) -> None:
         self.peer = peer
         self.counters = counters
-        self._lanes: dict[str, _Lane] = {channel: _Lane(channel) for channel in FIRST}
-        self._turns: deque[_Lane] = deque()  # the lanes that have something, except the first ones
+        self._lanes: dict[str, _ChannelBuffer] = {channel: _ChannelBuffer(channel) for channel in FIRST}
+        self._turns: deque[_ChannelBuffer] = deque()  # the lanes that have something, except the first ones
 
     def put(self, channel: str, key: Key, message: Message) -> None:
         """Adds a packet.
@@ -210,7 +210,7 @@ class Outbox:
         """
         lane = self._lanes.get(channel)
         if lane is None:
-            lane = self._lanes[channel] = (_NewestLane if channel == SYSTEM else _Lane)(channel)
+            lane = self._lanes[channel] = (_NewestBuffer if channel == SYSTEM else _ChannelBuffer)(channel)
         was_empty = not lane
         lane.put(key, message, self.counters, self.peer)
         if was_empty and channel not in FIRST:

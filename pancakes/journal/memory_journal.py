@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pancakes.journal.entry import JournalError
 from pancakes.journal.journal import BAD, Journal
+from pancakes.journal.seal import JournalError
 
 
 class MemoryJournal(Journal):

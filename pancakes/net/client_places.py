@@ -14,6 +14,8 @@ from typing import Final
 
 import msgspec
 
+from pancakes.address import parse_address
+
 IDLE_S: Final = 10.0
 """A client that neither asked nor was sent anything for so long, in host time, gives its place up to another. One that
 follows a channel asks again after half of it; one that has never asked for anything is idle at once.
@@ -23,7 +25,7 @@ KEPT_FOR_THIS_MACHINE: Final = 8
 THIS_MACHINE: Final = "this machine"
 
 
-class Place(msgspec.Struct, frozen=True):
+class ClientPlace(msgspec.Struct, frozen=True):
     """The place of one client.
 
     Attributes:
@@ -39,16 +41,21 @@ class Place(msgspec.Struct, frozen=True):
 
 def machine_of(remote: str) -> str:
     """Returns the machine at the other end of a connection, of an address such as `tcp://10.0.0.7:40022`."""
-    host = remote.partition("://")[2].rpartition(":")[0].strip("[]")
     try:
-        address = ipaddress.ip_address(host)
+        there = parse_address(remote)
     except ValueError:
-        return host
+        return remote
+    if there.loopback:
+        return THIS_MACHINE
+    try:
+        address = ipaddress.ip_address(there.host)
+    except ValueError:
+        return there.host
     mapped = getattr(address, "ipv4_mapped", None)
     return THIS_MACHINE if (mapped or address).is_loopback else str(mapped or address)
 
 
-def who_makes_room(machine: str, places: Sequence[Place]) -> int | None:
+def who_makes_room(machine: str, places: Sequence[ClientPlace]) -> int | None:
     """Returns the link of the client whose place a new client gets.
 
     Args:
@@ -70,5 +77,5 @@ def who_makes_room(machine: str, places: Sequence[Place]) -> int | None:
     return None
 
 
-def _quietest(places: Sequence[Place]) -> int:
+def _quietest(places: Sequence[ClientPlace]) -> int:
     return max(places, key=lambda place: place.quiet_s).link

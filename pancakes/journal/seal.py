@@ -23,7 +23,7 @@ class JournalLost(JournalError):
     """The state directory is not the one any more that was opened: another process may open what lies there now."""
 
 
-class Entry(msgspec.Struct, frozen=True, array_like=True):
+class JournalEntry(msgspec.Struct, frozen=True, array_like=True):
     """One durable thing. A later entry of the same kind and key takes its place.
 
     Attributes:
@@ -55,7 +55,7 @@ class SetAside(msgspec.Struct, frozen=True):
     reason: str
     kind: str = ""
     key: str = ""
-    entry: Entry | None = None
+    entry: JournalEntry | None = None
     times: int = 1
 
     def __str__(self) -> str:
@@ -68,13 +68,13 @@ class Unbelievable(Exception):
 
 class _Sealed(msgspec.Struct, frozen=True, array_like=True):
     journal: str
-    entry: Entry
+    entry: JournalEntry
 
 
 _DECODE: Final = codecs.decoder(_Sealed)
 
 
-def seal(journal: str, entry: Entry) -> bytes:
+def seal(journal: str, entry: JournalEntry) -> bytes:
     """Returns an entry as it is stored by the journal with the id `journal`: marked, and with its checksum.
 
     Raises:
@@ -89,7 +89,7 @@ def seal(journal: str, entry: Entry) -> bytes:
     return _MAGIC + sha256(body).digest() + body
 
 
-def unseal(journal: str, sealed: bytes) -> Entry:
+def unseal(journal: str, sealed: bytes) -> JournalEntry:
     """Returns the entry that was stored.
 
     Args:

@@ -6,11 +6,17 @@ import math
 
 import pytest
 
-from pancakes.net.places import IDLE_S, KEPT_FOR_THIS_MACHINE, THIS_MACHINE, Place, machine_of, who_makes_room
+from pancakes.net.client_places import (
+    IDLE_S,
+    THIS_MACHINE,
+    ClientPlace,
+    machine_of,
+    who_makes_room,
+)
 
 
 def places(*rows):
-    return [Place(number, machine, quiet_s) for number, (machine, quiet_s) in enumerate(rows)]
+    return [ClientPlace(number, machine, quiet_s) for number, (machine, quiet_s) in enumerate(rows)]
 
 
 def test_the_one_that_was_quiet_longest_makes_room():
@@ -31,11 +37,17 @@ def test_a_machine_that_has_most_of_the_places_gives_one_to_another_machine():
     assert who_makes_room("y", places(("x", 1.0), ("x", 2.0), ("y", 3.0))) is None, "it would only change sides"
 
 
-def test_some_places_are_kept_for_the_agents_own_machine():
+def test_eight_places_are_kept_for_the_agents_own_machine():
     elsewhere = [(f"10.0.0.{number}", float(number % 5)) for number in range(20)]
     there = [(THIS_MACHINE, 9.0)]
     assert who_makes_room(THIS_MACHINE, places(*there, *elsewhere)) == 5
-    assert who_makes_room(THIS_MACHINE, places(*there * KEPT_FOR_THIS_MACHINE, *elsewhere)) is None
+    assert who_makes_room(THIS_MACHINE, places(*there * 7, *elsewhere)) == 11
+    assert who_makes_room(THIS_MACHINE, places(*there * 8, *elsewhere)) is None
+
+
+def test_a_client_that_was_quiet_for_ten_seconds_is_idle():
+    assert who_makes_room("x", places(("x", 9.99))) is None
+    assert who_makes_room("x", places(("x", 10.0))) == 0
 
 
 @pytest.mark.parametrize(

@@ -11,21 +11,21 @@ from hypothesis import strategies as st
 from pancakes.errors import MailboxFull
 from pancakes.migration.pieces import PIECE_BYTES
 from pancakes.migration.snapshot import LIMIT_BYTES
-from pancakes.net.outbox import (
+from pancakes.net.send_buffer import (
     MAX_BYTES,
     MAX_PACKETS,
     MOST_GONE,
     Counters,
     CountersOfAll,
     Message,
-    Outbox,
     PeerBusy,
+    SendBuffer,
 )
 
 
 def make():
     counters = Counters()
-    return Outbox("b", counters), counters
+    return SendBuffer("b", counters), counters
 
 
 HEAD = b"head"

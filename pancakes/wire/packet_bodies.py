@@ -1,16 +1,13 @@
 """What the body of a packet may hold, and what it becomes on the wire.
 
-What cannot travel is an error at the one who publishes; what does not fit its class is found where it arrives, and
-costs that packet. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
+A value that cannot travel is an error at its publisher. A body that does not fit its class costs that packet, where it
+arrives. A dataclass, or a structure of msgspec's, travels as a map of its fields; a numpy array as the one
 extension type (`pancakes.arrays`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import fields, is_dataclass
 from enum import Enum
-from operator import attrgetter
 from typing import Any, Final
 
 import msgpack
@@ -30,46 +27,15 @@ BODY_DEPTH: Final = 3
 
 _LEAVES: Final = frozenset((str, int, float, bool, bytes, type(None)))
 _STRINGS: Final = frozenset((str,))
-_FIELDS: Final[dict[type, tuple[str, ...]]] = {}  # of the classes that were sent: asking for them each time is slow
-_VALUES: Final[dict[type, Callable[[Any], Iterable[Any]]]] = {}  # likewise, what takes the values of all fields at once
 
 
 def encodable(body: Any) -> Any:
-    """Returns a body as msgspec may encode it: the body itself where that can be, else plain values made of it.
+    """Returns a body as msgspec may encode it: plain values, which are parts of it where they can be.
 
     Raises:
         LocalProtocolError: it holds what does not travel; the sentence says where.
     """
-    take = _VALUES.get(body.__class__)
-    if take is not None and _LEAVES.issuperset(map(type, take(body))):  # most are: no more calls for these
-        return body
-    return body if _stands(body, BODY_DEPTH) else _plain(body, BODY_DEPTH, "its body")
-
-
-def _stands(value: Any, depth: int) -> bool:
-    """Returns whether a value is sure to travel, and is encoded as it stands in the same way as what `_plain` makes.
-
-    Looking is three times as fast as making plain values of a body of two numbers.
-    """
-    kind = type(value)
-    take = _VALUES.get(kind)
-    if take is not None:
-        items = take(value)
-    elif kind in _LEAVES:
-        return True
-    elif kind is tuple or kind is list:
-        if len(value) > MAX_ARRAY_LENGTH:
-            return False
-        items = value
-    elif kind is dict:
-        if len(value) > MAX_MAP_LENGTH or not _STRINGS.issuperset(map(type, value)):
-            return False
-        items = value.values()
-    else:
-        return False
-    if depth > MAX_DEPTH:
-        return False
-    return _LEAVES.issuperset(map(type, items)) or all(_stands(item, depth + 1) for item in items)
+    return _plain(body, BODY_DEPTH, "its body")
 
 
 def _plain(value: Any, depth: int, where: str) -> Any:
@@ -77,14 +43,6 @@ def _plain(value: Any, depth: int, where: str) -> Any:
     kind = type(value)
     if kind in _LEAVES:
         return value
-    names = _FIELDS.get(kind)
-    if names is not None:
-        _check_depth(depth, where)
-        items = {name: getattr(value, name) for name in names}
-        if not _LEAVES.issuperset(map(type, items.values())):
-            for name, item in items.items():
-                items[name] = _plain(item, depth + 1, f"{where}.{name}")
-        return items
     if kind is dict:
         _check_depth(depth, where)
         if len(value) > MAX_MAP_LENGTH:
@@ -106,8 +64,7 @@ def _plain(value: Any, depth: int, where: str) -> Any:
 
 def _plain_object(value: Any, depth: int, where: str) -> Any:
     if has_fields(type(value)):
-        _remember(type(value))
-        return _plain(value, depth, where)
+        return _plain({name: getattr(value, name) for name in field_names(type(value))}, depth, where)
     if isinstance(value, msgspec.Struct):
         items = {name: getattr(value, name) for name in value.__struct_fields__}
         return _plain(list(items.values()) if value.__struct_config__.array_like else items, depth, where)
@@ -130,16 +87,6 @@ def _plain_object(value: Any, depth: int, where: str) -> Any:
     if isinstance(value, (bytes, bytearray, memoryview)):
         return bytes(value)
     raise LocalProtocolError(f"{where} is of the type {type(value).__name__}, which does not travel")
-
-
-def _remember(cls: type) -> None:
-    names = _FIELDS[cls] = field_names(cls)
-    if issubclass(cls, msgspec.Struct):
-        if not cls.__struct_config__.omit_defaults:
-            _VALUES[cls] = msgspec.structs.astuple
-    elif is_dataclass(cls) and all(field.init for field in fields(cls)):
-        # msgspec leaves out a field that no instance has for itself.
-        _VALUES[cls] = attrgetter(*names) if len(names) > 1 else lambda body: [getattr(body, name) for name in names]
 
 
 def _key(key: Any, where: str) -> str:

@@ -1,0 +1,175 @@
+"""Connections that a mesh refuses, and what a peer may do wrong without harm to the others."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from pancakes.devices.types import Pose
+from pancakes.net.mesh import MAX_HANDSHAKES
+from pancakes.packet import Packet
+from pancakes.wire.codec import Encoder
+from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
+from pancakes.wire.link_messages import VERSION, Hello, Welcome
+from pancakes.wire.runs import RowEncoder, head_of, run_of
+
+
+def pair(rig, agent, **more):
+    a = agent("a", **more)
+    b = agent("b", [a.mesh.listen])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    return a, b
+
+
+def message_of(packet):
+    head = head_of(packet)
+    return run_of(head, [RowEncoder(head).encode(packet)])
+
+
+def raw_hello(name="intruder", **more):
+    values = {
+        "version": VERSION,
+        "fleet": "default",
+        "role": "agent",
+        "journal": f"journal of {name}",
+        "boot": 1,
+        **more,
+    }
+    return frame([Encoder().link_message(Hello(name=name, **values))])
+
+
+def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
+    a, b = pair(rig, agent)
+    impostor = agent("b", [a.mesh.listen], journal="another journal")
+    rig.until(lambda: impostor.refusals)
+    assert "name b" in impostor.refusals[0] and "another name" in impostor.refusals[0]
+    rig.until(lambda: "name b" in a.log("warning"))
+    assert b.refusals == [] and a.knows("b") and b.knows("a")
+
+
+def test_an_impostor_gets_nothing_through_behind_its_hello(rig, agent, caplog):
+    """All in one chunk: the hello, a welcome that is its to give, and an order."""
+    a, ears = agent("a"), [rig.ear(), rig.ear()]
+    order = Packet("sysctrl", "order", "0/x/y", "a", 0.0, 1, "stop")
+    for ear, journal in zip(ears, ["the true one", "another"], strict=True):
+        rig.transport("0").dial(a.mesh.listen, ear)
+        rig.until(lambda ear=ear: ear.connection)
+        rest = frame([Encoder().link_message(Welcome()), message_of(order)])
+        ear.connection.send(raw_hello("0", journal=journal) + rest)
+        rig.until(lambda: len(a.packets) == 1)
+    rig.until(lambda: ears[1].closed_for)
+    assert len(a.packets) == 1 and a.ups == ["0"] and a.downs == []
+    assert caplog.text == ""
+
+
+def test_two_agents_of_one_name_refuse_each_other(rig, agent):
+    first = agent("a")
+    second = agent("a", [first.mesh.listen], journal="another journal")
+    rig.until(lambda: second.refusals or first.refusals)
+    assert second.refusals and not first.refusals, "the one who dials is the newcomer"
+    assert first.mesh.connected() == second.mesh.connected() == []
+
+
+def test_an_agent_that_dials_itself_notices(rig, agent):
+    address = "tcp://alias:9"
+    if rig.virtual:
+        alone = agent("a", [address], listen=address)
+    else:
+        probe = rig.ear()
+        address = rig.transport("probe").listen(rig.listen_at, lambda: probe)
+        rig.close()
+        alone = agent("a", [address.replace("127.0.0.1", "localhost")], listen=address)
+        rig.until(lambda: not alone.mesh.describe()["addresses"])
+    assert alone.mesh.connected() == [] and alone.refusals == []
+
+
+@pytest.mark.parametrize(("more", "word"), [({"fleet": "other"}, "fleet"), ({"version": 99}, "version")])
+def test_other_fleets_and_versions_are_refused_with_a_reason(rig, agent, more, word):
+    a, ear = agent("a"), rig.ear()
+    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.until(lambda: ear.connection)
+    ear.connection.send(raw_hello(**more))
+    rig.until(lambda: ear.closed_for)
+    assert word.encode() in ear.data, "the other side was told why"
+    rig.until(lambda: word in a.log("warning"))
+    assert a.mesh.connected() == []
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"\xff\xff\xff\xff",
+        (MAX_PAYLOAD_BYTES + 1).to_bytes(4, "big"),
+        b"\0\0\0\0",
+        b"\0\0\0\1\xc1",
+        b"\0\0\0\1\x90",
+        b"\0\0\0\3\x91\x91\xc0",
+    ],
+)
+def test_garbage_closes_its_own_link_alone(rig, agent, garbage):
+    a, b = pair(rig, agent)
+    ear = rig.ear()
+    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.until(lambda: ear.connection)
+    ear.connection.send(garbage)
+    rig.until(lambda: ear.closed_for)
+    rig.until(lambda: "broke the protocol" in a.log("warning"))
+    a.say("b", "unharmed")
+    rig.until(lambda: b.packets)
+    assert a.downs == []
+
+
+def test_a_packet_with_a_bad_body_is_told_and_costs_no_link(rig, agent):
+    a, _ = pair(rig, agent)
+    ear = rig.ear()
+    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.until(lambda: ear.connection)
+    ear.connection.send(raw_hello())
+    rig.until(lambda: a.knows("b", "intruder"))
+    bad = Packet("system", "pose", "intruder/x/y", "a", 0.0, 1, {"x_m": "far", "y_m": 0.0, "theta_rad": 0.0})
+    good = replace(bad, body=Pose(1.0, 2.0, 0.0), seq=2)
+    ear.connection.send(frame([message_of(bad)]) + frame([message_of(good)]))
+    rig.until(lambda: a.packets)
+    ((peer, packet, reason),) = a.unfit
+    assert (peer, packet) == ("intruder", replace(bad, body=None)) and "x_m" in reason
+    assert a.packets == [good] and a.knows("b", "intruder") and not a.downs
+    assert {it["name"]: it["packets_in"] for it in a.mesh.describe()["peers"]}["intruder"] == 2
+
+
+def test_one_who_never_says_hello_is_closed(memory_rig):
+    a, ear = memory_rig.agent("a"), memory_rig.ear()
+    memory_rig.transport("mute").dial(a.mesh.listen, ear)
+    memory_rig.timeline.run_until(1.9)
+    assert ear.connection is not None and ear.closed_for == []
+    memory_rig.timeline.run_until(2.1)
+    assert ear.closed_for == ["the other side closed the connection"]
+
+
+def test_of_too_many_connections_the_oldest_that_said_no_hello_is_told_that_the_agent_is_full(memory_rig):
+    a = memory_rig.agent("a")
+    ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 6)]
+    memory_rig.timeline.run_until(0.1)
+    for ear in ears:
+        memory_rig.transport("crowd").dial(a.mesh.listen, ear)
+    memory_rig.timeline.run_until(1.0)
+    assert [bool(ear.closed_for) for ear in ears] == [True] * 6 + [False] * MAX_HANDSHAKES
+    assert all(b"a is full: 256 connections" in ear.data for ear in ears[:6])
+    late = memory_rig.agent("late", [a.mesh.listen])
+    memory_rig.timeline.run_until(1.1)
+    assert late.knows("a"), "at once, and not when the others have waited in vain"
+
+
+def test_who_has_said_hello_goes_after_those_who_have_not(memory_rig):
+    a = memory_rig.agent("m")
+    memory_rig.timeline.run_until(0.1)
+    polite, *mute = ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 1)]
+    for ear in ears:
+        memory_rig.transport("crowd").dial(a.mesh.listen, ear)
+        if ear is polite:
+            memory_rig.until(lambda: polite.connection)
+            # Its name is the lower one, so the link waits for its welcome.
+            polite.connection.send(raw_hello("a"))
+            memory_rig.timeline.run_until(0.2)
+    memory_rig.timeline.run_until(0.5)
+    assert not polite.closed_for and mute[0].closed_for and not mute[1].closed_for
