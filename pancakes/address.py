@@ -34,6 +34,8 @@ class Address(msgspec.Struct, frozen=True):
         return not self.port and not self.path
 
     def __str__(self) -> str:
+        if self.path:
+            return f"{self.scheme}://{self.path}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
 

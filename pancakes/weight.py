@@ -32,7 +32,7 @@ _NUMBERS: Final = (int, float, complex, type(None))
 
 def weigh(value: Any) -> int:
     """Returns how many bytes a body, or a part of one, takes, roughly. It never raises."""
-    size = 0.0
+    size: float = 0.0
     seen = 0
     # Each with the number of values that it stands for.
     waiting: deque[tuple[Any, float]] = deque([(value, 1.0)])
@@ -43,10 +43,15 @@ def weigh(value: Any) -> int:
         if kind is str or kind is bytes:
             size += times * len(item)
             continue
-        names = _large_fields(kind)
-        if names is not None:
-            size += 0 if names else times * NUMBER_BYTES
-            waiting.extend([(getattr(item, name, None), times) for name in names])
+        fields = _large_fields(kind)
+        if fields is not None:
+            size += 0 if fields else times * NUMBER_BYTES
+            for name, each in fields:
+                part = getattr(item, name, None)
+                if each and isinstance(part, (str, bytes, list, tuple)):
+                    size += times * each * len(part)
+                else:
+                    waiting.append((part, times))
             continue
         parts = _parts_of(item)
         if isinstance(parts, int):
@@ -103,8 +108,11 @@ def _parts_of(value: Any) -> Sequence[Any] | int:
 
 
 @lru_cache(maxsize=1024)
-def _large_fields(cls: type) -> tuple[str, ...] | None:
-    """Returns the fields of a class that may be large, as their types say; None where nothing is known of it."""
+def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
+    """Returns the fields of a class that may be large, as their types say; None where nothing is known of it.
+
+    Beside each is how many bytes each item of it takes, where that is known; else 0.
+    """
     if issubclass(cls, (*_NUMBERS, enum.Enum)):
         return ()
     names = field_names(cls)
@@ -112,9 +120,19 @@ def _large_fields(cls: type) -> tuple[str, ...] | None:
         return None
     try:
         hints = get_type_hints(cls)
-        return tuple(name for name in names if not _is_small(hints.get(name, Any)))
+        large = [(name, hints.get(name, Any)) for name in names]
+        return tuple((name, _bytes_of_items(hint)) for name, hint in large if not _is_small(hint))
     except Exception:  # a type that is imported for checks only, or one that holds itself
-        return names
+        return tuple((name, 0) for name in names)
+
+
+def _bytes_of_items(hint: Any) -> int:
+    """Returns the bytes of each character of a text, or of each number of a row of numbers; 0: that is not known."""
+    if hint in (str, bytes):
+        return 1
+    items = [part for part in get_args(hint) if part is not Ellipsis]
+    rows = get_origin(hint) in (list, tuple) and all(_is_small(item) for item in items)
+    return NUMBER_BYTES if rows else 0
 
 
 def _is_small(hint: Any) -> bool:

@@ -53,13 +53,14 @@ class ChannelQueue:
         refused: packets from other agents that found no room under a `reliable` subscription.
     """
 
-    __slots__ = ("_by_type", "_enlist", "_first", "_last", "_lock", "handled", "listed", "refused")
+    __slots__ = ("_by_type", "_enlist", "_first", "_last", "_lock", "_waiting", "handled", "listed", "refused")
 
     def __init__(self, enlist: Callable[[ChannelQueue], None]) -> None:
         self._enlist = enlist
         self._by_type: dict[str | None, _Bounded] = {}
         self._lock = threading.Lock()
         self._first = self._last = 0  # the numbers of the packet that was last put back, and of the newest
+        self._waiting = 0
         self.listed = False
         self.handled = 0
         self.refused = 0
@@ -92,10 +93,12 @@ class ChannelQueue:
     def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
         """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""
         with self._lock:
-            add = self._bounded(packets[0]).add
+            bounded = self._bounded(packets[0])
+            before = len(bounded.entries)
             for packet in packets:
                 self._last += 1
-                add(self._last, packet, weight)
+                bounded.add(self._last, packet, weight)
+            self._waiting += len(bounded.entries) - before
             enlist = not self.listed
             self.listed = True
         if enlist:
@@ -112,6 +115,7 @@ class ChannelQueue:
                 return None
             _, packet, weight = oldest.entries.popleft()
             oldest.bytes -= weight
+            self._waiting -= 1
             self.handled += 1
             return packet
 
@@ -123,10 +127,11 @@ class ChannelQueue:
             bounded.entries.appendleft((self._first, packet, weight))
             bounded.bytes += weight
             self._first -= 1
+            self._waiting += 1
             self.handled -= 1
 
     def __len__(self) -> int:
-        return sum(len(bounded.entries) for bounded in self._by_type.values())
+        return self._waiting
 
     @property
     def heavy_bytes(self) -> int:

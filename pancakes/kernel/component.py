@@ -274,7 +274,8 @@ class Component(PykkaActor):
         try:
             if not self.__started:
                 self.__begin()
-            self.__handle_control()
+            if mailbox.control:
+                self.__handle_control()
             # A component that has ended has no mailbox any more.
             if mailbox.waiting and not mailbox.paused and mailbox.component is self:
                 self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)

@@ -127,5 +127,6 @@ class VirtualDispatcher(Dispatcher):
                 continue
             clock.now_s = max(time_s, clock.now_s)
             call.function()
-            self.settle()
+            if self._work:
+                self.settle()
         return True
