@@ -331,3 +331,8 @@ def test_the_higher_name_waits_for_pings_only_once_it_knows_the_round_trip():
 def test_the_first_packet_of_a_source_may_have_the_number_0():
     first = Packet("chat", "words", "b/c/d", "a", 0.0, 0, "hello", ("b/c/d", 0))
     assert up().receive(wire(first), 1.0) == [received(first)]
+
+
+def test_only_a_client_may_have_a_dot_in_its_name():
+    assert opened("a").receive(wire(hello("b.c", role="client")), 0.0) == [Greeted(hello("b.c", role="client"))]
+    assert opened("a").receive(wire(hello("b.c")), 0.0)[-1].broken
