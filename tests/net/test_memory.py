@@ -179,3 +179,12 @@ def test_a_dial_into_a_partition_fails_after_five_seconds(memory_rig):
     assert here.closed_for == []
     memory_rig.timeline.run_until(5.001)
     assert here.closed_for == ["tcp://b:1 did not answer within 5 s"]
+
+
+def test_a_partition_has_healed_at_the_time_that_was_named(memory_rig):
+    memory_rig.network.partition(["a"], from_s=1.0, until_s=2.0)
+    told = []
+    for at_s in (0.999, 1.0, 1.999, 2.0):
+        memory_rig.timeline.run_until(at_s)
+        told.append(memory_rig.network.parted("a", "b"))
+    assert told == [False, True, True, False]

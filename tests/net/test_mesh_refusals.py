@@ -173,3 +173,24 @@ def test_who_has_said_hello_goes_after_those_who_have_not(memory_rig):
             memory_rig.timeline.run_until(0.2)
     memory_rig.timeline.run_until(0.5)
     assert not polite.closed_for and mute[0].closed_for and not mute[1].closed_for
+
+
+def test_the_log_names_the_machine_of_a_connection_that_became_no_link(memory_rig):
+    a = memory_rig.agent("a")
+    memory_rig.transport("intruder").dial(a.mesh.listen, ear := memory_rig.ear())
+    memory_rig.until(lambda: ear.connection)
+    ear.connection.send(raw_hello(fleet="other"))
+    memory_rig.until(lambda: ear.closed_for)
+    assert "no link over a connection from tcp://intruder: a is of the fleet" in a.log("warning")
+
+
+def test_an_agent_that_sleeps_dials_no_address_that_it_learns(memory_rig):
+    a, b = memory_rig.agent("a"), memory_rig.agent("b")
+    memory_rig.timeline.run_until(0.1)
+    a.mesh.sleep()
+    a.mesh.learn([b.mesh.listen])
+    memory_rig.timeline.run_until(30.0)
+    assert b.lines == [] and not a.mesh.connected()
+    a.mesh.wake()
+    a.mesh.learn([b.mesh.listen])
+    memory_rig.until(lambda: a.knows("b"))

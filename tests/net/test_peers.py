@@ -402,3 +402,12 @@ def test_the_end_of_one_link_leaves_the_dials_to_other_agents_alone():
     assert it.tick(5.0) == [], "b is being dialled still, and a is left alone for a while"
     it.over(second.link, 6.0)
     assert it.due_s() < 7.0
+
+
+def test_a_link_that_breaks_soon_is_dialled_again_at_once():
+    it = peers("tcp://a:1")
+    (dial,) = it.tick(0.0)
+    it.met(dial.link, hello("a"), "", 0.0)
+    it.up(dial.link, 0.0)
+    it.over(dial.link, 0.5)
+    assert 0.5 <= it.due_s() <= 0.6

@@ -318,3 +318,21 @@ def test_a_heartbeat_too_late_is_not_late_yet():
     link = up()
     assert link.tick(2.5) == []
     assert link.tick(2.5)[-1:] == [Over("nothing was heard from b for 2 s")]
+
+
+def test_the_higher_name_waits_for_pings_only_once_it_knows_the_round_trip():
+    link = up("b", "a")
+    assert link.due_s() == 0.5
+    link.tick(0.5)
+    link.receive(wire(Pong(1)), 0.6)
+    assert link.due_s() == pytest.approx(0.5 + 0.6)
+
+
+def test_the_first_packet_of_a_source_may_have_the_number_0():
+    first = Packet("chat", "words", "b/c/d", "a", 0.0, 0, "hello", ("b/c/d", 0))
+    assert up().receive(wire(first), 1.0) == [received(first)]
+
+
+def test_only_a_client_may_have_a_dot_in_its_name():
+    assert opened("a").receive(wire(hello("b.c", role="client")), 0.0) == [Greeted(hello("b.c", role="client"))]
+    assert opened("a").receive(wire(hello("b.c")), 0.0)[-1].broken

@@ -359,6 +359,8 @@ def test_frames_with_a_broken_bit_are_read_or_refused(kind):
         ([[HELLO_NUMBER, "seven"]], "unknown"),
         ([[HELLO_NUMBER, 2, "f"]], None),
         ([[3, 7]], None),
+        ([[1, 7], 5], 7),
+        ([5, [1, 7]], None),
         ([], None),
     ],
 )
