@@ -144,14 +144,14 @@ def test_two_agents_of_one_name_do_not_both_stay():
         fleet.connect()
         other = VirtualFleet(9)
         other.dispatcher, other.network = fleet.fleet.dispatcher, fleet.network
-        reasons = []
+        reasons: list[str] = []
         config = config_of("a", listen="tcp://elsewhere:7400", peers=("tcp://b:7400",))
         newcomer = other.start(config)
         newcomer.on_fatal(reasons.append)
         fleet.run_for(5.0)
         assert len(reasons) == 1
         assert newcomer.fatal == reasons[0]
-        late = []
+        late: list[str] = []
         newcomer.on_fatal(late.append)
         assert late == reasons
         assert fleet.agents["a"].agent.fatal == ""

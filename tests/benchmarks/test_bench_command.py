@@ -127,7 +127,7 @@ def test_an_interrupted_baseline_leaves_no_actors_that_keep_the_process(monkeypa
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fan_out._Countdown, "wait", interrupted)
+    monkeypatch.setattr(fan_out.Countdown, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fan_out.stock_pykka(3, 10)
-    assert not pykka.ActorRegistry.get_by_class(fan_out._StockActor)
+    assert not pykka.ActorRegistry.get_by_class(fan_out.StockActor)

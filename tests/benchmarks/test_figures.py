@@ -60,9 +60,9 @@ def test_a_control_task_tells_how_late_it_was_between_two_marks():
 def test_ticks_that_never_came_count_as_late_as_they_would_have_been():
     with FleetInTest() as fleet:
         steady = fleet.start("a", tasks={"Steady": Steady}).task("Steady")
-        steady._late_s.clear()
+        steady.late_s.clear()
         steady.tick(Tick(steady.now() - 0.01, missed=2))
-        assert steady._late_s == [pytest.approx(late_s) for late_s in (0.01, 0.035, 0.06)]
+        assert steady.late_s == [pytest.approx(late_s) for late_s in (0.01, 0.035, 0.06)]
 
 
 def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:

@@ -35,4 +35,4 @@ def test_both_kinds_of_many_tasks_come_to_run():
 
 
 def test_ticks_that_never_came_count_as_late():
-    assert sorted(lateness._all_there([0.1, 0.2], tasks=2, rate_hz=1.0, duration_s=3.0)) == [0.1, 0.2, 3.0, 3.0]
+    assert sorted(lateness.all_there([0.1, 0.2], tasks=2, rate_hz=1.0, duration_s=3.0)) == [0.1, 0.2, 3.0, 3.0]

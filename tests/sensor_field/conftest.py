@@ -5,5 +5,4 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-for directory in (Path(__file__).parent, Path(__file__).parents[1] / "demo"):
-    sys.path.insert(0, str(directory))
+sys.path.insert(0, str(Path(__file__).parents[1]))

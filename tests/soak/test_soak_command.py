@@ -42,8 +42,8 @@ def test_figures_tell_the_seed_where_there_is_one(monkeypatch: pytest.MonkeyPatc
         seeds.append(seed)
         return {"agents": agents}, []
 
-    monkeypatch.setattr(command, "_virtual", virtual)
-    monkeypatch.setattr(command, "_steady", lambda directory, agents, duration_s: ({"agents": agents}, ["a lost b"]))
+    monkeypatch.setattr(command, "virtual_figures", virtual)
+    monkeypatch.setattr(command, "steady_figures", lambda directory, agents, _: ({"agents": agents}, ["a lost b"]))
     path = tmp_path / "figures.json"
     result = CliRunner().invoke(command.soak, ["--virtual", "--json", str(path)])
     assert (result.exit_code, seeds) == (0, [1])
