@@ -11,13 +11,10 @@ from typing import Any
 
 import pykka
 import pytest
-from click.testing import CliRunner, Result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from benchmarks import big_world, fan_out, virtual_mission
 from benchmarks.__main__ import bench
 from benchmarks.figure import Figure, Plan
+from click.testing import CliRunner, Result
 
 
 class Bench:

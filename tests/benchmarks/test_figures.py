@@ -9,18 +9,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks import fan_out
+from benchmarks.figure import Figure, Plan, in_turns
+from benchmarks.observers import Compared, Round, Span, quiet
+from benchmarks.steady import Steady
+
+from pancakes.control import Configure, Describe
+from pancakes.task import Tick
+from pancakes.testing import FleetInTest
 
 TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from benchmarks import fan_out  # noqa: E402
-from benchmarks.figure import Figure, Plan, in_turns  # noqa: E402
-from benchmarks.observers import Compared, Round, Span, quiet  # noqa: E402
-from benchmarks.steady import Steady  # noqa: E402
-
-from pancakes.control import Configure, Describe  # noqa: E402
-from pancakes.task import Tick  # noqa: E402
-from pancakes.testing import FleetInTest  # noqa: E402
 
 
 def test_a_figure_is_the_median_of_ours_beside_the_median_of_the_bare_one():

@@ -3,14 +3,9 @@
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from benchmarks import fan_out, lateness, many_tasks  # noqa: E402
-from benchmarks.figure import Figure, Plan, alone  # noqa: E402
+from benchmarks import fan_out, lateness, many_tasks
+from benchmarks.figure import Figure, Plan, alone
 
 
 def test_a_figure_without_a_baseline_is_judged_by_itself():

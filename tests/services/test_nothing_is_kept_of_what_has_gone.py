@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
+from soak.held import held_by
 
-from soak.held import held_by  # noqa: E402
-
-from pancakes.control import Migrate  # noqa: E402
-from pancakes.migration.pieces import PIECE_BYTES  # noqa: E402
-from pancakes.packet import SYSTEM, packet_type, task_address  # noqa: E402
-from pancakes.task import Task, Tick, every, on  # noqa: E402
+from pancakes.control import Migrate
+from pancakes.migration.pieces import PIECE_BYTES
+from pancakes.packet import SYSTEM, packet_type, task_address
+from pancakes.task import Task, Tick, every, on
 
 STATE_BYTES = 20 * PIECE_BYTES
 SINK = task_address("a/Sink")
