@@ -73,7 +73,7 @@ class Virtual(msgspec.Struct, frozen=True):
 
     dispatcher: VirtualDispatcher
     transport: Transport
-    journal: Journal
+    journal: MemoryJournal
 
 
 class Agent:
@@ -89,6 +89,7 @@ class Agent:
         kernel: its kernel.
         mesh: its links.
         skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        outbox: what its tasks have sent to tasks, until that is acknowledged.
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
@@ -139,7 +140,7 @@ class Agent:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
         if virtual is not None:
-            store = VirtualStore(journal, transport.call_later, now=self.kernel.host.now, say=self.kernel.log)
+            store = VirtualStore(virtual.journal, transport.call_later, self.kernel.host.now, self.kernel.log)
         else:
             store = ThreadedStore(
                 journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
@@ -174,7 +175,7 @@ class Agent:
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
-        self._outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
+        self.outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         for channel in config.channels:
             self.kernel.stream.open(channel)
@@ -211,7 +212,7 @@ class Agent:
 
     def _spawn_courier(self) -> None:
         self.kernel.spawn(
-            Courier, join(self.name, COURIER), outbox=self._outbox, mesh=self.mesh, exited=self._courier_ended
+            Courier, join(self.name, COURIER), outbox=self.outbox, mesh=self.mesh, exited=self._courier_ended
         )
 
     def _courier_ended(self, courier: Component, error: BaseException | None) -> None:

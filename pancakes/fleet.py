@@ -26,6 +26,7 @@ class VirtualFleet:
         dispatcher: runs everything.
         network: the network; faults are made there.
         agents: the agents that run, by name.
+        journals: what each agent, as it runs now or ran last, writes its disk with, by name.
     """
 
     def __init__(self, seed: int = 0, quality: Quality | None = None, plugins: Plugins | None = None) -> None:
@@ -35,6 +36,7 @@ class VirtualFleet:
             self.dispatcher.call_at, self.dispatcher.clock.now, random.Random(f"network/{seed}"), quality
         )
         self.agents: dict[str, Agent] = {}
+        self.journals: dict[str, MemoryJournal] = {}
         self._plugins = plugins or Plugins()
         self._disks: dict[str, dict[str, bytes]] = {}
         self._identities: dict[str, random.Random] = {}
@@ -57,7 +59,7 @@ class VirtualFleet:
         # Not the same one twice: an agent that has lost its identity is another one from then on.
         source = self._identities.setdefault(name, random.Random(f"journal/{self.seed}/{name}"))
         identity = uuid.UUID(int=source.getrandbits(128), version=4)
-        journal = MemoryJournal(disk, str(identity))
+        journal = self.journals[name] = MemoryJournal(disk, str(identity))
         agent = make(Virtual(self.dispatcher, self.network.transport(name), journal))
         agent.start()
         self.agents[name] = agent

@@ -46,10 +46,10 @@ def weigh(value: Any) -> int:
         fields = _large_fields(kind)
         if fields is not None:
             size += 0 if fields else times * NUMBER_BYTES
-            for name, each in fields:
+            for name, item_bytes in fields:
                 part = getattr(item, name, None)
-                if each and isinstance(part, (str, bytes, list, tuple)):
-                    size += times * each * len(part)
+                if item_bytes and isinstance(part, (str, bytes, list, tuple)):
+                    size += times * item_bytes * len(part)
                 else:
                     waiting.append((part, times))
             continue

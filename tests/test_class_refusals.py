@@ -28,21 +28,25 @@ class Gripper: ...
 """
 
 
-@pytest.fixture
-def module_of(tmp_path):
-    """Imports a module with this text; returns where it is."""
-    path = tmp_path / "robot_module.py"
+class ModuleOf:
+    """Imports a module with a text that is given; it lies at `path`."""
 
-    def load(text):
-        path.write_text(HEAD + text)
-        spec = importlib.util.spec_from_file_location("robot_module", path)
+    def __init__(self, path):
+        self.path = path
+
+    def __call__(self, text):
+        self.path.write_text(HEAD + text)
+        spec = importlib.util.spec_from_file_location("robot_module", self.path)
+        assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules["robot_module"] = module
         spec.loader.exec_module(module)
         return module
 
-    load.path = path
-    yield load
+
+@pytest.fixture
+def module_of(tmp_path):
+    yield ModuleOf(tmp_path / "robot_module.py")
     sys.modules.pop("robot_module", None)
 
 
@@ -238,7 +242,7 @@ class Robot(Task):
 def test_a_handler_that_is_named_at_run_time_is_judged_as_well(fleet):
     class Late(Task):
         def on_start(self):
-            self.subscribe("system", Load, self.seen)
+            self.subscribe("system", Load, self.seen)  # type: ignore[arg-type]
 
         async def seen(self, packet): ...
 

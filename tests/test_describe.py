@@ -56,19 +56,19 @@ class Mine(Task):
 
     def lead(self):
         try:
-            {}["x"]
+            dict[str, str]()["x"]
         except KeyError as error:
             raise ValueError("bad colour") from error  # from
 
     def follow(self):
         try:
-            {}["x"]
+            dict[str, str]()["x"]
         except KeyError:
             raise ValueError("bad colour")  # while
 
     def forget(self):
         try:
-            {}["x"]
+            dict[str, str]()["x"]
         except KeyError:
             raise ValueError("bad colour") from None  # alone
 
@@ -104,10 +104,10 @@ def test_the_chain_is_in_one_line(method, said):
 
 def test_a_chain_is_told_to_five_errors_and_a_circle_once():
     error = ValueError("0")
-    last = error
+    last: Exception = error
     for number in range(1, 8):
-        last.__cause__ = RuntimeError(str(number))
-        last = last.__cause__
+        cause = RuntimeError(str(number))
+        last.__cause__, last = cause, cause
     said = describe(error)
     assert said.startswith("ValueError: 0 (from RuntimeError: 1, ") and said.endswith("from RuntimeError: 4, ...)")
     one, other = KeyError("one"), KeyError("other")

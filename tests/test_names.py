@@ -66,7 +66,7 @@ def test_a_task_that_is_offered_under_no_name_is_not_taken():
     packet = Packet("network", "migration.solicit", "r2/network/TaskMigrator", "r1", 0.0, 1, body)
     head = head_of(packet)
     (run,) = messages_from_payload(b"\x91" + run_of(head, [RowEncoder(head).encode(packet)]))
-    packets, (unfit,) = packets_of(run)  # type: ignore[arg-type, misc]
+    packets, (unfit,) = packets_of(run)  # type: ignore[arg-type]
     assert packets == [] and isinstance(unfit, Unfit) and "migration.solicit" in unfit.reason
 
 

@@ -1,12 +1,14 @@
 """The helpers that ship with the library are tested like the rest of it."""
 
 import threading
+from dataclasses import dataclass
 
 import pytest
 
-from pancakes.control import Stop
+from pancakes.control import Migrate, Start, Stop
 from pancakes.devices.types import Load
 from pancakes.events import LogLine
+from pancakes.migration.cost import Cost
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
 
@@ -58,6 +60,7 @@ def test_a_probe_may_listen_to_some_channels_only_and_forgets_on_demand():
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Blink": Blink})
         probe = agent.kernel.spawn(Probe, "a/test/Other", channels=("ctrl",))
+        assert isinstance(probe, Probe)
         fleet.run_for(1.0)
         assert probe.packets() == []
         agent.probe.forget()
@@ -96,3 +99,65 @@ def test_agents_of_a_test_find_each_other():
             fleet.start(name)
         fleet.connect()
         assert sorted(hello.name for hello in fleet.agents["b"].agent.mesh.connected()) == ["a", "c"]
+
+
+class Count(Task):
+    """Counts its ticks."""
+
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.state.n += 1
+
+
+@pytest.mark.parametrize("calm", [False, True], ids=["its end", "calm"])
+def test_a_full_disk_keeps_nothing_until_that_ends(calm):
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Count": Count})
+        fleet.run_for(2.0)
+        end = fleet.faults.fill_disk("a")
+        disk = dict(fleet.fleet.disk("a"))
+        fleet.run_for(10.0)
+        assert fleet.fleet.disk("a") == disk
+        assert [line for line in agent.lines("error") if "no space left on device" in line]
+        if calm:
+            fleet.faults.calm()
+        else:
+            end()
+        fleet.run_for(10.0)
+        assert fleet.fleet.disk("a") != disk
+
+
+def test_a_slow_disk_takes_its_time_until_all_is_calm():
+    def answer_s(agent, body):
+        asked_s = fleet.now()
+        assert agent.ask(body).ok
+        return fleet.now() - asked_s
+
+    with FleetInTest() as fleet:
+        agent = fleet.start("a", tasks={"Count": {"type": Count, "start": False}})
+        fleet.faults.slow_disk("a", 0.5)
+        assert answer_s(agent, Start("Count")) >= 0.5
+        fleet.faults.calm()
+        assert answer_s(agent, Stop("Count")) < 0.5
+
+
+class Costly(Cost):
+    """Is tried in a fleet without being installed."""
+
+    name = "costly"
+
+    def terms(self, load):
+        return {"costly": 7.0}
+
+
+def test_a_fleet_may_be_given_cost_functions():
+    with FleetInTest(classes={"costly": Costly}) as fleet:
+        agent = fleet.start("a", tasks={"Count": Count})
+        fleet.start("b")
+        fleet.connect()
+        assert agent.ask(Migrate("Count", cost={"costly": 1.0})).ok
+        assert agent.events("migration_asked")[0]["cost"] == "1 costly"

@@ -17,7 +17,7 @@ from pancakes.devices import types as devices
 from pancakes.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, is_small, weigh, weight_of
 
 if TYPE_CHECKING:
-    from somewhere import Unknown
+    from somewhere import Unknown  # type: ignore[import-not-found]
 
 
 class Colour(enum.Enum):
@@ -82,7 +82,7 @@ def test_a_body_that_may_be_large_is_weighed(cls):
         (Named(1, None, tuple(map(float, range(10_000)))), 240_000, 480_000),
         (Anything(1, {"a": bytes(3000), "b": [bytes(3000)] * 10}), 33_000, 34_000),
         (Anything(1, Frame(1, bytes(9000))), 9000, 9200),
-        (Strange(1, OrderedDict(a=bytearray(3000))), 3000, 3200),  # type: ignore[arg-type]
+        (Strange(1, OrderedDict(a=bytearray(3000))), 3000, 3200),
         ({"unknown": "here", "data": bytes(70_000)}, 70_000, 70_200),
         (Anything(1, memoryview(bytes(8000))), 8000, 8200),
     ],

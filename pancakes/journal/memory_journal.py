@@ -12,9 +12,15 @@ class MemoryJournal(Journal):
     Args:
         disk: what is stored, by name. An empty one is a new disk.
         new_uuid: the id that a new journal gets; in virtual time it comes from the seed.
+
+    Attributes:
+        fault: why nothing can be written; empty: everything can.
+        latency_s: how long a write takes in virtual time.
     """
 
     place = "memory"
+    fault: str = ""
+    latency_s: float = 0.002
 
     def __init__(self, disk: dict[str, bytes], new_uuid: str) -> None:
         self._disk = disk
@@ -41,6 +47,8 @@ class MemoryJournal(Journal):
     def _replace(self, contents: dict[str, bytes]) -> None:
         if self._closed:
             raise JournalError("the journal is closed")
+        if self.fault:
+            raise JournalError(self.fault)
         self._disk.update(contents)
 
     def _rename_bad(self, name: str) -> str:

@@ -16,6 +16,7 @@ import msgspec
 
 from pancakes.clock import MonotonicClock
 from pancakes.journal.journal import Journal
+from pancakes.journal.memory_journal import MemoryJournal
 from pancakes.journal.seal import JournalEntry, JournalError, JournalLost
 from pancakes.journal.troubles import Key, Troubles
 
@@ -231,25 +232,23 @@ class VirtualStore(RecordStore):
     """Writes to a journal in virtual time: without a thread, after a modelled delay.
 
     Args:
-        journal: the journal, in memory as a rule; it is closed with the store.
+        journal: the journal, which says how long a write takes; it is closed with the store.
         call_later: runs a function in so many seconds of host time, such as a transport's; equal delays
             in the order of the calls.
-        latency_s: how long a write takes.
         now: the clock, in seconds.
         say: told when the journal cannot write; see `RecordStore`.
     """
 
     def __init__(
         self,
-        journal: Journal,
+        journal: MemoryJournal,
         call_later: Callable[[float, Callable[[], None]], Any],
-        latency_s: float = 0.002,
         now: Callable[[], float] = lambda: 0.0,
         say: Say = lambda level, text: None,
     ) -> None:
         super().__init__(journal, now, say)
         self._call_later = call_later
-        self._latency_s = latency_s
+        self._memory = journal
         self._jobs: dict[_Job, None] = {}
         self._closed = False
 
@@ -260,7 +259,7 @@ class VirtualStore(RecordStore):
         job = _Job(entry, persisted, failed, self._now())
         self._jobs[job] = None
         self._call_later(
-            max(self._latency_s, self._troubles.due_s(job.key) - self._now()), lambda: self._write_one(job)
+            max(self._memory.latency_s, self._troubles.due_s(job.key) - self._now()), lambda: self._write_one(job)
         )
 
     def trouble(self, kind: str, key: str) -> str:

@@ -23,10 +23,13 @@ class Outbox:
     Args:
         name: begins the names of all streams that are begun here; no other start of any agent ever had it.
         agent: the agent.
+
+    Attributes:
+        name: the same name.
     """
 
     def __init__(self, name: str, agent: str) -> None:
-        self._name = name
+        self.name = name
         self._agent = agent
         self._begun = 0
         self._common = Outgoing(name, agent)
@@ -143,7 +146,7 @@ class Outbox:
         stream = self._of.get(sender)
         if stream is None:
             self._begun += 1
-            name = f"{self._name}/{self._begun}"
+            name = f"{self.name}/{self._begun}"
             stream = self._of[sender] = self._streams[name] = Outgoing(name, self._agent)
         return stream
 

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from pancakes import codecs
 from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse
 from pancakes.devices.driver import Driver
+from pancakes.migration.cost import Cost
 from pancakes.plugins import Plugins
 from pancakes.service import Service
 from pancakes.task import Task
@@ -87,7 +88,7 @@ def registered(classes: Mapping[str, type], extra: Mapping[tuple[str, str], Any]
     """Returns plug-ins that know classes under names of a test's own, besides all that is installed.
 
     Args:
-        classes: tasks, services and drivers, by the name that a configuration uses.
+        classes: tasks, services, drivers and cost functions, by the name that a configuration uses.
         extra: anything else, by (entry point group, name).
     """
     found: dict[tuple[str, str], Any] = {(_group_of(cls), name): cls for name, cls in classes.items()}
@@ -95,7 +96,7 @@ def registered(classes: Mapping[str, type], extra: Mapping[tuple[str, str], Any]
 
 
 def _group_of(cls: type) -> str:
-    for base, group in ((Task, "tasks"), (Service, "services"), (Driver, "drivers")):
+    for base, group in ((Task, "tasks"), (Service, "services"), (Driver, "drivers"), (Cost, "costs")):
         if issubclass(cls, base):
             return f"pancakes.{group}"
-    raise TypeError(f"{cls.__qualname__} is no task, service or driver")
+    raise TypeError(f"{cls.__qualname__} is no task, service, driver or cost function")

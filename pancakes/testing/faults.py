@@ -1,4 +1,4 @@
-"""What a test lets go wrong between the agents of a fleet in virtual time."""
+"""What a test lets go wrong between the agents of a fleet in virtual time, and with their disks."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pancakes.fleet import VirtualFleet
+from pancakes.journal import MemoryJournal
 from pancakes.net.memory import Quality
 from pancakes.packet import NETWORK, SYSCTRL, Packet, covers, type_name
 
 SPARED = (NETWORK, SYSCTRL)
 """What agents say to each other to keep themselves in order: links lose nothing of that unless they break."""
+DISK_FULL = "no space left on device"
+"""Why nothing can be written to a disk that is full."""
 
 
 @dataclass(eq=False, slots=True)
@@ -38,7 +41,7 @@ class _Mishap:
 
 
 class Faults:
-    """Delays, cuts, losses and doubles, drawn from the fleet's seed; `calm` ends them all.
+    """Delays, cuts, losses, doubles and bad disks, drawn from the fleet's seed; `calm` ends them all.
 
     Agents are named by their names. Times are virtual seconds.
 
@@ -146,8 +149,31 @@ class Faults:
                 return mishap.copies
         return 1
 
+    def fill_disk(self, agent: str) -> Callable[[], None]:
+        """Lets an agent write nothing to its disk any more, until it is started again.
+
+        Args:
+            agent: its name.
+
+        Returns:
+            A function that ends it.
+        """
+        journal = self._fleet.journals[agent]
+        journal.fault = DISK_FULL
+
+        def end() -> None:
+            journal.fault = ""
+
+        return end
+
+    def slow_disk(self, agent: str, latency_s: float) -> None:
+        """Lets each write of an agent to its disk take so long, until the agent is started again."""
+        self._fleet.journals[agent].latency_s = latency_s
+
     def calm(self) -> None:
         """Ends all that goes wrong, cuts that are still to come too."""
+        for journal in self._fleet.journals.values():
+            journal.fault, journal.latency_s = "", MemoryJournal.latency_s
         self._mishaps.clear()
         self._fleet.network.heal()
         for one, other in self._qualities:

@@ -38,8 +38,8 @@ class FleetInTest:
     Args:
         seed: draws the order of the actors, jitter, faults, and the journals' identities.
         quality: how well agents hear each other.
-        classes: tasks, services and drivers that configurations may name, by name; those that are passed to `start`
-            are added under `test.ClassName`, for every agent of the fleet.
+        classes: tasks, services, drivers and cost functions that configurations may name, by name; those that are
+            passed to `start` are added under `test.ClassName`, for every agent of the fleet.
 
     Attributes:
         fleet: the fleet itself.

@@ -163,14 +163,14 @@ def test_two_agents_of_one_name_do_not_both_stay():
         fleet.connect()
         other = VirtualFleet(9)
         other.dispatcher, other.network = fleet.fleet.dispatcher, fleet.network
-        reasons = []
+        reasons: list[str] = []
         config = config_of("a", listen="tcp://elsewhere:7400", peers=("tcp://b:7400",))
         newcomer = other.start(config)
         newcomer.on_fatal(reasons.append)
         fleet.run_for(5.0)
         assert len(reasons) == 1
         assert newcomer.fatal == reasons[0]
-        late = []
+        late: list[str] = []
         newcomer.on_fatal(late.append)
         assert late == reasons
         assert fleet.agents["a"].agent.fatal == ""
@@ -232,7 +232,7 @@ def test_plugins_registered_in_code_hide_none_that_are_installed():
     plugins = registered({"test.Chatty": Chatty})
     assert plugins.get("pancakes.tasks", "test.Chatty") is Chatty
     assert "null.motors" in plugins.names("pancakes.drivers")
-    with pytest.raises(TypeError, match="int is no task, service or driver"):
+    with pytest.raises(TypeError, match="int is no task, service, driver or cost function"):
         registered({"test.int": int})
 
 

@@ -137,7 +137,7 @@ class Stream(Sensor):
             deliver(_POSE)
 
 
-class _Countdown:
+class Countdown:
     """Waits until all have finished; takes the time of the last."""
 
     def __init__(self, number: int) -> None:
@@ -165,9 +165,9 @@ def _last_us(probes_s: list[float], heard_s: list[list[float]]) -> float:
     return median(max(times) - sent for sent, *times in list(zip(probes_s, *heard_s, strict=True))[SKIPPED:]) * 1e6
 
 
-def _counting(agent: Agent, number: int) -> _Countdown:
+def _counting(agent: Agent, number: int) -> Countdown:
     """Waits for so many to say `done`."""
-    countdown = _Countdown(number)
+    countdown = Countdown(number)
     agent.kernel.stream.tap("done", countdown.one)
     return countdown
 
@@ -208,10 +208,10 @@ def from_a_driver(packets: int) -> list[float]:
         return [(done.ended_s - device.driver.began_s) / packets * 1e9]
 
 
-class _StockActor(pykka.ThreadingActor):
+class StockActor(pykka.ThreadingActor):
     """Counts what it is told, then notes when each probe came."""
 
-    def __init__(self, packets: int, heard_s: list[float], flooded: _Countdown, probed: _Countdown) -> None:
+    def __init__(self, packets: int, heard_s: list[float], flooded: Countdown, probed: Countdown) -> None:
         super().__init__()
         self.count = 0
         self.packets = packets
@@ -231,12 +231,12 @@ class _StockActor(pykka.ThreadingActor):
 
 def stock_pykka(subscribers: int, packets: int) -> list[float]:
     """One run of the baseline. Returns the same as `from_a_task`."""
-    flooded, probed = _Countdown(subscribers), _Countdown(subscribers)
+    flooded, probed = Countdown(subscribers), Countdown(subscribers)
     heard_s: list[list[float]] = [[] for _ in range(subscribers)]
     with ExitStack() as stack:  # actors that nobody stops would keep this process for ever
         refs = []
         for number in range(subscribers):
-            refs.append(_StockActor.start(packets, heard_s[number], flooded, probed))
+            refs.append(StockActor.start(packets, heard_s[number], flooded, probed))
             stack.callback(refs[-1].stop)
         began_s = time.perf_counter()
         for _ in range(packets):

@@ -126,7 +126,7 @@ def pancakes(tasks: int, rate_hz: float, duration_s: float, more: str = "") -> l
                 late_s = read_report(reader)["late_s"]
             finally:
                 os.close(reader)
-    return _percentiles_us(_all_there(late_s, tasks, rate_hz, duration_s))
+    return _percentiles_us(all_there(late_s, tasks, rate_hz, duration_s))
 
 
 def beside_a_busy_task(tasks: int, rate_hz: float, duration_s: float) -> list[float]:
@@ -134,7 +134,7 @@ def beside_a_busy_task(tasks: int, rate_hz: float, duration_s: float) -> list[fl
     return [late_us / 1e3 for late_us in pancakes(tasks, rate_hz, duration_s, '[task.Busy]\ntype = "bench.Busy"\n')]
 
 
-def _all_there(late_s: list[float], tasks: int, rate_hz: float, duration_s: float) -> list[float]:
+def all_there(late_s: list[float], tasks: int, rate_hz: float, duration_s: float) -> list[float]:
     """Sees to it that nothing looks punctual because it never came: such a tick is as late as all this takes."""
     expected = round(tasks * (rate_hz * duration_s - 1))
     return [*late_s, *[duration_s] * (expected - len(late_s))]

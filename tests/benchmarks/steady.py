@@ -12,6 +12,9 @@ class Steady(Task):
 
     A tick that never came because the agent stood still counts too, as late as it would have been: otherwise the
     longest delays would be the ones that are told least of.
+
+    Attributes:
+        late_s: how late each tick was since the last change of `window`, in seconds.
     """
 
     @dataclass
@@ -26,17 +29,17 @@ class Steady(Task):
         late_us: str = ""
 
     def on_start(self) -> None:
-        self._late_s: list[float] = []
+        self.late_s: list[float] = []
 
     @every(hz=40)
     def tick(self, tick: Tick) -> None:
         """Takes one tick."""
         late_s, speed = self.now() - tick.time_s, self.kernel.mission.speed
-        self._late_s.append(late_s / speed)
+        self.late_s.append(late_s / speed)
         for number in range(tick.missed):
-            self._late_s.append((late_s + (number + 1) * self.timers["tick"].period_s) / speed)
+            self.late_s.append((late_s + (number + 1) * self.timers["tick"].period_s) / speed)
 
     def on_settings(self) -> None:
-        late_s, self._late_s = self._late_s, []
+        late_s, self.late_s = self.late_s, []
         self.state.window = self.settings.window
         self.state.late_us = " ".join(str(round(1e6 * one_s)) for one_s in late_s)

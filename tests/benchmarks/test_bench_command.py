@@ -11,13 +11,10 @@ from typing import Any
 
 import pykka
 import pytest
-from click.testing import CliRunner, Result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from benchmarks import big_world, fan_out, virtual_mission
 from benchmarks.__main__ import bench
 from benchmarks.figure import Figure, Plan
+from click.testing import CliRunner, Result
 
 
 class Bench:
@@ -127,7 +124,7 @@ def test_an_interrupted_baseline_leaves_no_actors_that_keep_the_process(monkeypa
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(fan_out._Countdown, "wait", interrupted)
+    monkeypatch.setattr(fan_out.Countdown, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fan_out.stock_pykka(3, 10)
-    assert not pykka.ActorRegistry.get_by_class(fan_out._StockActor)
+    assert not pykka.ActorRegistry.get_by_class(fan_out.StockActor)

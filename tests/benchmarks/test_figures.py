@@ -9,18 +9,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks import fan_out
+from benchmarks.figure import Figure, Plan, in_turns
+from benchmarks.observers import Compared, Round, Span, quiet
+from benchmarks.steady import Steady
+
+from pancakes.control import Configure, Describe
+from pancakes.task import Tick
+from pancakes.testing import FleetInTest
 
 TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from benchmarks import fan_out  # noqa: E402
-from benchmarks.figure import Figure, Plan, in_turns  # noqa: E402
-from benchmarks.observers import Compared, Round, Span, quiet  # noqa: E402
-from benchmarks.steady import Steady  # noqa: E402
-
-from pancakes.control import Configure, Describe  # noqa: E402
-from pancakes.task import Tick  # noqa: E402
-from pancakes.testing import FleetInTest  # noqa: E402
 
 
 def test_a_figure_is_the_median_of_ours_beside_the_median_of_the_bare_one():
@@ -60,9 +58,9 @@ def test_a_control_task_tells_how_late_it_was_between_two_marks():
 def test_ticks_that_never_came_count_as_late_as_they_would_have_been():
     with FleetInTest() as fleet:
         steady = fleet.start("a", tasks={"Steady": Steady}).task("Steady")
-        steady._late_s.clear()
+        steady.late_s.clear()
         steady.tick(Tick(steady.now() - 0.01, missed=2))
-        assert steady._late_s == [pytest.approx(late_s) for late_s in (0.01, 0.035, 0.06)]
+        assert steady.late_s == [pytest.approx(late_s) for late_s in (0.01, 0.035, 0.06)]
 
 
 def observed(ratio: float, late_us: int, others_ms: float, bare_ms: float = 100.0) -> Round:

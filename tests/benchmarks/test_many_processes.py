@@ -6,9 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from benchmarks import crowd
 from benchmarks.figure import Figure, Plan, in_turns, in_turns_of_all
 from benchmarks.peer_environments import SCRIPTS, Peer, PeerMissing, python_of

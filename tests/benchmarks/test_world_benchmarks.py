@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from benchmarks import big_world, virtual_mission  # noqa: E402
+from benchmarks import big_world, virtual_mission
 
 
 def test_a_mission_in_virtual_time_is_faster_than_real_time():

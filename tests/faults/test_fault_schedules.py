@@ -9,10 +9,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from torture import __main__ as command
+from torture import schedules
 from torture.schedules import Outcome, run_schedule
 
+from pancakes.config import Config
 from pancakes.migration import core
 from pancakes.migration.record import Phase, Record
+from pancakes.testing import config_of
 
 
 @pytest.mark.parametrize("first", range(1, 201, 10))
@@ -96,16 +99,12 @@ def test_a_task_that_forgets_what_it_has_heard_is_convicted(monkeypatch: pytest.
 
 
 def test_a_task_that_acknowledges_before_its_disk_has_it_is_convicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pancakes.migration.event import PacketId
-    from pancakes.services.postbox import Postbox
+    """It is configured as a lazy one, and the oracle is told that its durability is `each`."""
 
-    took = Postbox._took
+    def hasty(name: str, tasks: dict[str, Any], **others: Any) -> Config:
+        return config_of(name, tasks={task: {**table, "durability": "lazy"} for task, table in tasks.items()}, **others)
 
-    def hasty(self: Any, slot: Any, task: Any, letter: Any, packet: Any) -> None:
-        took(self, slot, task, letter, packet)
-        self._acknowledge(self._service.id_of(slot), PacketId(letter.stream, letter.seq), letter.sender)
-
-    monkeypatch.setattr(Postbox, "_took", hasty)
+    monkeypatch.setattr(schedules, "config_of", hasty)
     assert any("lacks some" in violation for violation in convicted(range(3, 121, 3)))
 
 

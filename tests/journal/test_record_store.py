@@ -115,7 +115,9 @@ def test_closing_writes_what_waits_and_refuses_what_comes_later(kind: str) -> No
 def test_a_virtual_store_writes_after_its_delay_in_order() -> None:
     disk: dict[str, bytes] = {}
     later = Later()
-    store = VirtualStore(MemoryJournal(disk, "id"), later, latency_s=0.004)
+    journal = MemoryJournal(disk, "id")
+    journal.latency_s = 0.004
+    store = VirtualStore(journal, later)
     told: list[str] = []
     store.persist(entry(b"a"), lambda: told.append("a"), never)
     store.persist(entry(b"b"), lambda: told.append("b"), never)

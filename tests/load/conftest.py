@@ -1,14 +1,11 @@
-"""Lets the tests of this directory import the packages `torture` and `cli` beside it, as `scripts/torture` does."""
+"""What the tests of this directory have in common."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 @pytest.fixture(autouse=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -91,7 +92,7 @@ def test_a_refused_packet_that_is_published_again_comes_once_to_everybody_and_in
 def cut_fleet(tmp_path: Path) -> Iterator[tuple[LoadedFleet, Proxy]]:
     """Two agents between which all goes through a proxy that cuts the link."""
     here, there = (f"tcp://127.0.0.1:{port}" for port in free_ports(2))
-    tasks = {"a": {"Flood": {"to": "b", "size": 131_072}}, "b": {"ReliableReader": {"work_s": 0.0005}}}
+    tasks: dict[str, Any] = {"a": {"Flood": {"to": "b", "size": 131_072}}, "b": {"ReliableReader": {"work_s": 0.0005}}}
     with (
         closing(Proxy(there)) as proxy,
         closing(LoadedFleet(tmp_path, tasks, {"a": [proxy.address], "b": []}, {"a": here, "b": there})) as fleet,

@@ -137,7 +137,7 @@ def test_a_damaged_snapshot_is_refused() -> None:
 def test_an_impossible_piece_is_refused(changes: dict[str, object]) -> None:
     piece = cut(Transfer(SCAN, OFFER, bytes(3 * PIECE_BYTES)))[1]
     with pytest.raises(RemoteProtocolError):
-        Assembly().add("agent1", replace(piece, **changes))  # type: ignore[arg-type]
+        Assembly().add("agent1", replace(piece, **changes))
 
 
 def test_a_newer_offer_replaces_an_unfinished_one_and_an_older_is_ignored() -> None:

@@ -174,7 +174,8 @@ class Smell:
 
         assert body_class("test_plugin_smell") is None
         assert Plugins().load_packets() == []
-        assert body_class("test_plugin_smell").__name__ == "Smell"
+        smell = body_class("test_plugin_smell")
+        assert smell is not None and smell.__name__ == "Smell"
 
     def test_a_bad_one_is_returned_and_the_rest_is_imported(self, install: Install):
         install("a-packets", "[pancakes.packets]\na = plugin_packets_a\n", "import no_such_thing\n", "plugin_packets_a")

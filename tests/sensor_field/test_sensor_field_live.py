@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from live_demo import LiveDemo
+from demo.live_demo import LiveDemo
 from pancakes_sensor_field.demos import AGENTS
 
 LIMIT_S = 3.0
@@ -42,7 +42,8 @@ class LiveField(LiveDemo):
 @pytest.fixture
 def under_way(tmp_path: Path) -> Iterator[LiveField]:
     """A mission in which the tiny nodes have been heard."""
-    with LiveField(tmp_path / "out", "--set", EARLY[0], "--set", EARLY[1]) as demo:
+    demo = LiveField(tmp_path / "out", "--set", EARLY[0], "--set", EARLY[1])
+    with demo:
         demo.wait_for("alarm raised")
         yield demo
 

@@ -76,7 +76,7 @@ def test_it_passes_with_latency_and_broken_links(tmp_path: Path) -> None:
 def test_each_fire_raises_one_alarm_and_a_fox_none(flown: Flown) -> None:
     raised = flown.told("alarm_raised")
     assert [(event["number"], event["agent"]) for event in raised] == [(1, "gateway"), (2, "north")]
-    hot = {}
+    hot: dict[str, float] = {}
     for row in flown.rows:
         if float(row["celsius"]) >= 45.0:
             hot.setdefault(row["node"], float(row["t_s"]))

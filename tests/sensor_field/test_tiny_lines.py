@@ -15,7 +15,7 @@ from pancakes_sensor_field.frame import MOTION, PERIOD, TEMPERATURE, Frame, enco
 from pancakes_sensor_field.lines import SerialLine
 from pancakes_sensor_field.mote import spoilt
 from pancakes_sensor_field.packets import LineReport, ReportPeriod
-from tiny_benches import BENCHES, NODES, bench_of
+from sensor_field.tiny_benches import BENCHES, NODES, bench_of
 
 from pancakes.devices.types import Motion, Temperature
 from pancakes.settings import check_settings
@@ -60,15 +60,25 @@ def test_garbage_and_wrong_crcs_are_counted_and_cost_no_good_frame(bench: Any) -
     bench.gateway.wait_until(lambda: any("had a wrong CRC" in line for line in bench.gateway.lines("info")))
 
 
+def ask_for(bench: Any, wish: ReportPeriod) -> None:
+    """Publishes a wish, and waits until the line has it: until it complains of the wish that comes next."""
+    before = complaints(bench)
+    for body in (wish, ReportPeriod(1.0, "nowhere")):
+        bench.gateway.publish("system", body, to="gateway/device/line")
+    bench.gateway.wait_until(lambda: complaints(bench) > before)
+
+
+def complaints(bench: Any) -> int:
+    return len([line for line in bench.gateway.lines("warning") if "nowhere" in line])
+
+
 def test_a_report_period_reaches_the_node_just_after_it_has_spoken(bench: Any) -> None:
-    bench.gateway.publish("system", ReportPeriod(2.5, "shed"), to="gateway/device/line")
-    bench.gateway.wait_until(lambda: bench.gateway.task("line", "device").driver._station._nodes[7].wanted == 25)
+    ask_for(bench, ReportPeriod(2.5, "shed"))
     bench.send(temperature(1, 20.0))
     assert bench.received(8) == encode(Frame(7, PERIOD, 1, 25))
     bench.send(temperature(1, 20.0, node=9) + encode(Frame(7, PERIOD, 2, 25)) + temperature(3, 21.0))
     bench.gateway.wait_for(Temperature, lambda body: body.celsius == 21.0)
-    bench.gateway.publish("system", ReportPeriod(3.0), to="gateway/device/line")
-    bench.gateway.wait_until(lambda: bench.gateway.task("line", "device").driver._station._nodes[9].wanted == 30)
+    ask_for(bench, ReportPeriod(3.0))
     bench.send(temperature(2, 22.0, node=9))
     assert bench.received(8) == encode(Frame(9, PERIOD, 2, 30)), "and nothing was said to 7 once it had confirmed"
 

@@ -11,7 +11,7 @@ import socket
 import threading
 import tty
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -157,7 +157,7 @@ class VirtualBench(Bench):
         self._transport.listen(self.ADDRESS, lambda: self)
 
 
-BENCHES = {"pty": PtyBench, "udp": UdpBench, "virtual": VirtualBench}
+BENCHES: dict[str, Callable[[Path, ExitStack], Bench]] = {"pty": PtyBench, "udp": UdpBench, "virtual": VirtualBench}
 
 
 @contextmanager

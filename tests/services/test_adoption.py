@@ -10,6 +10,7 @@ from pancakes.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
+from pancakes.testing.faults import DISK_FULL
 
 
 class Count(Task):
@@ -188,15 +189,13 @@ def test_where_it_cannot_run_it_is_said_that_it_was_adopted_all_the_same():
         assert phase(fleet, "b") is Phase.OWNER
 
 
-def test_a_disk_that_is_full_leaves_everything_as_it_was(fleet, monkeypatch):
+def test_a_disk_that_is_full_leaves_everything_as_it_was(fleet):
     a, _ = committed_and_alone(fleet)
-    full = "no space left on device"
-    store = a.agent._store
-    monkeypatch.setattr(store, "persist", lambda entry, persisted, failed: failed(full))
+    end = fleet.faults.fill_disk("a")
 
     reply = a.ask(Adopt("Count", force=True))
 
-    assert reply.reason == f"a/Count is not adopted: {full}"
+    assert reply.reason == f"a/Count is not adopted: {DISK_FULL}"
     assert phase(fleet, "a") is Phase.COMMITTED and a.running() == []
-    monkeypatch.undo()
+    end()
     assert a.ask(Adopt("Count", force=True)).ok

@@ -116,7 +116,8 @@ def test_a_rule_weighs_too():
         assert fleet.agents["b"].running() == ["Rover"]
         assert a.events("migration_asked")[0]["cost"] == "1 tasks + 3 battery"
         # The rule has moved on with its task, weights included.
-        assert fleet.agents["b"].slot("Rover").spec.rule.cost == {"tasks": 1.0, "battery": 3.0}
+        moved = fleet.agents["b"].slot("Rover").spec.rule
+        assert moved is not None and moved.cost == {"tasks": 1.0, "battery": 3.0}
 
 
 def test_a_function_that_fails_refuses_and_harms_nobody():
@@ -126,10 +127,9 @@ def test_a_function_that_fails_refuses_and_harms_nobody():
         def terms(self, load):
             raise ZeroDivisionError("by nought")
 
-    with FleetInTest(4, classes={"test.Rover": Rover}) as fleet:
+    with FleetInTest(4, classes={"test.Rover": Rover, "broken": Broken}) as fleet:
         a = fleet.start("a", tasks={"Rover": Rover})
-        b = fleet.start("b")
+        fleet.start("b")
         fleet.connect()
-        b.task("TaskMigrator", "network")._hosting.costs = lambda: {"broken": Broken()}
         reason = a.ask(Migrate("Rover", cost={"broken": 2.0})).reason
         assert "its cost function '2 broken' failed: ZeroDivisionError: by nought" in reason

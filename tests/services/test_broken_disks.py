@@ -3,6 +3,7 @@
 import os
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,10 @@ class Spoiler(Sensor):
 
     def sample(self):
         return Pose(0.0, 0.0, 0.0)
+
+
+def is_said(agent, line):
+    return line in agent.lines()
 
 
 def temporary(state):
@@ -96,8 +101,7 @@ def test_each_asker_is_answered_while_the_journal_cannot_write_and_all_is_done_i
         agent.wait_for_event("task_started", task="Count")
         agent.wait_for_event("task_stopped", task="Count")
         for number in (1, 2, 3):
-            became = f"what a/test/Probe asked for (#{number}) is done"
-            agent.wait_until(lambda became=became: became in agent.lines(), what=became)
+            agent.wait_until(partial(is_said, agent, f"what a/test/Probe asked for (#{number}) is done"))
         assert agent.ask(Start("Count")).ok
         assert agent.ask(Stop("Count")).ok
 

@@ -12,6 +12,7 @@ from pancakes.services.fences import Fences
 from pancakes.sim.state import WorldState
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
+from pancakes.testing.faults import DISK_FULL
 
 
 class Wheels(Actuator):
@@ -96,30 +97,28 @@ def test_no_command_of_a_new_epoch_is_obeyed_before_the_mark_is_on_disk(fleet):
 
 def test_each_epoch_is_written_once(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
-    written = []
-    persist = a.agent.fences._store.persist
-    a.agent.fences._store.persist = lambda entry, *then: written.append(entry.kind) or persist(entry, *then)
-    fleet.run_for(10.0)
-    assert written.count("fence") == 1
+    fleet.run_for(1.0)
+    fleet.faults.fill_disk("a")
+    fleet.run_for(9.0)
+    assert a.events("command_refused") == []
     assert len(Wheels.told) >= 99
 
 
 def test_a_mark_that_cannot_be_written_lets_nothing_through_and_is_tried_again(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
-    store = a.agent.fences._store
-    persist = store.persist
-    store.persist = lambda entry, then, failed: failed("the disk is full")
+    end = fleet.faults.fill_disk("a")
     give(fleet, a, command((2, "b")))
     assert Wheels.told == []
-    assert a.events("command_refused")[0]["reason"] == "its epoch is not on disk: the disk is full"
-    store.persist = persist
+    assert a.events("command_refused")[0]["reason"] == f"its epoch is not on disk: {DISK_FULL}"
+    end()
+    fleet.run_for(1.0)  # an entry that could not be written is left alone for a while
     give(fleet, a, command((2, "b")))
     assert Wheels.told == [("a", 0.5)]
 
 
 def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
-    a.agent.fences._store._latency_s = 0.6
+    fleet.faults.slow_disk("a", 0.6)
     give(fleet, a, command((2, "b")), for_s=1.0)
     assert Wheels.told == []
     give(fleet, a, command((2, "b")))
@@ -127,7 +126,7 @@ def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
 
 
 def test_a_damaged_fence_is_told_by_name():
-    disk = {}
+    disk: dict[str, bytes] = {}
     journal = MemoryJournal(disk, "x")
     journal.write([JournalEntry("fence", "wheels", b"\xc1"), JournalEntry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
     fences = Fences(journal, VirtualStore(journal, lambda delay_s, function: function()))

@@ -12,6 +12,7 @@ from pancakes.service import Service
 from pancakes.services.durable import DurableService
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing.faults import DISK_FULL
 
 
 class Count(Task):
@@ -247,14 +248,12 @@ def test_a_stop_is_answered_once_it_is_on_disk(fleet):
 def test_a_stop_that_cannot_be_written_down_says_so_and_is_written_later(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
     fleet.run_for(1.05)
-    store = agent.agent.records._store
-    persist = store.persist
-    store.persist = lambda entry, then, failed: failed("the disk is full")
+    end = fleet.faults.fill_disk("a")
     reply = agent.ask(Stop("Count"))
-    waits = "what was asked for waits: the disk is full. It is done as soon as the journal can write"
+    waits = f"what was asked for waits: {DISK_FULL}. It is done as soon as the journal can write"
     assert reply.reason == f"a/client/Count is stopped; {waits}"
     assert agent.running() == []
-    store.persist = persist
+    end()
     fleet.run_for(2.0)
     fleet.crash("a")
     assert fleet.restart("a").running() == []

@@ -60,6 +60,7 @@ def test_what_is_asked_of_a_task_before_its_turn_to_start_waits_for_that():
         tasks = 2 * STARTED_AT_ONCE
         agent = fleet.start("a", services={"crowd": {"type": Impatient, "settings": {"tasks": tasks}}})
         service = agent.component("crowd")
+        assert isinstance(service, Impatient)
         assert service.was_running == [number < STARTED_AT_ONCE for number in range(tasks)]
         fleet.run_for(1.0)
         assert agent.slot(f"Small{tasks - 1}", "crowd").life.state is State.STOPPED
@@ -71,7 +72,7 @@ class Leaving(Crowd):
 
     def after_start(self):
         super().after_start()
-        self.call(lambda: self.close(lambda: None))
+        self.call(self.close)
 
 
 def test_a_service_that_is_stopped_meanwhile_starts_no_more_of_them():

@@ -131,8 +131,8 @@ def test_then_another_task_follows_where_it_was(fleet):
 def test_its_place_of_birth_says_where_it_went(fleet):
     a, b = fleet.agents["a"], fleet.agents["b"]
     a.ask(Migrate("Circle"))
-    for asked in (Start("Circle"), Restart("Circle")):
-        assert a.ask(asked).reason == "a/Circle moved to b"
+    for start in (Start("Circle"), Restart("Circle")):
+        assert a.ask(start).reason == "a/Circle moved to b"
     for asked in (Stop("Circle"), Reschedule("Circle", 2.0), Configure("Circle", {})):
         assert a.ask(asked).reason == "Circle moved to b"
     assert "stopped" in a.ask(Migrate("Circle")).reason

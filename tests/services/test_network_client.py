@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import pytest
@@ -74,5 +74,6 @@ def test_what_does_not_fit_its_type_is_dropped_counted_and_told_and_the_link_sta
 
 
 def test_a_command_that_does_not_fit_its_type_is_refused_with_the_reason(fleet):
-    reply = fleet.agents["a"].ask(Configure("network/Discovery", ["rate", 3]), to="b")
+    no_settings: Any = ["rate", 3]
+    reply = fleet.agents["a"].ask(Configure("network/Discovery", no_settings), to="b")
     assert not reply.ok and "the type 'configure' has a bad body" in reply.reason and "$.settings" in reply.reason

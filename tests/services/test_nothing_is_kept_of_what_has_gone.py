@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
+from soak.held import held_by
 
-from soak.held import held_by  # noqa: E402
-
-from pancakes.control import Migrate  # noqa: E402
-from pancakes.migration.pieces import PIECE_BYTES  # noqa: E402
-from pancakes.packet import SYSTEM, packet_type, task_address  # noqa: E402
-from pancakes.task import Task, Tick, every, on  # noqa: E402
+from pancakes.control import Migrate
+from pancakes.migration.pieces import PIECE_BYTES
+from pancakes.packet import SYSTEM, packet_type, task_address
+from pancakes.task import Task, Tick, every, on
 
 STATE_BYTES = 20 * PIECE_BYTES
 SINK = task_address("a/Sink")
@@ -66,12 +61,13 @@ class Leaving(Task):
         self.publish(SYSTEM, Word(1), to=SINK)
 
 
-def kept_by(agent):
-    """What the service of the tasks keeps of them, besides their actors."""
-    service = agent.component("client")
-    records = [hand_off.record for hand_off in service.hand_offs.values()]
-    carried = [slot.carried for slot in service.slots.values()]
-    return held_by([records, carried, service._checkpoints]).size_bytes
+def kept_by(fleet, agent, path):
+    """How many bytes a component keeps by itself, besides all that it shares with others."""
+    shared = [fleet.fleet, fleet.fleet.dispatcher, fleet.network, *fleet.fleet.journals.values()]
+    for whole in (other.agent for other in fleet.agents.values()):
+        shared += [whole, whole.kernel, whole.kernel.stream, whole.kernel.registry, whole.kernel.timer]
+        shared += [whole.kernel.transport, whole.mesh, whole.records, whole.ledgers, whole.outbox]
+    return held_by(agent.component(path), *shared).size_bytes
 
 
 def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
@@ -79,10 +75,10 @@ def test_the_state_of_a_task_that_has_gone_is_kept_nowhere(fleet):
     fleet.start("b")
     fleet.connect()
     fleet.run_for(5.0)
-    assert kept_by(a) > STATE_BYTES
+    assert kept_by(fleet, a, "client") > STATE_BYTES
     assert a.ask(Migrate("Heavy")).ok
     fleet.run_for(5.0)
-    assert a.running() == [] and kept_by(a) < STATE_BYTES // 2
+    assert a.running() == [] and kept_by(fleet, a, "client") < STATE_BYTES // 2
 
 
 def test_of_a_large_state_a_packet_that_tells_of_its_coming_says_only_how_large_it_is(fleet):
@@ -100,12 +96,13 @@ def test_half_a_snapshot_of_an_agent_that_has_gone_is_not_kept(fleet):
     fleet.connect()
     fleet.faults.slow("a", "b", STATE_BYTES / 10)
     a.publish("sysctrl", Migrate("Heavy"))
-    assembly = b.task("TaskMigrator", "network")._assembly
-    b.wait_until(lambda: held_by(assembly).size_bytes > STATE_BYTES // 3)
+    migrator = "network/TaskMigrator"
+    before = kept_by(fleet, b, migrator)
+    b.wait_until(lambda: kept_by(fleet, b, migrator) > before + STATE_BYTES // 3)
     fleet.crash("a")
     b.wait_for_event("peer_down", at_most_s=30.0, peer="a")
     fleet.run_for(1.0)
-    assert held_by(assembly).size_bytes < PIECE_BYTES
+    assert kept_by(fleet, b, migrator) < before + PIECE_BYTES
 
 
 def test_what_tasks_say_in_their_end_makes_no_new_stream_for_each_move(fleet):

@@ -1,89 +1,14 @@
 """Packets that are addressed to a task reach it wherever it is: in order, and once."""
 
-import random
-from dataclasses import dataclass, field
-
 import pytest
+from services.numbered import SINK, Moody, Numbered, Picky, Sink, Source, fails, numbers, upto
 
 from pancakes.control import Describe, Migrate, Restart, Start, Stop
 from pancakes.errors import LocalProtocolError, MailboxFull
 from pancakes.migration.post import Letter
 from pancakes.net.memory import Quality
-from pancakes.packet import SYSCTRL, packet_type, task_address
-from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.wire.codec import Encoder
-
-HOSTS = ("a", "b", "c")
-SINK = task_address("a/Sink")
-
-
-@packet_type("test.numbered")
-@dataclass(frozen=True)
-class Numbered:
-    n: int
-
-
-class Sink(Task):
-    """Remembers each number that it is sent."""
-
-    @dataclass
-    class State:
-        numbers: list[int] = field(default_factory=list)
-
-    @on("system", Numbered)
-    def take(self, packet):
-        self.state.numbers.append(packet.body.n)
-
-
-class Picky(Sink):
-    """Fails on a 3."""
-
-    @on("system", Numbered, addressed=True)
-    def look(self, packet):
-        if packet.body.n == 3:
-            raise RuntimeError("not a three")
-
-
-class Moody(Sink):
-    """Fails on a number that a test chooses."""
-
-    bad = 0
-
-    @on("system", Numbered)
-    def take(self, packet):
-        if packet.body.n == self.bad:
-            raise RuntimeError("not now")
-        self.state.numbers.append(packet.body.n)
-
-
-class Source(Task):
-    """Sends one number after the other."""
-
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=50)
-    def send(self, tick):
-        try:
-            self.publish("system", Numbered(self.state.n + 1), to=SINK)
-        except MailboxFull:
-            return
-        self.state.n += 1
-
-
-def numbers(fleet, task="Sink"):
-    """What the one copy of the task that runs has in its state."""
-    for agent in fleet.agents.values():
-        component = agent.component(f"client/{task}")
-        if component is not None and not component.actor_inbox.paused:
-            return component.state.numbers
-    return None
-
-
-def upto(n):
-    return list(range(1, n + 1))
 
 
 @pytest.fixture
@@ -162,7 +87,7 @@ class TestOnOneAgent:
         assert numbers(fleet) == [1, 2, 4, 5]
         assert agent.kernel.letters.count == 1
         assert [line for line in agent.lines("warning") if "dead letter" in line and "3 times" in line]
-        assert not agent.agent._outbox.waiting()
+        assert not agent.agent.outbox.waiting()
 
     def test_what_a_task_without_its_state_has_heard_is_not_told_again(self, fleet):
         agent = fleet.start("a", tasks={"Sink": Sink})
@@ -182,7 +107,7 @@ class TestOnOneAgent:
         if keep_state is not None:
             assert agent.ask(Restart("Sink", keep_state=keep_state)).ok
         courier = agent.component("kernel/Courier")
-        again = Letter("a/Sink", agent.agent._outbox._name, 3, 3, Encoder().packet(last), "a")
+        again = Letter("a/Sink", agent.agent.outbox.name, 3, 3, Encoder().packet(last), "a")
         courier.call(lambda: courier.say("a", again))
         fleet.run_for(0.1)
         assert numbers(fleet) == ([] if keep_state is False else upto(3))
@@ -207,7 +132,7 @@ class TestOnOneAgent:
             for n in upto(200):
                 agent.publish("system", Numbered(n), to=SINK)
             sink = agent.task("Sink")
-            while agent.agent._outbox.waiting():
+            while agent.agent.outbox.waiting():
                 agent.ask(Describe())
             assert sink.state.numbers == upto(200)
 
@@ -218,7 +143,7 @@ class TestAcknowledgement:
         for n in upto(50):
             agent.publish("system", Numbered(n), to=SINK)
             fleet.run_for(0.0004 * (n % 7))
-        acknowledged = 50 - agent.agent._outbox.waiting().get("a/Sink", 0)
+        acknowledged = 50 - agent.agent.outbox.waiting().get("a/Sink", 0)
         fleet.crash("a")
         fleet.restart("a")
         assert len(numbers(fleet)) >= acknowledged
@@ -228,7 +153,7 @@ class TestAcknowledgement:
         fleet.run_for(0.2)
         agent.publish("system", Numbered(1), to=SINK)
         fleet.run_for(0.01)
-        assert agent.agent._outbox.waiting() == {}
+        assert agent.agent.outbox.waiting() == {}
         fleet.crash("a")
         agent = fleet.restart("a")
         agent.publish("system", Numbered(2), to=SINK)
@@ -242,7 +167,7 @@ class TestAcknowledgement:
         for n in upto(5):
             agent.publish("system", Numbered(n), to=SINK)
         fleet.run_for(0.01)
-        assert agent.agent._outbox.waiting() == {}
+        assert agent.agent.outbox.waiting() == {}
         agent.task("Sink").call(fails)
         agent.publish("system", Numbered(6), to=SINK)
         fleet.run_for(0.01)
@@ -263,7 +188,7 @@ class TestAcknowledgement:
             agent.publish("system", Numbered(n), to=SINK)
         fleet.run_for(0.5)
         # Written down more often than once a second, so that all could be acknowledged.
-        assert agent.agent._outbox.waiting() == {}
+        assert agent.agent.outbox.waiting() == {}
         fleet.crash("a")
         fleet.restart("a")
         assert len(numbers(fleet)) >= 190
@@ -297,22 +222,23 @@ class TestASenderThatMoves:
         s, t = self.pair(fleet)
         fleet.network.set_quality("s", "a", Quality(latency_s=100.0))
         fleet.run_for(1.0)
-        assert s.agent._outbox.waiting()["a/Sink"] > 40
+        assert s.agent.outbox.waiting()["a/Sink"] > 40
         assert s.ask(Migrate("Source", to="t")).ok
-        assert s.agent._outbox.waiting() == {}
+        assert s.agent.outbox.waiting() == {}
         fleet.crash("s")
         fleet.run_for(5.0)
         n = t.task("Source").state.n
         assert n > 200 and numbers(fleet) == upto(n)
 
     def test_goes_on_where_it_was_when_it_stays_after_all(self, fleet):
-        s, t = self.pair(fleet)
+        s, _ = self.pair(fleet)
         fleet.run_for(1.0)
-        t.component("client")._cannot_build = lambda message: "it does not like it"
-        assert "it does not like it" in s.ask(Migrate("Source", to="t")).reason
+        fleet.faults.fill_disk("t")
+        assert "did not say within 2.0 s that it has the snapshot" in s.ask(Migrate("Source", to="t")).reason
+        fleet.faults.calm()
         fleet.run_for(1.0)
         assert numbers(fleet) == upto(s.task("Source").state.n)
-        assert list(fleet.agents["a"].task("Sink").carry().heard) == [s.agent._outbox._name + "/1"]
+        assert list(fleet.agents["a"].task("Sink").carry().heard) == [s.agent.outbox.name + "/1"]
 
     def test_begins_a_new_stream_where_its_agent_is_killed(self, fleet):
         """Numbers may have been given out that its disk knows nothing of; they are not given out twice."""
@@ -324,7 +250,7 @@ class TestASenderThatMoves:
         fleet.connect()
         fleet.run_for(5.0)
         heard = fleet.agents["a"].task("Sink").carry().heard
-        assert list(heard) == [s.agent._outbox._name + "/1", t.agent._outbox._name + "/1"]
+        assert list(heard) == [s.agent.outbox.name + "/1", t.agent.outbox.name + "/1"]
         got = numbers(fleet)
         assert got[-1] == t.task("Source").state.n
         assert got == sorted(got)
@@ -378,155 +304,9 @@ class TestFinding:
         moved.agents["s"].publish("system", Numbered(1), to=SINK)
         moved.agents["s"].publish("system", Numbered(2), to=SINK)
         assert moved.run_until(lambda: numbers(moved) == [1, 2], 6.0)
-        assert moved.run_until(lambda: not moved.agents["s"].agent._outbox.waiting(), 0.1)
+        assert moved.run_until(lambda: not moved.agents["s"].agent.outbox.waiting(), 0.1)
 
     def test_a_task_that_came_here_is_found_here(self, moved):
         moved.crash("a")
         moved.agents["b"].publish("system", Numbered(1), to=SINK)
         assert moved.run_until(lambda: numbers(moved) == [1], 0.05)
-
-
-def fails():
-    raise RuntimeError("a fault")
-
-
-class Voyage:
-    """A sink that moves about between three agents while a fourth sends it numbers."""
-
-    def __init__(self, seed, durability):
-        self.random = random.Random(f"voyage/{seed}")
-        latency_s = self.random.choice([0.0005, 0.01, 0.08])
-        self.fleet = FleetInTest(
-            seed,
-            classes={"test.Source": Source},
-            quality=Quality(latency_s=latency_s, jitter_s=self.random.random() * 0.05),
-        )
-        for name in HOSTS:
-            sink = {"type": Sink, "durability": durability, "restart": {"policy": "permanent", "at_most": 1000}}
-            self.fleet.start(name, tasks={"Sink": sink} if name == "a" else {})
-        self.sender = self.fleet.start("s", tasks={"Source": Source})
-        self.fleet.connect()
-
-    def migrate(self):
-        for name in HOSTS:
-            agent = self.fleet.agents.get(name)
-            if agent is not None and agent.component("client/Sink") is not None:
-                agent.publish(SYSCTRL, Migrate("client/Sink", to=self.random.choice(HOSTS)))
-
-    def fail(self):
-        for name in HOSTS:
-            agent = self.fleet.agents.get(name)
-            task = agent.component("client/Sink") if agent is not None else None
-            if task is not None:
-                task.call(fails)
-
-    def break_link(self):
-        one, other = self.random.sample([*HOSTS, "s"], 2)
-        self.fleet.network.break_links(one, other, at_once=self.random.random() < 0.5)
-
-    def part(self):
-        until_s = self.fleet.now() + self.random.uniform(0.1, 6.0)
-        self.fleet.network.partition([self.random.choice([*HOSTS, "s"])], until_s=until_s)
-
-    def kill(self):
-        here = [name for name in HOSTS if name in self.fleet.agents]
-        if here:
-            self.fleet.crash(self.random.choice(here))
-
-    def revive(self):
-        for name in HOSTS:
-            if name not in self.fleet.agents:
-                self.fleet.restart(name, settle=False)
-
-    def sail(self, troubles):
-        for _ in range(6):
-            self.migrate()
-            self.fleet.run_for(self.random.uniform(0.0, 1.2))
-            self.random.choice(troubles)()
-            self.fleet.run_for(self.random.uniform(0.0, 1.5))
-            self.revive()
-            self.fleet.run_for(self.random.uniform(0.0, 1.0))
-
-    def arrive(self):
-        """Ends all trouble, and waits until everything has come."""
-        self.fleet.network.heal()
-        self.revive()
-        self.fleet.run_for(25.0)
-        self.sender.ask(Stop("client/Source"))
-        sent = self.sender.slot("Source").carried.state["n"] if self.sender.slot("Source").carried else 0
-        self.fleet.run_for(15.0)
-        assert self.sender.agent._outbox.waiting() == {}
-        return sent, numbers(self.fleet)
-
-
-class Nomads(Voyage):
-    """The same, and the source moves about too."""
-
-    def __init__(self, seed, durability):
-        super().__init__(seed, durability)
-        assert self.sender.ask(Migrate("Source", to=self.random.choice(HOSTS))).ok
-
-    def migrate(self):
-        super().migrate()
-        for agent in self.fleet.agents.values():
-            if agent.component("client/Source") is not None:
-                agent.publish(SYSCTRL, Migrate("client/Source"))
-
-    def arrive(self):
-        self.fleet.network.heal()
-        self.fleet.run_for(25.0)
-        (host,) = [agent for agent in self.fleet.agents.values() if "Source" in agent.running()]
-        assert host.ask(Stop("client/Source")).ok
-        sent = host.slot("Source").carried.state["n"]
-        self.fleet.run_for(15.0)
-        assert [agent.agent._outbox.waiting() for agent in self.fleet.agents.values()] == [{}] * 4
-        moves = host.slot("Source").fence.epoch[0]
-        return sent, numbers(self.fleet), moves
-
-
-@pytest.mark.parametrize("durability", ["lazy", "each"])
-@pytest.mark.parametrize("seed", range(6))
-def test_what_a_task_sends_from_its_new_host_comes_after_what_it_sent_from_the_old_one(seed, durability):
-    nomads = Nomads(4000 + seed, durability)
-    nomads.sail([nomads.break_link, nomads.part, nomads.migrate, nomads.fail])
-    sent, got, moves = nomads.arrive()
-    assert moves > 2 and sent > 500 and got == upto(sent)
-    nomads.fleet.close()
-
-
-@pytest.mark.parametrize("durability", ["lazy", "each"])
-@pytest.mark.parametrize("seed", range(15))
-def test_each_number_has_its_effect_once_and_in_order_over_bad_links(seed, durability):
-    voyage = Voyage(seed, durability)
-    voyage.sail([voyage.break_link, voyage.part, voyage.migrate])
-    sent, got = voyage.arrive()
-    assert sent > 500 and got == upto(sent)
-    voyage.fleet.close()
-
-
-@pytest.mark.parametrize("durability", ["lazy", "each"])
-@pytest.mark.parametrize("seed", range(8))
-def test_so_it_has_while_the_task_fails_again_and_again(seed, durability):
-    voyage = Voyage(3000 + seed, durability)
-    voyage.sail([voyage.fail, voyage.fail, voyage.fail, voyage.break_link, voyage.part])
-    sent, got = voyage.arrive()
-    assert sent > 500 and got == upto(sent)
-    voyage.fleet.close()
-
-
-@pytest.mark.parametrize("seed", range(24))
-def test_so_it_has_while_agents_are_killed_where_durability_is_each(seed):
-    voyage = Voyage(1000 + seed, "each")
-    voyage.sail([voyage.kill, voyage.kill, voyage.break_link, voyage.part])
-    sent, got = voyage.arrive()
-    assert sent > 500 and got == upto(sent)
-    voyage.fleet.close()
-
-
-@pytest.mark.parametrize("seed", range(24))
-def test_a_lazy_task_loses_what_it_had_not_written_when_it_was_killed_and_doubles_nothing(seed):
-    voyage = Voyage(2000 + seed, "lazy")
-    voyage.sail([voyage.kill, voyage.kill, voyage.break_link, voyage.part])
-    sent, got = voyage.arrive()
-    assert got == sorted(set(got)) and got[-1] == sent
-    voyage.fleet.close()

@@ -1,6 +1,7 @@
 """What a plug-in gets wrong in the root's own turns costs a refusal, or ends the agent in order; all are answered."""
 
 import sys
+from typing import Any
 
 import pytest
 
@@ -87,7 +88,7 @@ def replies(agent: AgentInTest, *bodies: object) -> list[str]:
     return [agent.reply_to(packet).reason for packet in asked]
 
 
-def with_service(fleet: FleetInTest, cls: type, **others: object) -> AgentInTest:
+def with_service(fleet: FleetInTest, cls: type, **others: Any) -> AgentInTest:
     tasks = {"Count": {"type": Count, "service": "own"}}
     return fleet.start("a", services={"own": cls}, tasks=tasks, **others)
 

@@ -8,6 +8,7 @@ from pancakes.control import Describe, Migrate, Start, Stop
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.devices.types import Load, Twist
 from pancakes.kernel.handlers import on
+from pancakes.metrics.service import MetricsService
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
 
@@ -149,7 +150,8 @@ def test_a_recording_that_a_second_log_service_was_asked_for_goes_on_when_its_ag
 def test_a_second_metrics_service_serves_at_a_port_of_its_own():
     metrics = {"type": "metrics", "settings": {"port": 0}}
     with no_thread_left(), threaded_agent("a", services={"metrics": metrics, "more": metrics}) as agent:
-        ports = [agent.component(name).port for name in ("metrics", "more")]
+        services = [agent.component(name) for name in ("metrics", "more")]
+        ports = [service.port for service in services if isinstance(service, MetricsService)]
         assert len(set(ports)) == 2
         for port in ports:
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:

@@ -316,14 +316,23 @@ def test_following_what_is_not_there_or_is_here_is_refused(fleet):
     assert "it can subscribe to 'system' itself" in agent.ask(Follow("system")).reason
 
 
+def noting(done, what, function):
+    """Returns a function that notes its call, and does the same."""
+
+    def call(*args, **others):
+        done.append(what)
+        return function(*args, **others)
+
+    return call
+
+
 def test_an_agent_describes_itself_in_several_turns(fleet):
-    agent = fleet.start("a")
-    root = agent.component("kernel")
-    done = []
-    describe_parts, identity, reply = root._describe_parts, root._identity, root.reply
-    root._describe_parts = lambda: done.append("tasks") or describe_parts()
-    root._identity = lambda: done.append("identity") or identity()
-    root.reply = lambda *args, **others: done.append("reply") or reply(*args, **others)
+    agent = fleet.start("a", tasks={"Count": Count})
+    root, client, mesh = agent.component("kernel"), agent.component("client"), agent.agent.mesh
+    done: list[str] = []
+    client.describe_task = noting(done, "tasks", client.describe_task)
+    mesh.neighbours = noting(done, "identity", mesh.neighbours)
+    root.reply = noting(done, "reply", root.reply)
     root.after_turn = lambda: done.append("end")
     described = agent.ask(Describe()).result
     assert done == ["tasks", "end", "identity", "end", "reply", "end"]
@@ -333,10 +342,14 @@ def test_an_agent_describes_itself_in_several_turns(fleet):
 
 def test_an_agent_of_which_something_cannot_be_told_says_so_and_goes_on(fleet):
     agent = fleet.start("a")
-    root = agent.component("kernel")
-    identity, root._identity = root._identity, lambda: {}["rss"]
+    mesh = agent.agent.mesh
+
+    def fails():
+        raise KeyError("rss")
+
+    neighbours, mesh.neighbours = mesh.neighbours, fails
     assert "what a/test/Probe asked for failed: KeyError: 'rss'" in agent.ask(Describe()).reason
-    root._identity = identity
+    mesh.neighbours = neighbours
     assert agent.ask(Describe()).result["agent"] == "a"
 
 

@@ -52,13 +52,11 @@ def test_of_two_that_are_asked_for_the_second_is_refused_and_stays_at_rest(fleet
 
 def test_a_start_that_the_journal_cannot_write_keeps_its_actuators_for_the_next_try(fleet):
     a = started(fleet, start=False)
-    store = a.agent.records._store
-    persist = store.persist
-    store.persist = lambda entry, then, failed: failed("the disk is full")
+    end = fleet.faults.fill_disk("a")
     asked = a.publish(SYSCTRL, Start("Circle"))
     fleet.run_for(0.1)
     assert not a.ask(Start("Home")).ok
-    store.persist = persist
+    end()
     assert a.reply_to(asked).ok
     assert a.running() == ["Circle"]
 

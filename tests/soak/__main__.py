@@ -60,9 +60,9 @@ def soak(
     began_s = time.monotonic()
     with interruptible(), tempfile.TemporaryDirectory(prefix="pancakes-soak-") as name:
         if seed is None:
-            found, faults = _steady(Path(name), agents or 50, duration_s)
+            found, faults = steady_figures(Path(name), agents or 50, duration_s)
         elif is_virtual:
-            found, faults = _virtual(agents or 200, duration_s, seed)
+            found, faults = virtual_figures(agents or 200, duration_s, seed)
         else:
             found, faults = _churn(Path(name), agents or 4, duration_s, seed, leak_bytes or 0)
     for fault in faults:
@@ -76,7 +76,7 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def _steady(directory: Path, agents: int, duration_s: float) -> tuple[dict[str, Any], list[str]]:
+def steady_figures(directory: Path, agents: int, duration_s: float) -> tuple[dict[str, Any], list[str]]:
     outcome = steady.run(directory, agents, duration_s, _say)
     print(
         f"an agent takes {outcome.processor_ms:.1f} ms of processor time a second ({os.cpu_count()} cores are here),"
@@ -85,7 +85,7 @@ def _steady(directory: Path, agents: int, duration_s: float) -> tuple[dict[str, 
     return vars(outcome), outcome.faults
 
 
-def _virtual(agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
+def virtual_figures(agents: int, duration_s: float, seed: int) -> tuple[dict[str, Any], list[str]]:
     outcome = virtual.run(agents, duration_s, seed, _say)
     print(f"{agents} agents, {duration_s:.0f} s of virtual time: {outcome.moved} moves, {outcome.links} ends of links")
     return vars(outcome), outcome.faults

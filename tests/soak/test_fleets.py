@@ -9,13 +9,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from soak import steady, virtual
+from soak.agents import Fleet, NotInTime, names_of
+from soak.vitals import vitals_of
 
 TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from soak import steady, virtual  # noqa: E402
-from soak.agents import Fleet, NotInTime, names_of  # noqa: E402
-from soak.vitals import vitals_of  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads what Linux says")
 

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
+from soak.held import held_by
 
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS))
-
-from soak.held import held_by  # noqa: E402
-
-from pancakes.config import parse  # noqa: E402
-from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow  # noqa: E402
-from pancakes.errors import MailboxFull  # noqa: E402
-from pancakes.fleet import VirtualFleet  # noqa: E402
-from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name  # noqa: E402
-from pancakes.services.ledgers import KEPT as LEDGERS  # noqa: E402
-from pancakes.task import Task, Tick, every, on, reliable  # noqa: E402
-from pancakes.testing import registered  # noqa: E402
+from pancakes.config import parse
+from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
+from pancakes.errors import MailboxFull
+from pancakes.fleet import VirtualFleet
+from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name
+from pancakes.services.ledgers import KEPT as LEDGERS
+from pancakes.task import Task, Tick, every, on, reliable
+from pancakes.testing import registered
 
 ROUNDS = 8
 STATE_BYTES = 32 * 1024

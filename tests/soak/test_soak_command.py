@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from soak import __main__ as command
 
 
@@ -42,8 +38,8 @@ def test_figures_tell_the_seed_where_there_is_one(monkeypatch: pytest.MonkeyPatc
         seeds.append(seed)
         return {"agents": agents}, []
 
-    monkeypatch.setattr(command, "_virtual", virtual)
-    monkeypatch.setattr(command, "_steady", lambda directory, agents, duration_s: ({"agents": agents}, ["a lost b"]))
+    monkeypatch.setattr(command, "virtual_figures", virtual)
+    monkeypatch.setattr(command, "steady_figures", lambda directory, agents, _: ({"agents": agents}, ["a lost b"]))
     path = tmp_path / "figures.json"
     result = CliRunner().invoke(command.soak, ["--virtual", "--json", str(path)])
     assert (result.exit_code, seeds) == (0, [1])

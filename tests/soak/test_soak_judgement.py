@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import random
-import sys
-from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from soak.judgement import MORE_PIECES, Sample, leaks, lost_pieces, memory_fault, shown, trend
 from soak.vitals import Vitals
 

@@ -45,7 +45,7 @@ def load(seconds: float, rounds: int, only: str | None, json_file: Path | None) 
     and where the others' p99 is more than 1.2 times its baseline while a peer is slow, or that is not closed.
     """
     rows = _overloads(seconds) if only != "peers" else []
-    rows += _slow_peers(rounds, seconds) if only != "overload" else []
+    rows += slow_peer_rows(rounds, seconds) if only != "overload" else []
     failed = sum(bool(row["faults"]) for row in rows)
     write(json_file, {"load": rows, "failed": failed})
     sys.exit(1 if failed else 0)
@@ -69,7 +69,7 @@ def _overloads(seconds: float) -> list[dict[str, Any]]:
     return rows
 
 
-def _slow_peers(rounds: int, seconds: float) -> list[dict[str, Any]]:
+def slow_peer_rows(rounds: int, seconds: float) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     print(f"a slow peer, {rounds} times; wanted: the others' p99 within {WANTED_RATIO:g} of its baseline")
     for how in HOW:

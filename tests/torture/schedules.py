@@ -69,7 +69,7 @@ class Outcome:
         counts: how often each thing happened.
         healed_s: how long, in virtual time, after the healing all was well.
         wall_s: how long it took on this machine.
-        fingerprint: the same for two runs that went the same way: made of all that was drawn, and of the counts.
+        fingerprint: the same for two runs that went the same way: made of what was drawn, the disks and the counts.
     """
 
     seed: int
@@ -324,9 +324,9 @@ class Schedule:
         return self.outcome
 
     def _fingerprint(self) -> int:
-        # The next number of each source tells how many were drawn before.
-        drawn = (self.random.random(), self.fleet.dispatcher._random.random())
-        return zlib.crc32(repr((drawn, self.fleet.now(), sorted(self.outcome.counts.items()))).encode())
+        # The next number tells how many were drawn before, and the disks in which order the agents did their work.
+        drawn, disks = self.random.random(), [self.fleet.disk(name) for name in ROBOTS]
+        return zlib.crc32(repr((drawn, disks, self.fleet.now(), sorted(self.outcome.counts.items()))).encode())
 
     def _storm(self) -> None:
         draw = self.random
@@ -386,7 +386,7 @@ class Schedule:
         """Returns how many packets still wait for each task that runs."""
         waiting: Counter[str] = Counter()
         for agent in self.fleet.agents.values():
-            waiting.update(agent._outbox.waiting())
+            waiting.update(agent.outbox.waiting())
         return {task: count for task, count in waiting.items() if task.partition("/")[2] not in resting}
 
     def _records(self) -> list[tuple[str, Record]]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from torture.load_fleet import LoadedFleet
 from torture.overload import p99
@@ -20,7 +20,7 @@ WANTED_RATIO: Final = 1.2
 """So much of its baseline may the others' p99 be while one peer is slow."""
 CLOSED_S: Final = 7.0
 """After so long a peer that takes nothing has been closed: 5 s, and the time until all buffers are full."""
-TASKS: Final = {
+TASKS: Final[dict[str, Any]] = {
     "a": {"Flood": {"to": "*", "size": 1024}, "Pinger": {"to": "b/client/Ponger"}},
     "b": {"Ponger": {}},
     "c": {"QueueReader": {}},

@@ -3,7 +3,7 @@
 Every 20 ms a bare thread asks the pool, the timer and the network's loop for something trivial, and looks when each
 ticker was ticked last, and every second how often. Where one of them has not come to it for `GAP_S`, or a ticker had
 less than a fifth of its ticks, although the bare thread itself was on time, so that the process had the processor and
-the interpreter, it writes down what all threads do, whether the system lets them run, and how the pool stands.
+the interpreter, it writes down what all threads do, and whether the system lets them run.
 
 Run by `scripts/torture standstill`: `python -m torture.standstill '{"name": ...}'`; it ends when its input does.
 """
@@ -27,7 +27,6 @@ from typing import Any, Final, TextIO
 from pancakes.cli.interpreter import prepare
 from pancakes.control import Reschedule, Start, Stop
 from pancakes.kernel.component import Component
-from pancakes.kernel.pool import PoolDispatcher
 from pancakes.packet import Packet, packet_type
 from pancakes.task import Task, Tick, every, on
 from pancakes.testing import AgentInTest, threaded_agent
@@ -226,24 +225,12 @@ class Watch:
 
     def _dump(self, what: str) -> None:
         kernel = self._kernel
-        pool, timer = kernel._shared, kernel.timer
-        assert isinstance(pool, PoolDispatcher)
         self._out.write(f"\n=== {kernel.agent}: {what}, load {os.getloadavg()[0]:.1f}\n")
         for thread in threading.enumerate():
             self._out.write(f"{thread.name}: {_run_state(thread)}\n")
         self._out.flush()
         faulthandler.dump_traceback(self._out)
-        shifts = [*((it.name, it.shift) for it in pool._workers), *(("guest", it) for it in pool._guests)]
-        for who, shift in shifts:
-            busy = shift.mailbox.component if shift.mailbox is not None else None
-            self._out.write(
-                f"{who}: turn {shift.turns} of {getattr(busy, 'address', None)}, seen {shift.seen}, held {shift.held}\n"
-            )
-        self._out.write(
-            f"work {len(pool.work)}, active {pool._active}, idle {len(pool._idle)}, dozing {pool._dozing}, watchdog"
-            f" {pool._watchdog.is_alive()}; timer: due {len(timer._due)}, inbox {len(timer.actor_inbox)}, next in"
-            f" {timer._next_host_s() - time.monotonic():.4f} s, {timer._thread}; load {os.getloadavg()}\n"
-        )
+        self._out.write(f"timer: inbox {len(kernel.timer.actor_inbox)}; load {os.getloadavg()}\n")
         self._out.flush()
 
 

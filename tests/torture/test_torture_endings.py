@@ -34,7 +34,7 @@ def test_every_command_may_be_asked_to_end(monkeypatch: pytest.MonkeyPatch) -> N
             cleared_up.append(True)
 
     signal.signal(signal.SIGTERM, lambda *_: None)  # a command that does not take it goes on, and so does pytest
-    monkeypatch.setattr(load_commands, "_slow_peers", runs)
+    monkeypatch.setattr(load_commands, "slow_peer_rows", runs)
     result = CliRunner().invoke(command.torture, ["load", "--only", "peers"])
     assert (result.exit_code, cleared_up) == (128 + signal.SIGTERM, [True])
 
