@@ -191,7 +191,7 @@ def test_where_it_cannot_run_it_is_said_that_it_was_adopted_all_the_same():
 def test_a_disk_that_is_full_leaves_everything_as_it_was(fleet, monkeypatch):
     a, _ = committed_and_alone(fleet)
     full = "no space left on device"
-    store = a.agent._store
+    store = a.agent.store
     monkeypatch.setattr(store, "persist", lambda entry, persisted, failed: failed(full))
 
     reply = a.ask(Adopt("Count", force=True))

@@ -5,7 +5,7 @@ import pytest
 from pancakes.control import Migrate, Restart, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Twist
-from pancakes.journal import Entry, MemoryJournal, VirtualStore
+from pancakes.journal import Disk, Entry, MemoryJournal, VirtualStore
 from pancakes.net.memory import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fences import Fences
@@ -97,8 +97,8 @@ def test_no_command_of_a_new_epoch_is_obeyed_before_the_mark_is_on_disk(fleet):
 def test_each_epoch_is_written_once(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
     written = []
-    persist = a.agent.fences._store.persist
-    a.agent.fences._store.persist = lambda entry, *then: written.append(entry.kind) or persist(entry, *then)
+    persist = a.agent.store.persist
+    a.agent.store.persist = lambda entry, *then: written.append(entry.kind) or persist(entry, *then)
     fleet.run_for(10.0)
     assert written.count("fence") == 1
     assert len(Wheels.told) >= 99
@@ -106,7 +106,7 @@ def test_each_epoch_is_written_once(fleet):
 
 def test_a_mark_that_cannot_be_written_lets_nothing_through_and_is_tried_again(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
-    store = a.agent.fences._store
+    store = a.agent.store
     persist = store.persist
     store.persist = lambda entry, then, failed: failed("the disk is full")
     give(fleet, a, command((2, "b")))
@@ -119,21 +119,38 @@ def test_a_mark_that_cannot_be_written_lets_nothing_through_and_is_tried_again(f
 
 def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
     a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Still": Still})
-    a.agent.fences._store._latency_s = 0.6
+    a.agent.store._latency_s = 0.6
     give(fleet, a, command((2, "b")), for_s=1.0)
     assert Wheels.told == []
     give(fleet, a, command((2, "b")))
     assert Wheels.told == [("a", 0.5)]
 
 
+def test_an_actuator_remembers_each_task_that_it_has_seen():
+    disk = {}
+    journal = MemoryJournal(disk, "x")
+    store = VirtualStore(journal, lambda delay_s, function: function())
+    fences = Fences(Disk(journal, store, []))
+    first, second = Fence("b/X", (2, "b")), Fence("b/Y", (1, "b"))
+    for fence in (first, second):
+        fences.put_up("wheels", fence, lambda: None, pytest.fail)
+    store.close()
+    journal = MemoryJournal(disk, "x")
+    fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: None), []))
+    assert fences.holds("wheels", first) and fences.holds("wheels", second)
+    assert not fences.holds("arm", first)
+
+
 def test_a_damaged_fence_is_told_by_name():
     disk = {}
     journal = MemoryJournal(disk, "x")
     journal.write([Entry("fence", "wheels", b"\xc1"), Entry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
-    fences = Fences(journal, VirtualStore(journal, lambda delay_s, function: function()))
+    unread = []
+    fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: function()), unread))
     assert fences.highest("arm", "b/X") == (2, "b")
     assert fences.highest("wheels", "b/X") is None
-    assert "the journal's fence of the actuator wheels is not used" in fences.unread[0]
+    (sentence,) = unread
+    assert sentence.startswith("the journal's fence of the actuator wheels is not used: ")
 
 
 def test_a_source_that_wakes_up_after_a_long_stop_moves_no_wheel(fleet):

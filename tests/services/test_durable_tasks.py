@@ -247,7 +247,7 @@ def test_a_stop_is_answered_once_it_is_on_disk(fleet):
 def test_a_stop_that_cannot_be_written_down_says_so_and_is_written_later(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
     fleet.run_for(1.05)
-    store = agent.agent.records._store
+    store = agent.agent.store
     persist = store.persist
     store.persist = lambda entry, then, failed: failed("the disk is full")
     reply = agent.ask(Stop("Count"))

@@ -52,7 +52,7 @@ def test_of_two_that_are_asked_for_the_second_is_refused_and_stays_at_rest(fleet
 
 def test_a_start_that_the_journal_cannot_write_keeps_its_actuators_for_the_next_try(fleet):
     a = started(fleet, start=False)
-    store = a.agent.records._store
+    store = a.agent.store
     persist = store.persist
     store.persist = lambda entry, then, failed: failed("the disk is full")
     asked = a.publish(SYSCTRL, Start("Circle"))
