@@ -6,7 +6,6 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -248,14 +247,7 @@ class LogService(Service):
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         super().take_up(slot, kept)
         if slot.name == RECORDER and self._goes_on.first:
-            slot.carried = Carried({**self._record, **self._goes_on.settings}, {})
-
-    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
-        arguments = super().arguments_of(slot)
-        if slot.name != RECORDER or not self._goes_on.first:
-            return arguments
-        first, self._goes_on = Path(self._goes_on.first), NOTHING
-        return {**arguments, "goes_on": first}
+            slot.carried = Carried({**self._record, **self._goes_on.settings}, {"goes_on": self._goes_on.first})
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         recorder = slot.task
