@@ -19,7 +19,7 @@ from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, par
 from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, PluginError, describe, traceback_of
 from pancakes.events import Event
-from pancakes.journal import FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
@@ -48,7 +48,7 @@ from pancakes.services.postbox import COURIER
 from pancakes.services.records import KIND as RECORD
 from pancakes.services.records import Records
 from pancakes.services.root import Root
-from pancakes.services.wanted_recording import WantedRecording
+from pancakes.services.wanted_recordings import wanted_recordings
 from pancakes.settings import make_settings
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
@@ -88,6 +88,7 @@ class Agent:
         name: its name.
         kernel: its kernel.
         mesh: its links.
+        store: writes to its journal.
         skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
         outbox: what its tasks have sent to tasks, until that is acknowledged.
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
@@ -145,15 +146,19 @@ class Agent:
             store = ThreadedStore(
                 journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
             )
-        self._store = store
+        self.store = store
         self._remarks = journal.remarks
-        self.records = Records(journal, store)
+        disk = Disk(journal, store, self.skipped)
+        self.records = Records(disk)
         self.resting = self._resting()
-        self.ledgers = Ledgers(journal, store, self.kernel.log)
-        self.skipped.extend(self.ledgers.unread)
-        self.fences = Fences(journal, store)
-        self.skipped.extend(self.fences.unread)
-        self._journal = journal
+        self.ledgers = Ledgers(disk, self.kernel.log)
+        # Each kind of record on disk, the services that work with it, and the argument by which they get it.
+        self._kept: tuple[tuple[Any, type[Service], str], ...] = (
+            (self.records, DurableService, "records"),
+            (self.ledgers, NetworkService, "ledgers"),
+            (Fences(disk), DeviceService, "fences"),
+            (wanted_recordings(disk), LogService, "wanted"),
+        )
         lost = self.records.all_lost()
         told = {(RECORD, str(one.task_id)) for one in lost}
         self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
@@ -192,7 +197,7 @@ class Agent:
         try:
             self.mesh.start()
         except PancakesError:
-            self._store.close()
+            self.store.close()
             self.kernel.transport.close()
             self.kernel.stop()
             raise
@@ -285,7 +290,7 @@ class Agent:
         if courier is not None:
             courier.stop()
         self.mesh.stop()
-        self._store.close()
+        self.store.close()
         if self.kernel.virtual is not None:
             self.kernel.virtual.settle()
         self.kernel.transport.close()
@@ -293,11 +298,11 @@ class Agent:
 
     def crash(self) -> None:
         """Ends at once, as a kill does: no hook is called, what waits for the disk is lost. In virtual time only."""
-        if not isinstance(self._store, VirtualStore):
+        if not isinstance(self.store, VirtualStore):
             raise RuntimeError(f"{self.name} does not run in virtual time")
         self.stopping.set()
         self.kernel.crash()
-        self._store.crash()
+        self.store.crash()
         # The operating system closes its connections, and its peers see that.
         self.kernel.transport.close()
 
@@ -473,22 +478,19 @@ class Agent:
 
     def _arguments_of(self, name: str, cls: type[Service]) -> dict[str, Any]:
         """Returns what a service is given besides its settings and tasks: that goes by its class, not by its name."""
-        arguments: dict[str, Any] = {}
+        arguments = {argument: kept for kept, service, argument in self._kept if issubclass(cls, service)}
         if issubclass(cls, DeviceService):
             devices = [self._device(device) for device in self.config.devices.values() if device.service == name]
-            known = tuple(device for device in devices if device is not None)
-            arguments = {"devices": known, "fences": self.fences}
+            arguments["devices"] = tuple(device for device in devices if device is not None)
         elif issubclass(cls, LogService):
             # The table [record] is for one recorder: all packets need not be recorded twice.
             record = self.config.record if name == "log" else None
-            wanted = WantedRecording(self._journal, self._store, name)
-            self.skipped.extend(wanted.unread)
-            arguments = {"record": asdict(record) if record is not None else None, "wanted": wanted}
+            arguments["record"] = asdict(record) if record is not None else None
         elif issubclass(cls, NetworkService):
-            hosting = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
-            arguments = {"mesh": self.mesh, "hosting": hosting, "ledgers": self.ledgers}
+            arguments["mesh"] = self.mesh
+            arguments["hosting"] = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
         if issubclass(cls, DurableService):
-            arguments = {**arguments, "records": self.records, "catalogue": self}
+            arguments["catalogue"] = self
         return arguments
 
     def _device(self, config: DeviceConfig) -> DeviceSpec | None:

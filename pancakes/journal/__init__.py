@@ -1,12 +1,15 @@
 """What an agent keeps on disk: its identity, and the durable records of its tasks."""
 
+from pancakes.journal.disk import Disk
 from pancakes.journal.file import FileJournal, empty
 from pancakes.journal.journal import Journal
 from pancakes.journal.memory_journal import MemoryJournal
+from pancakes.journal.record_table import RecordTable
 from pancakes.journal.seal import JournalEntry, JournalError, JournalLost, SetAside
 from pancakes.journal.store import RecordStore, ThreadedStore, VirtualStore
 
 __all__ = [
+    "Disk",
     "JournalEntry",
     "FileJournal",
     "Journal",
@@ -14,6 +17,7 @@ __all__ = [
     "JournalLost",
     "MemoryJournal",
     "RecordStore",
+    "RecordTable",
     "SetAside",
     "ThreadedStore",
     "VirtualStore",

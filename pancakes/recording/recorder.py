@@ -56,9 +56,6 @@ class Recorder(Task):
 
     Where the disk is full or slow it is the recording that suffers: never the robot.
 
-    Args:
-        goes_on: the first file of an earlier recording, which goes on; None: a new one begins.
-
     Attributes:
         first: the first file of the recording; set once it runs.
     """
@@ -67,9 +64,17 @@ class Recorder(Task):
 
     Settings = RecordingSettings
 
-    def __init__(self, *args: Any, goes_on: Path | None = None, **others: Any) -> None:
+    class State(msgspec.Struct):
+        """What the recorder begins with.
+
+        Attributes:
+            goes_on: the first file of an earlier recording, which goes on; empty: a new one begins.
+        """
+
+        goes_on: str = ""
+
+    def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
-        self._goes_on = goes_on
         self._recording: Recording | None = None
         self._ended = False
         self._asked: dict[int, _TaskQuestion] = {}
@@ -79,7 +84,9 @@ class Recorder(Task):
         from pancakes.recording.recording import Recording  # only now: most agents record nothing
 
         take_seq = self.kernel.seq_of(self.address).take
-        recording = Recording(self.kernel, self.settings, self.log, take_seq, self.address, self._goes_on)
+        goes_on = Path(self.state.goes_on) if self.state.goes_on else None
+        recording = Recording(self.kernel, self.settings, self.log, take_seq, self.address, goes_on)
+        self.state.goes_on = ""
         recording.asking = lambda: bool(self._asked)
         self._recording = recording
         self.first = recording.first

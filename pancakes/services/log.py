@@ -6,7 +6,6 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -16,6 +15,7 @@ from msgspec.structs import replace
 from pancakes.arrays import without_arrays
 from pancakes.control import History, Start, Traces
 from pancakes.events import LEVELS, Event, LogLine, level_of
+from pancakes.journal import RecordTable
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
 from pancakes.life.effect import Answer
@@ -29,7 +29,7 @@ from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.log_record import line_of, record_of
 from pancakes.services.log_writer import LogWriter
-from pancakes.services.wanted_recording import Wanted, WantedRecording
+from pancakes.services.wanted_recordings import NOTHING, Wanted
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
@@ -100,7 +100,7 @@ class LogService(Service):
 
     Args:
         record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: there is none.
-        wanted: which recording is to go on; None: none ever does.
+        wanted: which recordings are to go on, by the paths of their recorders.
     """
 
     durable: ClassVar[bool] = False
@@ -135,16 +135,17 @@ class LogService(Service):
     def __init__(
         self,
         *args: Any,
+        wanted: RecordTable[Wanted],
         record: Mapping[str, Any] | None = None,
-        wanted: WantedRecording | None = None,
         **others: Any,
     ) -> None:
         super().__init__(*args, **others)
         self._wanted = wanted
+        self._recorder = f"{self.name}/{RECORDER}"
         self._records = record is not None and record["start"]
         self._record = {key: value for key, value in (record or {}).items() if key != "start"}
         # What is to be recorded from the start begins anew with each start.
-        self._goes_on = wanted.now if wanted is not None and not self._records else None
+        self._goes_on = NOTHING if self._records else wanted.newest.get(self._recorder, NOTHING)
         self._newest: deque[tuple[int, int, Packet]] = deque()  # number, bytes, and what was said
         self._newest_bytes = 0
         self._entries = 0
@@ -232,7 +233,7 @@ class LogService(Service):
             tasks.append(TaskSpec("File", LogFile, settings=kept))
         # What has made it stop, such as a full disk, has not changed a moment later.
         never = RestartSpec("temporary")
-        start = self._records or self._goes_on is not None
+        start = self._records or bool(self._goes_on.first)
         tasks.append(TaskSpec(RECORDER, Recorder, settings=self._record, start=start, restart=never))
         return tasks
 
@@ -241,19 +242,12 @@ class LogService(Service):
     def after_start(self) -> None:
         super().after_start()
         if self._records:
-            self._want(None, lambda why_not: None)
+            self._want(NOTHING, lambda why_not: None)
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         super().take_up(slot, kept)
-        if slot.name == RECORDER and self._goes_on is not None:
-            slot.carried = Carried({**self._record, **self._goes_on.settings}, {})
-
-    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
-        arguments = super().arguments_of(slot)
-        if slot.name != RECORDER or self._goes_on is None:
-            return arguments
-        first, self._goes_on = Path(self._goes_on.first), None
-        return {**arguments, "goes_on": first}
+        if slot.name == RECORDER and self._goes_on.first:
+            slot.carried = Carried({**self._record, **self._goes_on.settings}, {"goes_on": self._goes_on.first})
 
     def answer(self, slot: Slot, effect: Answer) -> None:
         recorder = slot.task
@@ -273,19 +267,20 @@ class LogService(Service):
             lasts_not = f"{slot.address} is stopped, but may record again after a crash: {why_not}"
             self.feed(slot, Written(lasts_not if why_not else ""))
 
-        self._want(None, forgotten)
+        self._want(NOTHING, forgotten)
         self.rested(slot)
 
-    def _want(self, wanted: Wanted | None, then: Callable[[str], None]) -> None:
+    def _want(self, wanted: Wanted, then: Callable[[str], None]) -> None:
         """Writes down what is to go on; `then` is called in this actor, with the reason where that failed."""
-        kept = self._wanted
-        if kept is None or (wanted is None and kept.now is None and kept.on_disk is None):
+        newest = self._wanted.newest.get(self._recorder, NOTHING)
+        on_disk = self._wanted.on_disk.get(self._recorder, NOTHING)
+        if wanted == newest == on_disk == NOTHING:
             then("")
             return
 
         def failed(reason: str) -> None:
-            what = f"the recording {wanted.first} will not go on" if wanted is not None else "a recording may go on"
+            what = f"the recording {wanted.first} will not go on" if wanted.first else "a recording may go on"
             self.log("warning", f"{what} when {self.agent} is started again: {reason}")
             self.call(lambda: then(reason))
 
-        kept.want(wanted, lambda: self.call(lambda: then("")), failed)
+        self._wanted.write(self._recorder, wanted, lambda: self.call(lambda: then("")), failed)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
-from pancakes.journal import Journal, JournalEntry, RecordStore
+from pancakes.journal import Disk, JournalEntry, RecordTable
 from pancakes.migration.record import Record, TaskId
 from pancakes.services.lost import Lost
 
@@ -18,25 +18,21 @@ class Records:
     """All durable records of one agent. Any thread.
 
     Args:
-        journal: read once, here.
-        store: what writes to that journal.
+        disk: what they are kept on.
     """
 
-    def __init__(self, journal: Journal, store: RecordStore) -> None:
-        self._store = store
-        self._records: dict[TaskId, Record] = {}
+    def __init__(self, disk: Disk) -> None:
         self._lost: dict[TaskId, Lost] = {}
         self._claims: dict[TaskId, str] = {}
-        for aside in journal.missing:
+        for aside in disk.journal.missing:
             if aside.kind == KIND:
                 self._lose(aside.key, str(aside), _read(aside.entry), aside.times)
-        for entry in journal.entries(KIND):
-            try:
-                record = Record.decode(entry.data)
-            except MigrationError as error:
-                self._lose(entry.key, f"the journal has it, and it is not used: {error}")
-                continue
-            self._records[record.task_id] = record
+        self._records = RecordTable(
+            disk,
+            KIND,
+            Record.decode,
+            lambda key, why: self._lose(key, f"the journal has it, and it is not used: {why}"),
+        )
 
     def _lose(self, key: str, why: str, read: Record | None = None, times: int = 1) -> None:
         try:
@@ -47,11 +43,11 @@ class Records:
 
     def all(self) -> dict[TaskId, Record]:
         """Returns the records as they are on disk."""
-        return dict(self._records)
+        return {record.task_id: record for record in list(self._records.on_disk.values())}
 
     def service_of(self, task_id: TaskId) -> str:
         """Returns the name of the service whose record of a task is on disk; empty: there is none, or it says none."""
-        record = self._records.get(task_id)
+        record = self._records.on_disk.get(str(task_id))
         return record.service if record is not None else ""
 
     def lost(self, task_id: TaskId) -> Lost | None:
@@ -61,11 +57,11 @@ class Records:
         holds over any number of starts, until its agent has a record of it again: because a person has decided, or
         because another agent has handed it over.
         """
-        return None if task_id in self._records else self._lost.get(task_id)
+        return None if str(task_id) in self._records.on_disk else self._lost.get(task_id)
 
     def all_lost(self) -> list[Lost]:
         """Returns all of them that are undecided."""
-        return [lost for task_id, lost in self._lost.items() if task_id not in self._records]
+        return [lost for task_id, lost in self._lost.items() if str(task_id) not in self._records.on_disk]
 
     def claim(self, task_id: TaskId, service: str) -> None:
         """Learns which service has a place for a task from its start on: what is decided about it is decided there."""
@@ -78,7 +74,7 @@ class Records:
 
     def trouble(self, task_id: TaskId) -> str:
         """Says what keeps a task's record from being written; empty: nothing that is known of."""
-        return self._store.trouble(KIND, str(task_id))
+        return self._records.trouble(str(task_id))
 
     def persist(self, record: Record, service: str, then: Callable[[], None], failed: Callable[[str], None]) -> None:
         """Writes a record.
@@ -89,22 +85,7 @@ class Records:
             then: called, in the store's thread, when it is on disk for good.
             failed: called instead, with the reason, where it could not be written.
         """
-        record = replace(record, service=service)
-
-        def written() -> None:
-            self._records[record.task_id] = record
-            then()
-
-        try:
-            data = record.encode()
-        except MemoryError as error:
-            failed(str(error))
-            return
-        self._store.persist(JournalEntry(KIND, str(record.task_id), data), written, failed)
-
-    def close(self) -> None:
-        """Writes what still waits, and closes the journal. Waits for the disk."""
-        self._store.close()
+        self._records.write(str(record.task_id), replace(record, service=service), then, failed)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 from recording.files import made_files
 
-from pancakes.control import Describe, Migrate, Reschedule, Start, Stop
+from pancakes.control import Describe, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.devices.types import Load, Pose
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.stream import InformationStream
@@ -319,6 +319,68 @@ def test_it_goes_on_where_the_agent_was_stopped_in_good_order_too(fleet, tmp_pat
     fleet.stop("a")
     fleet.restart("a")
     assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap"]
+
+
+def test_a_recorder_that_went_on_and_is_restarted_begins_a_new_recording(fleet, tmp_path):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap")
+    fleet.run_for(1.0)
+    kill(fleet, "a")
+    agent = fleet.restart("a")
+    assert agent.ask(Restart(RECORDER)).ok
+    assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap"]
+    assert parts(tmp_path / "r-2.mcap") == ["r-2.mcap"]
+
+
+def test_that_a_recording_may_not_go_on_or_may_go_on_is_told_where_the_journal_cannot_write(
+    fleet, tmp_path, monkeypatch
+):
+    agent = fleet.start("a")
+    path = tmp_path / "r.mcap"
+
+    def fail(entry, then, failed):
+        failed("the disk is full")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(agent.agent.store, "persist", fail)
+        record(agent, path)
+        assert agent.lines("warning")[-1] == (
+            f"the recording {path} will not go on when a is started again: the disk is full"
+        )
+    assert agent.ask(Stop(RECORDER)).ok
+    record(agent, path)
+    with monkeypatch.context() as broken:
+        broken.setattr(agent.agent.store, "persist", fail)
+        assert agent.ask(Stop(RECORDER)).reason == (
+            "a/log/Recorder is stopped, but may record again after a crash: the disk is full"
+        )
+        assert agent.lines("warning")[-1] == "a recording may go on when a is started again: the disk is full"
+    fleet.crash("a")
+    agent = fleet.restart("a")
+    assert agent.ask(Describe(RECORDER)).result["state"] == "running"
+
+
+def test_a_stop_that_was_not_written_is_written_with_the_next_end(fleet, tmp_path, monkeypatch):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap")
+    with monkeypatch.context() as broken:
+        broken.setattr(agent.agent.store, "persist", lambda entry, then, failed: failed("the disk is full"))
+        assert not agent.ask(Stop(RECORDER)).ok
+    assert not agent.ask(Start(RECORDER, {"path": str(tmp_path / "s.mcap"), "free_mib": 1e9})).ok
+    fleet.run_for(0.1)
+    fleet.crash("a")
+    assert fleet.restart("a").ask(Describe(RECORDER)).result["state"] == "stopped"
+
+
+def test_what_the_configuration_recorded_once_ends_what_went_on_before(fleet, tmp_path):
+    agent = fleet.start("a")
+    record(agent, tmp_path / "r.mcap")
+    kill(fleet, "a")
+    fleet.start("a", f'[record]\npath = "{tmp_path}/c.mcap"\n')
+    fleet.run_for(1.0)
+    kill(fleet, "a")
+    agent = fleet.start("a")
+    assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
 
 
 def test_a_recording_that_ended_by_itself_does_not_go_on(fleet, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from pancakes.control import Migrate, Restart, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Twist
-from pancakes.journal import JournalEntry, MemoryJournal, VirtualStore
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.net.memory import Quality
 from pancakes.packet import Fence, Packet
 from pancakes.services.fences import Fences
@@ -125,14 +125,31 @@ def test_a_command_that_waited_for_a_slow_disk_too_long_is_stale(fleet):
     assert Wheels.told == [("a", 0.5)]
 
 
+def test_an_actuator_remembers_each_task_that_it_has_seen():
+    disk: dict[str, bytes] = {}
+    journal = MemoryJournal(disk, "x")
+    store = VirtualStore(journal, lambda delay_s, function: function())
+    fences = Fences(Disk(journal, store, []))
+    first, second = Fence("b/X", (2, "b")), Fence("b/Y", (1, "b"))
+    for fence in (first, second):
+        fences.put_up("wheels", fence, lambda: None, pytest.fail)
+    store.close()
+    journal = MemoryJournal(disk, "x")
+    fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: None), []))
+    assert fences.holds("wheels", first) and fences.holds("wheels", second)
+    assert not fences.holds("arm", first)
+
+
 def test_a_damaged_fence_is_told_by_name():
     disk: dict[str, bytes] = {}
     journal = MemoryJournal(disk, "x")
     journal.write([JournalEntry("fence", "wheels", b"\xc1"), JournalEntry("fence", "arm", b"\x81\xa3b/X\x92\x02\xa1b")])
-    fences = Fences(journal, VirtualStore(journal, lambda delay_s, function: function()))
+    unread: list[str] = []
+    fences = Fences(Disk(journal, VirtualStore(journal, lambda delay_s, function: function()), unread))
     assert fences.highest("arm", "b/X") == (2, "b")
     assert fences.highest("wheels", "b/X") is None
-    assert "the journal's fence of the actuator wheels is not used" in fences.unread[0]
+    (sentence,) = unread
+    assert sentence.startswith("the journal's fence of the actuator wheels is not used: ")
 
 
 def test_a_source_that_wakes_up_after_a_long_stop_moves_no_wheel(fleet):

@@ -1,9 +1,10 @@
 """What an agent keeps of the moves that it was asked for."""
 
 import pytest
+from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
-from pancakes.journal import JournalEntry, MemoryJournal, VirtualStore
+from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.migration.ledger import Ledger, Line
 from pancakes.services.ledgers import KEPT, KIND, Ledgers
 from pancakes.task import Task
@@ -76,20 +77,21 @@ def disk():
 
 
 def opened(disk, log=print):
-    """The journal of a disk, and what is made of it."""
+    """Returns what is made of the journal on a disk, what writes to it, and what is told of it."""
     journal = MemoryJournal(disk, "id")
     store = VirtualStore(journal, lambda delay_s, call: call())
-    return Ledgers(journal, store, log), store
+    unread: list[str] = []
+    return Ledgers(Disk(journal, store, unread), log), store, unread
 
 
 def test_the_newest_hundred_are_kept(disk):
-    ledgers, store = opened(disk)
+    ledgers, store, _ = opened(disk)
     for number in range(KEPT + 30):
         ledgers.add(ledger(f"Task{number}"), "", float(number))
     before = ledgers.plain()
     store.close()
 
-    ledgers, _ = opened(disk)
+    ledgers, *_ = opened(disk)
 
     assert ledgers.plain() == before
     assert [row["number"] for row in before] == list(range(31, KEPT + 31))
@@ -99,22 +101,35 @@ def test_the_newest_hundred_are_kept(disk):
     assert ledgers.plain()[-1]["number"] == KEPT + 31
 
 
+def test_the_account_of_a_hand_off_is_kept_once_also_over_a_restart(disk):
+    ledgers, store, _ = opened(disk)
+    moved = replace(ledger(), offer="1@a")
+    ledgers.add(moved, "", 1.0)
+    ledgers.add(moved, "", 2.0)
+    store.close()
+
+    ledgers, *_ = opened(disk)
+    ledgers.add(moved, "", 3.0)
+    ledgers.add(replace(moved, offer="2@a"), "", 4.0)
+
+    assert [row["mission_s"] for row in ledgers.plain()] == [1.0, 4.0]
+
+
 def test_one_that_cannot_be_read_is_named_and_the_others_are_there(disk):
-    ledgers, store = opened(disk)
+    ledgers, store, _ = opened(disk)
     ledgers.add(ledger(), "", 1.0)
     store.persist(JournalEntry(KIND, "77", b"not an account"), lambda: None, print)
     store.close()
 
-    ledgers, _ = opened(disk)
+    ledgers, _, (sentence,) = opened(disk)
 
     assert [row["number"] for row in ledgers.plain()] == [1]
-    (sentence,) = ledgers.unread
     assert sentence.startswith("the journal's account 77 of a move is not used: ")
 
 
 def test_one_that_cannot_be_written_is_told(disk):
     said = []
-    ledgers, store = opened(disk, lambda level, text: said.append((level, text)))
+    ledgers, store, _ = opened(disk, lambda level, text: said.append((level, text)))
     store.close()
 
     ledgers.add(ledger(), "", 1.0)

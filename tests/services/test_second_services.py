@@ -8,7 +8,7 @@ from pancakes.control import Describe, Migrate, Start, Stop
 from pancakes.devices.driver import Actuator, Sensor
 from pancakes.devices.types import Load, Twist
 from pancakes.kernel.handlers import on
-from pancakes.metrics.service import MetricsService
+from pancakes.metrics.metrics_service import MetricsService
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
 

@@ -31,7 +31,7 @@ from pancakes.journal import JournalEntry
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
-from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, join
+from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
 from pancakes.plugins import Plugins
 from pancakes.services.records import KIND
 from pancakes.testing import Probe, config_of, registered
@@ -117,7 +117,7 @@ class Schedule:
             give_turn(mailbox, slice_s)
             self.oracle.check()
             if self._doomed and component is not None:
-                self._step(component.agent, "turn")
+                self._step(agent_of(component.address), "turn")
 
         self.fleet.dispatcher.give_turn = turn  # type: ignore[method-assign]
 
