@@ -33,8 +33,9 @@ from pancakes.net.mesh import Mesh
 from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
-from pancakes.service import Service, ServiceSpec
+from pancakes.service import Service
 from pancakes.service_messages import Close
+from pancakes.service_spec import ServiceSpec
 from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.durable import DurableService

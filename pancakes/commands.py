@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
+from pancakes.kernel.keep import reliable
 from pancakes.kernel.tell import tell
 from pancakes.life.event import StartAsked, StopAsked
 from pancakes.life.life import State
@@ -16,6 +17,10 @@ from pancakes.request import Request
 from pancakes.settings import change_plain
 from pancakes.slot import Slot
 from pancakes.task_messages import Carried, Change
+
+WAITING: Final = reliable(1024)
+"""So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
+more is refused, and told so: none may be lost without a word."""
 
 
 class Commanded(Protocol):

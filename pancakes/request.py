@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from pancakes.control import Command
 from pancakes.packet import Cause
 
 
@@ -19,3 +20,8 @@ class Request(msgspec.Struct, frozen=True):
     by: str
     cause: Cause
     number: int = 0
+
+
+def request_of(command: Command) -> Request:
+    """Returns the request that a command carries out."""
+    return Request(command.request[0], command.request, command.number)

@@ -5,62 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, ClassVar, Final
-
-import msgspec
+from typing import Any, ClassVar
 
 from pancakes.answers import Answers
 from pancakes.closing import CLOSES, STUCK_S, Closing
-from pancakes.commands import COMMANDS
+from pancakes.commands import COMMANDS, WAITING
 from pancakes.control import Command, Describe, Hold, Reschedule
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
 from pancakes.keeper import Keeper
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
-from pancakes.kernel.keep import reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.tell import tell
 from pancakes.life.effect import Answer, Tell
 from pancakes.life.event import Admitted, Began, Finished, Overdue, Refused, StartAsked, Written
 from pancakes.life.life import Life, State
-from pancakes.life.restart import Restarts, RestartSpec
+from pancakes.life.restart import Restarts
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.request import Request
+from pancakes.request import Request, request_of
 from pancakes.saved_types import check_saved
 from pancakes.service_messages import Close, ServiceEnded, ServiceReady
 from pancakes.settings import SettingsError, make_settings
 from pancakes.slot import Failure, Slot
-from pancakes.startup import Startup
+from pancakes.startup import STARTED_AT_ONCE, Startup
 from pancakes.task import Nothing, Task, TaskSpec
 from pancakes.task_description import describe_in_detail, describe_task
 from pancakes.task_messages import Carried, Changed, TaskBegan, TaskEnded
 from pancakes.task_news import tell_of_task
-
-STARTED_AT_ONCE: Final = 64
-WAITING: Final = reliable(1024)
-"""So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
-more is refused, and told so: none may be lost without a word."""
-
-
-class ServiceSpec(msgspec.Struct, frozen=True):
-    """All that the kernel's root needs to start a service, as data.
-
-    Attributes:
-        name: its name.
-        cls: its class.
-        settings: its settings, as plain values.
-        tasks: its tasks, in the order in which they start.
-        restart: what happens when it ends by itself.
-        arguments: what else its class wants.
-    """
-
-    name: str
-    cls: type[Service]
-    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    tasks: tuple[TaskSpec, ...] = ()
-    restart: RestartSpec = RestartSpec()
-    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
 def _stays(component: Component, error: BaseException | None) -> None:
@@ -298,7 +270,7 @@ class Service(Component):
             command = packet.body
             # The one that it failed on lies here again.
             if isinstance(command, Command) and command.body is not None and command.number > self._newest_command:
-                left.append(_request(command))
+                left.append(request_of(command))
         return tuple(left)
 
     def _refuse_all(self, reason: str) -> None:
@@ -455,7 +427,7 @@ class Service(Component):
         if command.body is None:
             self.close(command.for_s)
             return
-        request = _request(command)
+        request = request_of(command)
         self._newest_command = request.number
         self._answers.owe(request)
         slot = self.slots.get(command.task) if command.task else None
@@ -480,7 +452,7 @@ class Service(Component):
         while slot.commands and not self._is_busy(slot):
             command, *later = slot.commands
             slot.commands = tuple(later)
-            self._begin_command(command, _request(command))
+            self._begin_command(command, request_of(command))
 
     def _slot(self, name: str) -> Slot:
         slot = self.slots.get(name)
@@ -526,7 +498,3 @@ class Service(Component):
     def tell_asked(self, what: str, slot: Slot, request: Request) -> None:
         """Tells `log` what was asked for."""
         self.event("asked", what=what, task=slot.name, service=self.name, by=request.by, number=request.number)
-
-
-def _request(command: Command) -> Request:
-    return Request(command.request[0], command.request, command.number)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
+from typing import Final
 
 from pancakes.kernel.component import Component
 from pancakes.slot import Slot
+
+STARTED_AT_ONCE: Final = 64
+"""So many tasks of a service start in one turn."""
 
 
 class Startup:

@@ -15,6 +15,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from pancakes.answers import Answers
+from pancakes.commands import WAITING
 from pancakes.control import (
     CONTROLS,
     Adopt,
@@ -44,8 +45,9 @@ from pancakes.life.event import StartAsked, StopAsked
 from pancakes.life.life import State
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.request import Request
-from pancakes.service import WAITING, Service, ServiceSpec
+from pancakes.service import Service
 from pancakes.service_messages import ServiceEnded, ServiceReady
+from pancakes.service_spec import ServiceSpec
 from pancakes.services.network import NetworkService
 from pancakes.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.slot import Slot

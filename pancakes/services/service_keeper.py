@@ -22,8 +22,9 @@ from pancakes.life.restart import Restarts
 from pancakes.packet import SYSCTRL, join
 from pancakes.printable import printable_line
 from pancakes.request import Request
-from pancakes.service import Service, ServiceSpec
+from pancakes.service import Service
 from pancakes.service_messages import Close, ServiceEnded, ServiceReady
+from pancakes.service_spec import ServiceSpec
 from pancakes.settings import SettingsError
 from pancakes.task_messages import Carried
 

@@ -6,7 +6,8 @@ from pancakes.control import Command, Stop
 from pancakes.events import LogLine
 from pancakes.life.life import State
 from pancakes.packet import SYSCTRL, Packet
-from pancakes.service import STARTED_AT_ONCE, Service
+from pancakes.service import Service
+from pancakes.startup import STARTED_AT_ONCE
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest
 
