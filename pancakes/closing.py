@@ -7,8 +7,8 @@ from functools import partial
 from typing import Final
 
 from pancakes.kernel.component import Component
-from pancakes.life.event import Overdue, StopAsked
 from pancakes.life.life import State
+from pancakes.life.life_event import Overdue, StopAsked
 from pancakes.slot import Slot
 
 STUCK_S: Final = 2.0

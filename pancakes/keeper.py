@@ -6,22 +6,22 @@ from collections import deque
 from typing import Generic, Protocol, TypeVar, assert_never
 
 from pancakes.kernel.component import Component
-from pancakes.life.effect import (
+from pancakes.life.life import Life
+from pancakes.life.life_effect import (
     Answer,
     AskLeave,
     Effect,
-    Halt,
     LetGo,
     LookAgain,
     Revoke,
     Settle,
     Spawn,
     Tell,
+    TellToEnd,
     TryAt,
     WriteRest,
 )
-from pancakes.life.event import Due, Event, Retry
-from pancakes.life.life import Life
+from pancakes.life.life_event import Event, Retry, TryDue
 from pancakes.life.table import handle
 
 LOOK_S = 1.0
@@ -38,8 +38,8 @@ P = TypeVar("P", bound=Place)
 P_contra = TypeVar("P_contra", bound=Place, contravariant=True)
 
 
-class Rim(Protocol[P_contra]):
-    """What carries the effects of lives out, in its own actor; see `pancakes.life.effect` for each."""
+class LifeRim(Protocol[P_contra]):
+    """What carries the effects of lives out, in its own actor; see `pancakes.life.life_effect` for each."""
 
     def ask_leave(self, place: P_contra, again: bool) -> None: ...
 
@@ -70,7 +70,7 @@ class Keeper(Generic[P]):
         rim: what carries the effects out.
     """
 
-    def __init__(self, component: Component, rim: Rim[P]) -> None:
+    def __init__(self, component: Component, rim: LifeRim[P]) -> None:
         self._component = component
         self._rim = rim
         self._events: deque[tuple[P, Event]] = deque()
@@ -101,14 +101,14 @@ class Keeper(Generic[P]):
                 rim.ask_leave(place, effect.again)
             case Spawn():
                 rim.spawn(place)
-            case Halt():
+            case TellToEnd():
                 rim.halt(place)
             case Revoke():
                 rim.revoke_rights(place)
             case LetGo():
                 rim.let_go(place)
             case TryAt():
-                self._later(effect.due_s - self._component.kernel.host.now(), place, Due(effect.due_s))
+                self._later(effect.due_s - self._component.kernel.host.now(), place, TryDue(effect.due_s))
             case LookAgain():
                 self._later(LOOK_S, place, Retry())
             case Settle():

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 from pancakes.answers import Answers
 from pancakes.closing import CLOSES, STUCK_S, Closing
-from pancakes.commands import COMMANDS, WAITING
 from pancakes.control import Command, Describe, Hold, Reschedule
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
 from pancakes.keeper import Keeper
@@ -18,9 +17,9 @@ from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.tell import tell
-from pancakes.life.effect import Answer, Tell
-from pancakes.life.event import Admitted, Began, Finished, Overdue, Refused, StartAsked, Written
 from pancakes.life.life import Life, State
+from pancakes.life.life_effect import Answer, Tell
+from pancakes.life.life_event import Admitted, Began, Finished, LeaveRefused, Overdue, StartAsked, Written
 from pancakes.life.restart import Restarts
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
 from pancakes.request import Request, request_of
@@ -30,6 +29,7 @@ from pancakes.settings import SettingsError, make_settings
 from pancakes.slot import Failure, Slot
 from pancakes.startup import STARTED_AT_ONCE, Startup
 from pancakes.task import Nothing, Task, TaskSpec
+from pancakes.task_commands import COMMANDS, WAITING
 from pancakes.task_description import describe_in_detail, describe_task
 from pancakes.task_messages import Carried, Changed, TaskBegan, TaskEnded
 from pancakes.task_news import tell_of_task
@@ -344,13 +344,13 @@ class Service(Component):
         self._keeper.feed(slot, event)
 
     def ask_leave(self, slot: Slot, again: bool) -> None:
-        """Sees whether a task may start, and feeds `Admitted` or `Refused`."""
+        """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""
         if slot.fresh:
             slot.fresh = False
             self.drop_state(slot)
         reason = CLOSES if self.closing else self.admit(slot)
         reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
-        self.feed(slot, Refused(reason) if reason else Admitted())
+        self.feed(slot, LeaveRefused(reason) if reason else Admitted())
 
     def spawn(self, slot: Slot) -> None:
         carried = slot.carried or Carried(slot.spec.settings, {})

@@ -39,14 +39,14 @@ from pancakes.saved_types import check_saved
 from pancakes.settings import change_settings, make_settings, plain_settings
 from pancakes.task_messages import (
     Carried,
-    Change,
     Changed,
+    ChangeTask,
     Give,
-    Given,
     GoOn,
+    LetterGiven,
+    LetterOutcome,
     Look,
     Looked,
-    Outcome,
     StandStill,
     Stood,
     TaskBegan,
@@ -280,7 +280,7 @@ class Task(Component):
 
     def on_receive(self, message: Any) -> Any:
         match message:
-            case Change():
+            case ChangeTask():
                 self.__take_change(message)
             case Look():
                 self.__look()
@@ -320,11 +320,11 @@ class Task(Component):
         try:
             took = self.take_letter(letter.stream, letter.seq, letter.first, message.packet)
         except BaseException:
-            self.__tell(Given(self, message, Outcome.FAILED))
+            self.__tell(LetterGiven(self, message, LetterOutcome.FAILED))
             raise
-        self.__tell(Given(self, message, Outcome.TAKEN if took else Outcome.EARLY))
+        self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN if took else LetterOutcome.EARLY))
 
-    def __take_change(self, message: Change) -> None:
+    def __take_change(self, message: ChangeTask) -> None:
         try:
             result = self.__change(message.body)
             carried = self.carry() if message.carry else None

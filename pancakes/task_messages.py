@@ -37,7 +37,7 @@ class Carried(msgspec.Struct, frozen=True):
 # What a service tells a task's actor.
 
 
-class Change(msgspec.Struct, frozen=True):
+class ChangeTask(msgspec.Struct, frozen=True):
     """Change, or say how you stand; to be answered by `Changed`.
 
     Attributes:
@@ -70,7 +70,7 @@ class GoOn(msgspec.Struct, frozen=True):
 
 
 class Give(msgspec.Struct, frozen=True):
-    """Handle a packet that is addressed to the task wherever it is; to be answered by `Given`.
+    """Handle a packet that is addressed to the task wherever it is; to be answered by `LetterGiven`.
 
     Attributes:
         letter: the letter that it came in.
@@ -109,7 +109,7 @@ class TaskEnded(msgspec.Struct, frozen=True):
 
 
 class Changed(msgspec.Struct, frozen=True):
-    """It has done what `Change` says, or refuses.
+    """It has done what `ChangeTask` says, or refuses.
 
     Attributes:
         task: the actor.
@@ -120,7 +120,7 @@ class Changed(msgspec.Struct, frozen=True):
     """
 
     task: Component
-    change: Change
+    change: ChangeTask
     reason: str
     result: Mapping[str, Any]
     carried: Carried | None = None
@@ -156,7 +156,7 @@ class Stood(msgspec.Struct, frozen=True):
     reason: str = ""
 
 
-class Outcome(Enum):
+class LetterOutcome(Enum):
     """What has become of a packet that a task was given."""
 
     TAKEN = "taken"
@@ -167,7 +167,7 @@ class Outcome(Enum):
     """A handler raised, and the task fails."""
 
 
-class Given(msgspec.Struct, frozen=True):
+class LetterGiven(msgspec.Struct, frozen=True):
     """What has become of a packet.
 
     Attributes:
@@ -178,4 +178,4 @@ class Given(msgspec.Struct, frozen=True):
 
     task: Component
     give: Give
-    outcome: Outcome
+    outcome: LetterOutcome

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import assert_never
 
 from pancakes.kernel.component import Component
-from pancakes.life.effect import News, Tell
+from pancakes.life.life_effect import News, Tell
 from pancakes.slot import Slot
 
 

@@ -14,10 +14,10 @@ from types import MappingProxyType
 from typing import Final, assert_never
 
 from pancakes.launch.member import Member, ProcessRestart
-from pancakes.life.effect import (
+from pancakes.life.life import Life, State
+from pancakes.life.life_effect import (
     Answer,
     AskLeave,
-    Halt,
     LetGo,
     LookAgain,
     News,
@@ -25,11 +25,21 @@ from pancakes.life.effect import (
     Settle,
     Spawn,
     Tell,
+    TellToEnd,
     TryAt,
     WriteRest,
 )
-from pancakes.life.event import Admitted, Began, Due, Event, Finished, Overdue, Refused, StartAsked, StopAsked
-from pancakes.life.life import Life, State
+from pancakes.life.life_event import (
+    Admitted,
+    Began,
+    Event,
+    Finished,
+    LeaveRefused,
+    Overdue,
+    StartAsked,
+    StopAsked,
+    TryDue,
+)
 from pancakes.life.restart import Restarts, RestartSpec
 from pancakes.life.table import handle
 
@@ -245,7 +255,7 @@ class Course:
         for place in self._places.values():
             due_s = place.life.restarts.due_s
             if due_s is not None and now_s >= due_s:
-                self._feed(place, Due(due_s), now_s)
+                self._feed(place, TryDue(due_s), now_s)
                 self._feed(place, Admitted(), now_s)
             if place.life.state is State.STARTING and not place.late and now_s >= place.started_s + READY_S:
                 place.late = True
@@ -269,7 +279,7 @@ class Course:
         """Starts the agents that wait and come after none that is not ready."""
         for place in self._places.values():
             if place.life.state is State.CALLED_OFF:
-                self._feed(place, Refused("the fleet ends"), now_s)
+                self._feed(place, LeaveRefused("the fleet ends"), now_s)
             elif place.waits and all(self._places[other].ready for other in place.member.after):
                 self._feed(place, Admitted(), now_s)
 
@@ -282,7 +292,7 @@ class Course:
                 gone = [other for other in place.member.after if self._places[other].over]
                 if place.waits and gone:
                     self._failed = lost = True
-                    self._feed(place, Refused(f"{gone[0]}, which it comes after, has ended", for_good=True), now_s)
+                    self._feed(place, LeaveRefused(f"{gone[0]}, which it comes after, has ended", for_good=True), now_s)
                     told = f"is not started: {gone[0]}, which it comes after, has ended"
                     self._tell(place.member.name, "given_up", told)
         if self._begin and not self._begun and any(place.runs for place in self._places.values()) and self._held():
@@ -332,7 +342,7 @@ class Course:
                 case Tell():
                     self._tell_life(place, effect, now_s)
                 # The course looks itself at what is due, and at what has ended (`tick`, `_admit`, `_stop_next`).
-                case AskLeave() | Halt() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
+                case AskLeave() | TellToEnd() | LetGo() | TryAt() | LookAgain() | Settle() | WriteRest() | Answer():
                     pass
                 case _:
                     assert_never(effect)

@@ -8,11 +8,11 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.life.effect import (
+from pancakes.life.life import Life, State
+from pancakes.life.life_effect import (
     Answer,
     AskLeave,
     Effect,
-    Halt,
     LetGo,
     LookAgain,
     News,
@@ -20,24 +20,24 @@ from pancakes.life.effect import (
     Settle,
     Spawn,
     Tell,
+    TellToEnd,
     TryAt,
     WriteRest,
 )
-from pancakes.life.event import (
+from pancakes.life.life_event import (
     Admitted,
     Began,
-    Due,
     Event,
     Finished,
+    LeaveRefused,
     Overdue,
     PutOff,
-    Refused,
     Retry,
     StartAsked,
     StopAsked,
+    TryDue,
     Written,
 )
-from pancakes.life.life import Life, State
 from pancakes.life.restart import Draw, Next
 from pancakes.request import Request
 
@@ -96,7 +96,7 @@ def _start(life: Life, event: StartAsked, at: Moment) -> Outcome:
     return _ask(life, event.asker)
 
 
-def _try_again(life: Life, event: Due, at: Moment) -> Outcome:
+def _try_again(life: Life, event: TryDue, at: Moment) -> Outcome:
     return _ask(life, None) if event.due_s == life.restarts.due_s else (life, [])
 
 
@@ -110,7 +110,7 @@ def _admitted(life: Life, event: Admitted, at: Moment) -> Outcome:
     return replace(life, state=State.STARTING, restarts=restarts, incarnation=incarnation, reason=""), [Spawn()]
 
 
-def _refused(life: Life, event: Refused, at: Moment) -> Outcome:
+def _refused(life: Life, event: LeaveRefused, at: Moment) -> Outcome:
     news = not life.asker and life.reason != event.reason
     waits = life.wanted and not event.for_good
     effects: list[Effect] = [LetGo()]  # its predecessor may have left subscriptions and actuators to it
@@ -184,7 +184,7 @@ def _ended_as_told(life: Life, event: Finished, at: Moment) -> Outcome:
     return _rest(life, [Tell(News.FAILED_WHILE_STOPPING, event.text)] if event.failed else [])
 
 
-def _never_began(life: Life, event: Admitted | Refused, at: Moment) -> Outcome:
+def _never_began(life: Life, event: Admitted | LeaveRefused, at: Moment) -> Outcome:
     return _rest(life, [])
 
 
@@ -203,7 +203,7 @@ def _stop(life: Life, event: StopAsked, at: Moment) -> Outcome:
     life = _meant(life, event)
     if life.state is State.ASKED:
         return replace(life, state=State.CALLED_OFF), answer
-    return replace(life, state=State.STOPPING), [*answer, Halt()]
+    return replace(life, state=State.STOPPING), [*answer, TellToEnd()]
 
 
 def _stop_at_rest(life: Life, event: StopAsked, at: Moment) -> Outcome:
@@ -257,22 +257,22 @@ def _written(life: Life, event: Written, at: Moment) -> Outcome:
     return replace(life, asker=None), [*answer]
 
 
-_LATE: Final[Mapping[type, Rule]] = {Overdue: _nothing, Due: _nothing, Retry: _nothing, Written: _nothing}
+_LATE: Final[Mapping[type, Rule]] = {Overdue: _nothing, TryDue: _nothing, Retry: _nothing, Written: _nothing}
 """What may come late in each state, after something else has happened."""
 
 _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
     State.STOPPED: {StartAsked: _start, StopAsked: _stop_at_rest, Written: _written},
     State.REFUSED: {StartAsked: _start, StopAsked: _stop_refused, Retry: _retry},
-    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, Due: _try_again},
-    State.RESTARTING: {StartAsked: _start, StopAsked: _stop_due, Due: _try_again},
+    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
+    State.RESTARTING: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
     State.ASKED: {
         StartAsked: _nothing,
         StopAsked: _stop,
         Admitted: _admitted,
-        Refused: _refused,
+        LeaveRefused: _refused,
         PutOff: _put_off,
     },
-    State.CALLED_OFF: {StopAsked: _stop_stopping, Admitted: _never_began, Refused: _never_began},
+    State.CALLED_OFF: {StopAsked: _stop_stopping, Admitted: _never_began, LeaveRefused: _never_began},
     State.STARTING: {StopAsked: _stop, Began: _began, Finished: _ended},
     State.RUNNING: {StopAsked: _stop, Finished: _ended},
     State.STOPPING: {StopAsked: _stop_stopping, Began: _nothing, Finished: _ended_as_told, Overdue: _overdue},

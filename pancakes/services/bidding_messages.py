@@ -115,7 +115,7 @@ class MigratorBegan(msgspec.Struct, frozen=True):
     """The migrator has started anew and knows of no negotiation."""
 
 
-class Awarded(msgspec.Struct, frozen=True):
+class BidAwarded(msgspec.Struct, frozen=True):
     """The bids are compared: hand the task to this one.
 
     Attributes:

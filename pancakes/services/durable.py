@@ -17,8 +17,8 @@ from pancakes.control import Adopt, Describe, Forget, Migrate
 from pancakes.errors import ControlRefused, MigrationError, PancakesError
 from pancakes.kernel.keep import LATEST
 from pancakes.kernel.tell import tell
-from pancakes.life.event import Refused, StartAsked, StopAsked
 from pancakes.life.life import RESTS, State
+from pancakes.life.life_event import LeaveRefused, StartAsked, StopAsked
 from pancakes.migration.candidate import would_take
 from pancakes.migration.cost import cost_text, fault_of_choice
 from pancakes.migration.effect import (
@@ -45,7 +45,7 @@ from pancakes.services.adoption import DOUBT
 from pancakes.services.bidding_messages import (
     Accounted,
     AttemptOver,
-    Awarded,
+    BidAwarded,
     BrokenOff,
     Came,
     HasMoved,
@@ -242,7 +242,7 @@ class DurableService(RecordedService):
     def _declined(self, task_id: TaskId, reason: str) -> None:
         slot = self.slots.get(task_id.name)
         if slot is not None and slot.life.state in (State.ASKED, State.CALLED_OFF):
-            self.feed(slot, Refused(reason, for_good=True))
+            self.feed(slot, LeaveRefused(reason, for_good=True))
         for then in self._starting.pop(task_id, []):
             then(reason)
         if self.hand_off(task_id).record.phase is not Phase.PREPARED:
@@ -335,7 +335,7 @@ class DurableService(RecordedService):
         match message:
             case Came():
                 self._receive(message.peer, message.message, message.refusal)
-            case Awarded():
+            case BidAwarded():
                 self._award(message)
             case Accounted():
                 self._one_done(message.task_id)
@@ -384,7 +384,7 @@ class DurableService(RecordedService):
             return f"has a task named {slot.name} already"
         return self.kernel.registry.reserve(self._place_of(message.task_id), snapshot.requires)
 
-    def _award(self, awarded: Awarded) -> None:
+    def _award(self, awarded: BidAwarded) -> None:
         """The bids are compared: hands the task to the cheapest bidder."""
         move = self._moves.get(awarded.task_id)
         if move is not None:

@@ -18,9 +18,9 @@ from pancakes.events import LEVELS, Event, LogLine, level_of
 from pancakes.journal import RecordTable
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
-from pancakes.life.effect import Answer
-from pancakes.life.event import Written
 from pancakes.life.life import State
+from pancakes.life.life_effect import Answer
+from pancakes.life.life_event import Written
 from pancakes.life.restart import RestartSpec
 from pancakes.packet import LOG, Packet
 from pancakes.printable import printable, printable_line
@@ -29,7 +29,7 @@ from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.log_record import line_of, record_of
 from pancakes.services.log_writer import LogWriter
-from pancakes.services.wanted_recordings import NOTHING, Wanted
+from pancakes.services.wanted_recordings import NOTHING, WantedRecording
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
@@ -135,7 +135,7 @@ class LogService(Service):
     def __init__(
         self,
         *args: Any,
-        wanted: RecordTable[Wanted],
+        wanted: RecordTable[WantedRecording],
         record: Mapping[str, Any] | None = None,
         **others: Any,
     ) -> None:
@@ -254,7 +254,7 @@ class LogService(Service):
         if effect.reason or not isinstance(recorder, Recorder) or slot.life.state is not State.RUNNING:
             super().answer(slot, effect)
             return
-        wanted = Wanted(str(recorder.first.absolute()), self.describe_in_detail(slot)["settings"])
+        wanted = WantedRecording(str(recorder.first.absolute()), self.describe_in_detail(slot)["settings"])
         answer = super().answer
         self._want(wanted, lambda why_not: answer(slot, effect))
 
@@ -270,7 +270,7 @@ class LogService(Service):
         self._want(NOTHING, forgotten)
         self.rested(slot)
 
-    def _want(self, wanted: Wanted, then: Callable[[str], None]) -> None:
+    def _want(self, wanted: WantedRecording, then: Callable[[str], None]) -> None:
         """Writes down what is to go on; `then` is called in this actor, with the reason where that failed."""
         newest = self._wanted.newest.get(self._recorder, NOTHING)
         on_disk = self._wanted.on_disk.get(self._recorder, NOTHING)

@@ -37,8 +37,7 @@ from pancakes.migration.messages import (
     addressed,
     is_for,
 )
-from pancakes.migration.negotiation import Awarded as Cheapest
-from pancakes.migration.negotiation import Exhausted, Negotiation, Outcome
+from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
 from pancakes.migration.pieces import Assembly, cut
 from pancakes.migration.record import TaskId
 from pancakes.migration.slots import Slot, Slots
@@ -49,7 +48,7 @@ from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.services.bidding_messages import (
     Accounted,
     AttemptOver,
-    Awarded,
+    BidAwarded,
     BrokenOff,
     Came,
     HasMoved,
@@ -261,9 +260,9 @@ class TaskMigrator(Task):
         if outcome is None or found is None:
             return
         negotiation, service = found
-        if isinstance(outcome, Cheapest):
+        if isinstance(outcome, Awarded):
             ledger = negotiation.ledger(self.kernel.host.now())
-            tell(service, Awarded(task_id, outcome.peer, negotiation.request, ledger))
+            tell(service, BidAwarded(task_id, outcome.peer, negotiation.request, ledger))
         elif isinstance(outcome, Exhausted):
             self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
 

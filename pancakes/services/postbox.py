@@ -21,7 +21,7 @@ from pancakes.migration.record import TaskId
 from pancakes.packet import Packet, join
 from pancakes.slot import Slot
 from pancakes.task import Task
-from pancakes.task_messages import Give, Given, Outcome
+from pancakes.task_messages import Give, LetterGiven, LetterOutcome
 
 if TYPE_CHECKING:
     from pancakes.services.courier import Courier
@@ -153,15 +153,15 @@ class Postbox:
         given[place] = packet
         tell(task, Give(letter, addressed))
 
-    def given(self, told: Given) -> None:
+    def given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
         assert isinstance(task, Task)
         packet = self._given[task].pop((letter.stream, letter.seq, letter.first))
         task_id = TaskId.parse(letter.task_id)
-        if told.outcome is Outcome.FAILED:
+        if told.outcome is LetterOutcome.FAILED:
             self._failed((task_id, letter.stream, letter.seq), task.address, packet)
-        elif told.outcome is Outcome.TAKEN:
+        elif told.outcome is LetterOutcome.TAKEN:
             slot = self._service.slots.get(task_id.name)
             if slot is not None:
                 self._took(slot, task, letter, packet)

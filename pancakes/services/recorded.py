@@ -16,8 +16,8 @@ from pancakes.closing import CLOSES
 from pancakes.control import Configure, Describe, Reschedule, Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.kernel.tell import tell
-from pancakes.life.event import Admitted, PutOff, Refused, StartAsked, StopAsked, Written
 from pancakes.life.life import RESTS, State
+from pancakes.life.life_event import Admitted, LeaveRefused, PutOff, StartAsked, StopAsked, Written
 from pancakes.migration.effect import (
     Ack,
     After,
@@ -44,7 +44,7 @@ from pancakes.services.snapshots import begins_alike, carried_of, settings_now, 
 from pancakes.services.waiters import Waiters
 from pancakes.slot import Slot
 from pancakes.task import Task, TaskSpec
-from pancakes.task_messages import Carried, Given, Look, Looked
+from pancakes.task_messages import Carried, LetterGiven, Look, Looked
 from pancakes.weight import in_brief
 
 CHECKPOINT_S = 1.0
@@ -203,16 +203,16 @@ class RecordedService(Service):
         if leave is Leave.GRANTED:
             return
         if self.closing:
-            self.feed(slot, Refused(CLOSES))
+            self.feed(slot, LeaveRefused(CLOSES))
         elif leave is Leave.RECOVERED:
             hand_off.recover()
         elif leave is Leave.AGAIN:
             hand_off.feed(StartAgain(again=True))
         elif undecided := self._undecided(record):
             self.kernel.registry.unreserve(slot.address)
-            self.feed(slot, Refused(undecided, for_good=True))
+            self.feed(slot, LeaveRefused(undecided, for_good=True))
         elif reason := self._lacks(slot, record, leave):
-            self.feed(slot, Refused(reason))
+            self.feed(slot, LeaveRefused(reason))
         else:
             self._enter_start(slot, hand_off, again)
 
@@ -455,7 +455,7 @@ class RecordedService(Service):
                 slot = self.slots.get(message.task.name)
                 if slot is not None and slot.task is message.task:
                     self._looked(slot, slot.task, message)
-            case Given():
+            case LetterGiven():
                 self._postbox.given(message)
             case CameFor():
                 self._postbox.arrived(message.letter, message.packet)
@@ -570,7 +570,7 @@ class RecordedService(Service):
             self.feed(slot, StartAsked())
         reason = CLOSES if self.closing else self.admit(slot)
         reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
-        self.feed(slot, Refused(reason) if reason else Admitted(effect.incarnation + 1))
+        self.feed(slot, LeaveRefused(reason) if reason else Admitted(effect.incarnation + 1))
 
     def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
         """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""

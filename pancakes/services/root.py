@@ -15,7 +15,6 @@ from typing import Any
 from msgspec.structs import replace
 
 from pancakes.answers import Answers
-from pancakes.commands import WAITING
 from pancakes.control import (
     CONTROLS,
     Adopt,
@@ -41,8 +40,8 @@ from pancakes.errors import ControlRefused, PancakesError, describe, traceback_o
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
-from pancakes.life.event import StartAsked, StopAsked
 from pancakes.life.life import State
+from pancakes.life.life_event import StartAsked, StopAsked
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.request import Request
 from pancakes.service import Service
@@ -52,6 +51,7 @@ from pancakes.services.network import NetworkService
 from pancakes.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
 from pancakes.slot import Slot
 from pancakes.suggestion import suggestion
+from pancakes.task_commands import WAITING
 
 ANSWERED_S = 2.5
 """An asker whose command for a service is not done after so long, in host time, is told what it waits for."""

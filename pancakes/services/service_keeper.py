@@ -15,9 +15,9 @@ from pancakes.keeper import Keeper
 from pancakes.kernel.component import Component
 from pancakes.kernel.tell import tell
 from pancakes.kernel.timer import OneShot
-from pancakes.life.effect import Answer, News, Tell
-from pancakes.life.event import Admitted, Began, Event, Finished, Refused, StartAsked, StopAsked, Written
 from pancakes.life.life import Life, State
+from pancakes.life.life_effect import Answer, News, Tell
+from pancakes.life.life_event import Admitted, Began, Event, Finished, LeaveRefused, StartAsked, StopAsked, Written
 from pancakes.life.restart import Restarts
 from pancakes.packet import SYSCTRL, join
 from pancakes.printable import printable_line
@@ -178,7 +178,7 @@ class ServiceKeeper:
         prefix = place.address + "/"
         old = [it.address for it in self._root.kernel.registry.components() if it.address.startswith(prefix)]
         if place.life.state is State.CALLED_OFF:
-            self.feed(place, Refused("it was called off"))
+            self.feed(place, LeaveRefused("it was called off"))
         elif not old:
             self.feed(place, Admitted())
         else:

@@ -13,7 +13,7 @@ from pancakes.journal import Disk, RecordTable
 KIND = "recording"
 
 
-class Wanted(msgspec.Struct, frozen=True):
+class WantedRecording(msgspec.Struct, frozen=True):
     """A recording that is to go on.
 
     Attributes:
@@ -25,14 +25,14 @@ class Wanted(msgspec.Struct, frozen=True):
     settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
 
 
-NOTHING: Final = Wanted()
+NOTHING: Final = WantedRecording()
 """Nothing is to be recorded."""
 
 
-def wanted_recordings(disk: Disk) -> RecordTable[Wanted]:
+def wanted_recordings(disk: Disk) -> RecordTable[WantedRecording]:
     """Returns which recordings are to go on, by the path of the recorder (`log/Recorder`)."""
 
     def malformed(path: str, why: str) -> None:
         disk.unread.append(f"the journal does not say any more which recording is to go on: {why}")
 
-    return RecordTable(disk, KIND, codecs.decoder(Wanted), malformed)
+    return RecordTable(disk, KIND, codecs.decoder(WantedRecording), malformed)

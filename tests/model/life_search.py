@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.life import effect, event
+from pancakes.life import life_effect as effect
+from pancakes.life import life_event as event
 from pancakes.life.life import Life, State
 from pancakes.life.restart import Restarts, RestartSpec
 from pancakes.life.table import TABLE, Moment
@@ -93,13 +94,13 @@ def carry_out(world: World, one: Any) -> World:
             if world.actor:
                 raise Violation("a second actor is made beside the first")
             return replace(world, actor="made")
-        case effect.Halt():
+        case effect.TellToEnd():
             if world.actor not in ("made", "runs"):
                 raise Violation("an actor is told to end that is not there, or was told before")
             told = "told early" if world.actor == "made" else "told"
             return replace(world, actor=told, timers=world.timers | {event.Overdue(world.life.incarnation)})
         case effect.TryAt(due_s):
-            return replace(world, timers=world.timers | {event.Due(due_s)})
+            return replace(world, timers=world.timers | {event.TryDue(due_s)})
         case effect.LookAgain():
             return replace(world, timers=world.timers | {event.Retry()})
         case effect.WriteRest():
@@ -142,8 +143,8 @@ def steps(world: World, rules: Rules, bounds: Bounds) -> Iterator[tuple[str, Wor
         given = replace(world, leave=0)
         if not world.closing and life.incarnation < bounds.spawns:
             yield "leave is given", feed(given, event.Admitted(), rules)
-        yield "leave is refused", feed(given, event.Refused("it lacks something"), rules)
-        yield "leave is refused for good", feed(given, event.Refused("it is elsewhere", for_good=True), rules)
+        yield "leave is refused", feed(given, event.LeaveRefused("it lacks something"), rules)
+        yield "leave is refused for good", feed(given, event.LeaveRefused("it is elsewhere", for_good=True), rules)
         if life.state is State.ASKED:
             put_off = feed(world, event.PutOff("the disk is full"), rules)
             if not put_off.settled:
@@ -177,7 +178,7 @@ def check(world: World) -> None:
         raise Violation("it waits for leave that nothing gives")
     if life.state is State.REFUSED and not world.closing and event.Retry() not in world.timers:
         raise Violation("it is wanted, and never tried again")
-    if life.restarts.due_s is not None and event.Due(life.restarts.due_s) not in world.timers:
+    if life.restarts.due_s is not None and event.TryDue(life.restarts.due_s) not in world.timers:
         raise Violation("its next try never comes")
     if life.state is State.RESTARTING and life.restarts.due_s is None:
         raise Violation("it is to start again, and no try is due")

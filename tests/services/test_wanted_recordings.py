@@ -3,7 +3,7 @@
 import pytest
 
 from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.services.wanted_recordings import KIND, NOTHING, Wanted, wanted_recordings
+from pancakes.services.wanted_recordings import KIND, NOTHING, WantedRecording, wanted_recordings
 
 PATH = "log/Recorder"
 
@@ -24,7 +24,7 @@ def opened(disk):
 def test_what_is_wanted_is_known_after_a_restart(disk):
     wanted, store, unread = opened(disk)
     assert (wanted.newest, wanted.on_disk, unread) == ({}, {}, [])
-    first = Wanted("/tmp/r.mcap", {"channels": ["system"]})
+    first = WantedRecording("/tmp/r.mcap", {"channels": ["system"]})
     wanted.write(PATH, first, lambda: None, pytest.fail)
     wanted.write("audit/Recorder", NOTHING, lambda: None, pytest.fail)
     store.close()

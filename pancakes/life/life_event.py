@@ -41,7 +41,7 @@ class Admitted(msgspec.Struct, frozen=True):
     incarnation: int = 0
 
 
-class Refused(msgspec.Struct, frozen=True):
+class LeaveRefused(msgspec.Struct, frozen=True):
     """It has no leave to start.
 
     Attributes:
@@ -93,7 +93,7 @@ class Overdue(msgspec.Struct, frozen=True):
     incarnation: int
 
 
-class Due(msgspec.Struct, frozen=True):
+class TryDue(msgspec.Struct, frozen=True):
     """The time of a next try has come.
 
     Attributes:
@@ -117,4 +117,6 @@ class Written(msgspec.Struct, frozen=True):
     why_not: str = ""
 
 
-Event = StartAsked | StopAsked | Admitted | Refused | PutOff | Began | Finished | Overdue | Due | Retry | Written
+Event = (
+    StartAsked | StopAsked | Admitted | LeaveRefused | PutOff | Began | Finished | Overdue | TryDue | Retry | Written
+)

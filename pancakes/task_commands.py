@@ -11,12 +11,12 @@ from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Resche
 from pancakes.errors import ControlRefused
 from pancakes.kernel.keep import reliable
 from pancakes.kernel.tell import tell
-from pancakes.life.event import StartAsked, StopAsked
 from pancakes.life.life import State
+from pancakes.life.life_event import StartAsked, StopAsked
 from pancakes.request import Request
 from pancakes.settings import change_plain
 from pancakes.slot import Slot
-from pancakes.task_messages import Carried, Change
+from pancakes.task_messages import Carried, ChangeTask
 
 WAITING: Final = reliable(1024)
 """So many control packets of each type wait where they come in faster than they can be carried out. The sender of one
@@ -108,7 +108,7 @@ def change(service: Commanded, slot: Slot, body: Reschedule | Configure | Descri
         raise ControlRefused(f"{slot.address} is {slot.life.word}, not running")
     slot.changing = (*slot.changing, request)
     lasting = not isinstance(body, Describe) and not body.dry_run
-    tell(slot.task, Change(request, body, carry=lasting and service.keeps_changes))
+    tell(slot.task, ChangeTask(request, body, carry=lasting and service.keeps_changes))
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:

@@ -24,7 +24,7 @@ class Spawn(msgspec.Struct, frozen=True):
     """Make its actor, or its process."""
 
 
-class Halt(msgspec.Struct, frozen=True):
+class TellToEnd(msgspec.Struct, frozen=True):
     """Tell it to end, and watch that it does (`Overdue`)."""
 
 
@@ -102,4 +102,4 @@ class Tell(msgspec.Struct, frozen=True):
     hopeless: bool = False
 
 
-Effect = AskLeave | Spawn | Halt | Revoke | LetGo | TryAt | LookAgain | Settle | WriteRest | Answer | Tell
+Effect = AskLeave | Spawn | TellToEnd | Revoke | LetGo | TryAt | LookAgain | Settle | WriteRest | Answer | Tell
