@@ -170,8 +170,12 @@ def _ended(life: Life, event: Finished, at: Moment) -> Outcome:
 # Stopping ------------------------------------------------------------------------------------------------------
 
 
+def _before_it_ran(life: Life, reason: str) -> str:
+    return f"{life.address} was stopped before it ran" + (f": {reason}" if reason else "")
+
+
 def _rest(life: Life, before: list[Effect]) -> Outcome:
-    reason = f"{life.address} was stopped before it ran: {life.reason}"
+    reason = _before_it_ran(life, life.reason)
     effects = [*before, LetGo(), Tell(News.STOPPED, life.reason), Settle(reason), WriteRest()]
     life = replace(life, state=State.STOPPED)
     if not life.again:
@@ -198,7 +202,7 @@ def _stop(life: Life, event: StopAsked, at: Moment) -> Outcome:
     """It runs, or is about to."""
     answer: list[Effect] = []
     if life.asker is not None:
-        answer.append(Answer(life.asker, f"{life.address} was stopped before it ran: {event.reason}"))
+        answer.append(Answer(life.asker, _before_it_ran(life, event.reason)))
         life = replace(life, asker=None)
     life = _meant(life, event)
     if life.state is State.ASKED:
@@ -234,7 +238,7 @@ def _stop_due(life: Life, event: StopAsked, at: Moment) -> Outcome:
 def _stop_stopping(life: Life, event: StopAsked, at: Moment) -> Outcome:
     """The last word counts."""
     if life.again and not event.again and life.asker is not None:
-        late = Answer(life.asker, f"{life.address} was stopped before it ran: {event.reason}")
+        late = Answer(life.asker, _before_it_ran(life, event.reason))
         return _meant(replace(life, asker=None), event), [late]
     return _meant(life, event), []
 

@@ -41,8 +41,8 @@ def _host_and_port(address: str) -> tuple[str, int]:
         ValueError: it is none over TCP.
     """
     parts = parse_address(address)
-    if parts.path:
-        raise ValueError(f"{address!r} has no host")
+    if parts.scheme != "tcp" or parts.path:
+        raise ValueError(f"{address!r} is no address of TCP: write it as tcp://host:port")
     return parts.host, parts.port
 
 

@@ -286,7 +286,7 @@ class Root(Component):
         else:
             place.for_s = body.for_s
             place.wakes_s = self.now() + body.for_s if body.for_s is not None else None
-        event = StopAsked(request, f"asked for by {request.by}", again=isinstance(body, Restart))
+        event = StopAsked(request, again=isinstance(body, Restart))
         if name != NETWORK:
             self._services.feed(place, event)
             return

@@ -321,11 +321,11 @@ def test_it_goes_on_where_the_agent_was_stopped_in_good_order_too(fleet, tmp_pat
     assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap"]
 
 
-def test_a_recorder_that_went_on_and_is_restarted_begins_a_new_recording(fleet, tmp_path):
+def test_a_recorder_that_went_on_and_is_restarted_begins_a_new_recording(fleet, tmp_path, kill):
     agent = fleet.start("a")
     record(agent, tmp_path / "r.mcap")
     fleet.run_for(1.0)
-    kill(fleet, "a")
+    kill("a")
     agent = fleet.restart("a")
     assert agent.ask(Restart(RECORDER)).ok
     assert parts(tmp_path / "r.mcap") == ["r.mcap", "r.002.mcap"]
@@ -372,13 +372,13 @@ def test_a_stop_that_was_not_written_is_written_with_the_next_end(fleet, tmp_pat
     assert fleet.restart("a").ask(Describe(RECORDER)).result["state"] == "stopped"
 
 
-def test_what_the_configuration_recorded_once_ends_what_went_on_before(fleet, tmp_path):
+def test_what_the_configuration_recorded_once_ends_what_went_on_before(fleet, tmp_path, kill):
     agent = fleet.start("a")
     record(agent, tmp_path / "r.mcap")
-    kill(fleet, "a")
+    kill("a")
     fleet.start("a", f'[record]\npath = "{tmp_path}/c.mcap"\n')
     fleet.run_for(1.0)
-    kill(fleet, "a")
+    kill("a")
     agent = fleet.start("a")
     assert agent.ask(Describe(RECORDER)).result["state"] == "stopped"
 
