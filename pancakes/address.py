@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 import msgspec
 
@@ -52,6 +53,7 @@ class Address(msgspec.Struct, frozen=True):
             return self.host.lower() == "localhost"
 
 
+@lru_cache(maxsize=1024)
 def parse_address(text: str) -> Address:
     """Takes an address apart.
 

@@ -123,4 +123,4 @@ def test_a_path_is_no_place_on_a_network(tcp_rig):
         transport.listen("tcp:///run/a", lambda: ear)
     transport.dial("tcp:///run/a", ear)
     tcp_rig.until(lambda: ear.closed_for)
-    assert ear.closed_for == ["'tcp:///run/a' has no host"]
+    assert ear.closed_for == ["'tcp:///run/a' is no address of TCP: write it as tcp://host:port"]
