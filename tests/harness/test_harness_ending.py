@@ -1,25 +1,43 @@
-"""Whoever asks a command that runs for long to end, by whichever signal, has it clear up first."""
+"""A command that runs for long clears up first when it is asked to end, by whichever signal."""
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
+
+TESTS = Path(__file__).parents[1]
+PROGRAM = """
+import signal
 from harness.ending import interruptible
 
-pytestmark = pytest.mark.usefixtures("handlers")
+signal.signal({number}, signal.{before})
+with interruptible():
+    try:
+        signal.raise_signal({number})
+    finally:
+        print("cleared up")
+assert signal.getsignal({number}) is signal.{before}
+"""
+
+
+def ended(number: signal.Signals, before: str) -> subprocess.CompletedProcess[str]:
+    """Runs a program of its own that gets a signal: it may end the process, and pytest is not to end with it."""
+    program = PROGRAM.format(number=int(number), before=before)
+    environment = {**os.environ, "PYTHONPATH": str(TESTS)}
+    return subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_who_is_asked_to_end_clears_up_first(number: signal.Signals) -> None:
-    signal.signal(number, signal.SIG_DFL)
-    with pytest.raises(SystemExit) as ended, interruptible():
-        signal.raise_signal(number)
-    assert ended.value.code == 128 + number
-    assert signal.getsignal(number) is signal.SIG_DFL
+def test_a_command_that_is_asked_to_end_clears_up_first(number: signal.Signals) -> None:
+    result = ended(number, "SIG_DFL")
+    assert (result.returncode, result.stdout, result.stderr) == (128 + number, "cleared up\n", "")
 
 
 def test_what_nohup_ignores_stays_ignored() -> None:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    with interruptible():
-        signal.raise_signal(signal.SIGHUP)
+    result = ended(signal.SIGHUP, "SIG_IGN")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "cleared up\n", "")
