@@ -21,7 +21,9 @@ SHORTER = (
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, int]:
     out = tmp_path_factory.mktemp("energy")
-    # The command takes these signals for itself; the tests want them back.
+    # The command takes these signals for itself; the tests want them back. Where they still woke its thread, the second
+    # signal in a later test would end the worker.
+    woken = signal.set_wakeup_fd(-1)
     signals = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     changes = [part for change in SHORTER for part in ("--set", change)]
     result = CliRunner().invoke(
@@ -29,6 +31,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, int]:
     )
     for number, handler in signals.items():
         signal.signal(number, handler)
+    signal.set_wakeup_fd(woken)
     return out, result.output, result.exit_code
 
 
