@@ -1,4 +1,4 @@
-"""A command that somebody waits for."""
+"""A command whose sender waits for an answer."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class Component(PykkaActor):
         Raises:
             UnknownChannel: the stream has no such channel.
             MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
-                wait already; nobody got the packet.
+                wait already; no subscriber got the packet.
             LocalProtocolError: the body is of no registered type, or too large to travel.
         """
         in_hand = self.__in_hand

@@ -1,6 +1,6 @@
 """All that Pancakes uses of pykka's inside, in one place: a pykka actor whose turns others give.
 
-It rests on these promises, which pykka makes to nobody, and which `tests/kernel/test_pykka_contract.py` checks:
+It rests on these promises, which pykka does not document, and which `tests/kernel/test_pykka_contract.py` checks:
 
 - `Actor` makes its inbox, its futures and its loop by `_create_actor_inbox`, `_create_future` and `_start_actor_loop`.
 - `Actor.start` calls `_start_actor_loop` of an actor once it is made.

@@ -98,7 +98,7 @@ class Route(msgspec.Struct, frozen=True):
         """Gives a packet to all of them, or to none; `weight`: its bytes, where it is a heavy one.
 
         Raises:
-            MailboxFull: a `reliable` subscriber has no room; nobody got the packet.
+            MailboxFull: a `reliable` subscriber has no room; no subscriber got the packet.
         """
         # All reliable readers are asked before any of them gets the packet: a retry must not double it.
         for reader in self.reliable:

@@ -103,7 +103,7 @@ class InformationStream:
         Raises:
             UnknownChannel: there is no such channel here.
             MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
-                wait already; nobody got the packet.
+                wait already; no subscriber got the packet.
             LocalProtocolError: its destination is elsewhere and its body cannot travel, or is no task.
         """
         destination = packet.destination

@@ -227,7 +227,7 @@ class Mesh:
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
         if name in asleep:
             return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
-        there = ", ".join(session.peer for session in self._links) or "nobody"
+        there = ", ".join(session.peer for session in self._links) or "no other agent"
         return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
 
     # In the transport's thread from here on

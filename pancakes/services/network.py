@@ -177,7 +177,9 @@ class NetworkService(Service):
             self.reply(request)
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
             # Without it no answer leaves.
-            raise ControlRefused(f"{slot.address} cannot be stopped from elsewhere: nobody could start it again")
+            raise ControlRefused(
+                f"{slot.address} cannot be stopped from elsewhere: no packet from elsewhere could start it again"
+            )
         else:
             super().carry_out_command(body, slot, request)
 

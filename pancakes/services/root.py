@@ -305,7 +305,8 @@ class Root(Component):
         elsewhere = agent_of(request.by) != self.agent
         if elsewhere and place.spec.name == NETWORK and body.for_s is None:
             raise ControlRefused(
-                f"{place.address} can be stopped from elsewhere only for a time (for_s): nobody could start it again"
+                f"{place.address} can be stopped from elsewhere only for a time (for_s):"
+                " no packet from elsewhere could start it again"
             )
         reason = place.service.refuse_stop() if place.service is not None else ""
         if reason:

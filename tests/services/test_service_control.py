@@ -358,9 +358,14 @@ def test_control_from_another_agent_is_answered_there(fleet):
     agent = fleet.start("a")
     fleet.connect()
     assert agent.ask(Reschedule("Count", 2.0), to="b").result["rate_hz"] == 2.0
-    assert agent.ask(Stop("network"), to="b").reason.endswith("only for a time (for_s): nobody could start it again")
+    assert agent.ask(Stop("network"), to="b").reason.endswith(
+        "only for a time (for_s): no packet from elsewhere could start it again"
+    )
     reason = agent.ask(Stop("network/NetworkClient"), to="b").reason
-    assert reason == "b/network/NetworkClient cannot be stopped from elsewhere: nobody could start it again"
+    assert (
+        reason
+        == "b/network/NetworkClient cannot be stopped from elsewhere: no packet from elsewhere could start it again"
+    )
     assert agent.ask(Stop("network", for_s=2.0), to="b").ok
     fleet.run_for(1.0)
     assert agent.agent.mesh.connected() == []
