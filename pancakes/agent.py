@@ -19,6 +19,10 @@ from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, par
 from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, PluginError, describe, traceback_of
 from pancakes.events import Event
+from pancakes.hosting.client import ClientService
+from pancakes.hosting.deliveries import COURIER
+from pancakes.hosting.records import KIND as RECORD
+from pancakes.hosting.records import Records
 from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
@@ -38,16 +42,12 @@ from pancakes.service_messages import Close
 from pancakes.service_spec import ServiceSpec
 from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceService, DeviceSpec
-from pancakes.services.durable import DurableService
 from pancakes.services.fences import Fences
 from pancakes.services.ledgers import Ledgers
 from pancakes.services.load import describe_process
 from pancakes.services.log import LogService
 from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
-from pancakes.services.postbox import COURIER
-from pancakes.services.records import KIND as RECORD
-from pancakes.services.records import Records
 from pancakes.services.root import Root
 from pancakes.services.wanted_recordings import wanted_recordings
 from pancakes.settings import make_settings
@@ -155,7 +155,7 @@ class Agent:
         self.ledgers = Ledgers(disk, self.kernel.log)
         # Each kind of record on disk, the services that work with it, and the argument by which they get it.
         self._kept: tuple[tuple[Any, type[Service], str], ...] = (
-            (self.records, DurableService, "records"),
+            (self.records, ClientService, "records"),
             (self.ledgers, NetworkService, "ledgers"),
             (Fences(disk), DeviceService, "fences"),
             (wanted_recordings(disk), LogService, "wanted"),
@@ -490,7 +490,7 @@ class Agent:
         elif issubclass(cls, NetworkService):
             arguments["mesh"] = self.mesh
             arguments["hosting"] = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
-        if issubclass(cls, DurableService):
+        if issubclass(cls, ClientService):
             arguments["catalogue"] = self
         return arguments
 

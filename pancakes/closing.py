@@ -7,7 +7,7 @@ from functools import partial
 from typing import Final
 
 from pancakes.kernel.component import Component
-from pancakes.life.life import State
+from pancakes.life.life import CLOSES, State
 from pancakes.life.life_event import Overdue, StopAsked
 from pancakes.slot import Slot
 
@@ -15,7 +15,6 @@ STUCK_S: Final = 2.0
 """A task that has not ended so long after it was asked to, in host time, is stuck."""
 STUCK_AT_THE_END_S: Final = 0.4
 """Where the whole agent stops, this must do: the others, wheels among them, want to be stopped in order too."""
-CLOSES: Final = "its service stops"
 
 
 class Closing:

@@ -41,6 +41,8 @@ P_contra = TypeVar("P_contra", bound=Place, contravariant=True)
 class LifeRim(Protocol[P_contra]):
     """What carries the effects of lives out, in its own actor; see `pancakes.life.life_effect` for each."""
 
+    def feed(self, place: P_contra, event: Event) -> None: ...
+
     def ask_leave(self, place: P_contra, again: bool) -> None: ...
 
     def spawn(self, place: P_contra) -> None: ...
@@ -85,16 +87,18 @@ class Keeper(Generic[P]):
         try:
             while self._events:
                 place, event = self._events.popleft()
-                place.life, effects = handle(place.life, event, self._component.kernel.host.now(), self._draw)
+                place.life, effects = handle(place.life, event, self._component.kernel.host.now(), self.draw)
                 for effect in effects:
-                    self._carry_out(place, effect)
+                    self.carry_out(place, effect)
         finally:
             self._turning = False
 
-    def _draw(self, low: float, high: float) -> float:
+    def draw(self, low: float, high: float) -> float:
+        """Draws the length of a pause."""
         return self._component.random.uniform(low, high)
 
-    def _carry_out(self, place: P, effect: Effect) -> None:
+    def carry_out(self, place: P, effect: Effect) -> None:
+        """Carries one effect of a life out."""
         rim = self._rim
         match effect:
             case AskLeave():
@@ -123,4 +127,4 @@ class Keeper(Generic[P]):
                 assert_never(effect)
 
     def _later(self, delay_s: float, place: P, event: Event) -> None:
-        self._component.after_host(delay_s, lambda: self.feed(place, event))
+        self._component.after_host(delay_s, lambda: self._rim.feed(place, event))

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from pancakes.answers import Answers
-from pancakes.closing import CLOSES, STUCK_S, Closing
+from pancakes.closing import STUCK_S, Closing
 from pancakes.control import Command, Describe, Hold, Reschedule
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
 from pancakes.keeper import Keeper
@@ -17,7 +17,7 @@ from pancakes.kernel.handlers import on
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.kernel.tell import tell
-from pancakes.life.life import Life, State
+from pancakes.life.life import CLOSES, Life, State
 from pancakes.life.life_effect import Answer, Tell
 from pancakes.life.life_event import Admitted, Began, Finished, LeaveRefused, Overdue, StartAsked, Written
 from pancakes.life.restart import Restarts
@@ -95,7 +95,7 @@ class Service(Component):
         self._configured = tuple(tasks)
         self._owner = owner
         self._kept = kept
-        self._keeper: Keeper[Slot] = Keeper(self, self)
+        self.keeper: Keeper[Slot] = Keeper(self, self)
         self._answers = Answers(self)
         self._newest_command = 0
         self._startup = Startup(self, self.started_at_once, self._start, self._tell_ready)
@@ -341,7 +341,7 @@ class Service(Component):
 
     def feed(self, slot: Slot, event: Any) -> None:
         """Feeds an event to the life of a task, and carries out what follows."""
-        self._keeper.feed(slot, event)
+        self.keeper.feed(slot, event)
 
     def ask_leave(self, slot: Slot, again: bool) -> None:
         """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""

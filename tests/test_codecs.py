@@ -108,7 +108,7 @@ from pancakes.journal.seal import seal
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Snapshot
 from pancakes.recording import message
-from pancakes.services.checkpoints import plain_of
+from pancakes.hosting.checkpoints import plain_of
 from pancakes.task_messages import Carried
 from pancakes.wire.codec import Encoder
 from pancakes.wire.runs import RowEncoder, head_of

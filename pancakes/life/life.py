@@ -47,6 +47,10 @@ RESTS: Final = frozenset((State.STOPPED, State.REFUSED, State.FAILED))
 """The states in which nothing runs and nothing is under way."""
 
 
+CLOSES: Final = "its service stops"
+"""Why a task ends, or does not start, where its service ends."""
+
+
 class Life(msgspec.Struct, frozen=True):
     """The life of one task, service or process; it outlives the actors that fill its place.
 

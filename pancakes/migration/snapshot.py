@@ -12,6 +12,7 @@ from hashlib import sha256
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes import codecs
 from pancakes.arrays import array_from_extension, saved_array
@@ -149,6 +150,18 @@ class Snapshot(msgspec.Struct, frozen=True):
 
 _ENCODE: Callable[[Any], bytes] = codecs.encoder(saved_array)
 _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
+
+
+def begins_alike(one: bytes, other: bytes) -> bool:
+    """Returns whether a task that begins from either of two snapshots is the same."""
+    return bool(one and other) and _without_phases(one) == _without_phases(other)
+
+
+def _without_phases(encoded: bytes) -> bytes:
+    # At which moment of a period it was taken is for a task that moves. As bytes: to Python 1, 1.0 and True are equal,
+    # and no NaN is equal to itself.
+    snapshot = Snapshot.decode(encoded)
+    return replace(snapshot, timers=tuple(replace(timer, due_in_s=0.0) for timer in snapshot.timers)).encode()
 
 
 def digest(data: bytes) -> bytes:

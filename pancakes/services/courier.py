@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import LocalProtocolError, MigrationError, PancakesError, RemoteProtocolError
+from pancakes.hosting.deliveries import COURIER, CameFor, Say
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
@@ -17,12 +18,11 @@ from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Posted
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, TO_TASK, Packet, agent_of, join
-from pancakes.services.postbox import COURIER, CameFor, Say
 from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
-    from pancakes.services.durable import DurableService
+    from pancakes.hosting.client import ClientService
 
 ENVELOPE_BYTES: Final = 1024
 """What a letter takes besides the packet in it, at most."""
@@ -197,7 +197,7 @@ class Courier(Component):
             self.after_host(RESEND_S / 2, self._look)
         self._send(letters)
 
-    def _service_of(self, task_id: TaskId) -> DurableService | None:
+    def _service_of(self, task_id: TaskId) -> ClientService | None:
         """Returns the service here that knows the task. Any thread."""
         for component in self.kernel.registry.components():
             if getattr(component, "durable", False) and component.knows(task_id):  # type: ignore[attr-defined]

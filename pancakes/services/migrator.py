@@ -63,7 +63,7 @@ from pancakes.services.load import IDLE, Load, LoadMeter
 from pancakes.task import Task
 
 if TYPE_CHECKING:
-    from pancakes.services.durable import DurableService
+    from pancakes.hosting.client import ClientService
 
 ADDRESS = "network/TaskMigrator"
 KEEP = reliable(1024)
@@ -333,7 +333,7 @@ class TaskMigrator(Task):
         services = self._durable_services()
         for service in services:
             for slot in list(service.slots.values()):
-                names[slot.name] = service.id_of(slot)
+                names[slot.name] = service.places.id_of(slot)
         for task_id in self._slots.kept(self.kernel.host.now()):
             names.setdefault(task_id.name, task_id)
         version = self._hosting.version(request.type)
@@ -449,11 +449,11 @@ class TaskMigrator(Task):
             return
         tell(owner, Came(peer, message, refusal))
 
-    def _keeper(self, task_id: TaskId) -> DurableService | None:
+    def _keeper(self, task_id: TaskId) -> ClientService | None:
         """Returns the service that runs and has a record of a task."""
         return next((service for service in self._durable_services() if service.knows(task_id)), None)
 
-    def _durable_services(self) -> list[DurableService]:
+    def _durable_services(self) -> list[ClientService]:
         return [
             component  # type: ignore[misc]
             for component in self.kernel.registry.components()

@@ -18,7 +18,7 @@ from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import Timer
 from pancakes.plugins import Plugins
 from pancakes.service import Service
-from pancakes.services.client import ClientService
+from pancakes.hosting.client import ClientService
 from pancakes.services.device import DeviceTask
 from pancakes.services.log import Console
 from pancakes.services.migrator import TaskMigrator

@@ -34,8 +34,8 @@ def fleet():
 
 
 def phase(fleet, agent):
-    hand_off = fleet.agents[agent].component("client").hand_offs.get(TaskId("a", "Count"))
-    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+    place = fleet.agents[agent].component("client").places.find(TaskId("a", "Count"))
+    return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
 def until(fleet, condition):
@@ -88,7 +88,7 @@ def test_who_gave_it_away_takes_it_back_with_its_state(fleet):
     assert reply.ok and reply.result == {"task_id": "a/Count", "peer": "b"}
     assert a.running() == ["Count"]
     assert a.task("Count").state.n >= 20
-    record = a.component("client").hand_offs[TaskId("a", "Count")].record
+    record = a.component("client").places.of(TaskId("a", "Count")).standing.record
     assert (record.phase, record.epoch) == (Phase.OWNER, (2, "a"))
     assert a.events("task_adopted") == [{"kind": "task_adopted", "task": "Count", "peer": "b", "epoch": 2}]
     # Whoever had asked for the move hears what became of it, and so does the account.

@@ -38,7 +38,7 @@ def fleet():
 
 
 def phase(fleet, agent):
-    return fleet.agents[agent].component("client").hand_offs[TaskId("a", "Circle")].record.phase
+    return fleet.agents[agent].component("client").places.of(TaskId("a", "Circle")).standing.record.phase
 
 
 def until_prepared(fleet):
@@ -46,7 +46,7 @@ def until_prepared(fleet):
     fleet.agents["a"].publish(SYSCTRL, Migrate("Circle"))
     assert fleet.run_until(
         lambda: (
-            TaskId("a", "Circle") in fleet.agents["b"].component("client").hand_offs
+            fleet.agents["b"].component("client").places.find(TaskId("a", "Circle")) is not None
             and phase(fleet, "b") is Phase.PREPARED
         )
     )

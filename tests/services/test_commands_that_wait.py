@@ -5,7 +5,7 @@ import pytest
 from pancakes.control import Describe, Reply, Restart, Start, Stop
 from pancakes.devices.types import Pose
 from pancakes.kernel.handlers import on
-from pancakes.services.client import ClientService
+from pancakes.hosting.client import ClientService
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 

@@ -69,20 +69,20 @@ def fleet():
         yield made
 
 
-def hand_off(agent, name, birthplace=""):
-    return agent.component("client").hand_offs[TaskId(birthplace or agent.name, name)]
+def place(agent, name, birthplace=""):
+    return agent.component("client").places.of(TaskId(birthplace or agent.name, name))
 
 
 def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
-    found = hand_off(agent, "Count")
+    found = place(agent, "Count")
     fleet.run_for(0.5)
-    assert fleet.run_until(lambda: not found.idle)
+    assert fleet.run_until(lambda: not found.standing.idle)
     n = agent.task("Count").state.n
     reply = agent.ask(Restart("Count"))
     assert reply.ok, reply.reason
     assert agent.task("Count").state.n >= n
-    assert found.record.wanted is Wanted.RUNNING
+    assert found.standing.record.wanted is Wanted.RUNNING
 
 
 def test_a_state_that_cannot_be_written_down_is_told_and_does_not_end_the_task(fleet):
@@ -120,7 +120,7 @@ def test_a_task_whose_start_was_refused_can_be_stopped_for_good(fleet):
     assert agent.ask(Stop("Other")).ok
     fleet.run_for(3.0)
     assert agent.running() == []
-    assert hand_off(agent, "Drives").record.wanted is Wanted.STOPPED
+    assert place(agent, "Drives").standing.record.wanted is Wanted.STOPPED
 
 
 def _move(fleet, task="Count", to="b"):
@@ -132,9 +132,9 @@ def test_nobody_can_stop_a_task_between_its_freeze_and_its_new_host(fleet):
     b = fleet.start("b")
     fleet.connect()
     fleet.network.set_quality("a", "b", Quality(latency_s=0.05))
-    found = hand_off(a, "Count")
+    found = place(a, "Count")
     asked = _move(fleet)
-    assert fleet.run_until(lambda: found.volatile.freezing)
+    assert fleet.run_until(lambda: found.standing.volatile.freezing)
     refused = a.ask(Stop("Count"))
     assert not refused.ok and "is being handed over" in refused.reason
     assert a.reply_to(asked).ok
@@ -162,7 +162,7 @@ def test_a_task_that_comes_back_before_its_old_actor_has_ended_runs_once(fleet):
     fleet.run_for(0.5)
     assert a.running() == ["Count"] and fleet.agents["b"].running() == []
     assert a.task("Count") is not before
-    assert hand_off(a, "Count").record.phase is Phase.OWNER
+    assert place(a, "Count").standing.record.phase is Phase.OWNER
     assert not a.events("task_failed")
     n = a.task("Count").state.n
     fleet.run_for(1.0)
@@ -183,7 +183,7 @@ def test_a_transfer_that_comes_late_brings_no_second_arrival(fleet):
     b = fleet.start("b")
     fleet.connect()
     assert a.reply_to(_move(fleet)).ok
-    record = hand_off(b, "Count", "a").record
+    record = place(b, "Count", "a").standing.record
     service = b.component("client")
     tell(service, Came("a", Transfer(record.task_id, Epoch(1, "a"), record.snapshot), ""))
     assert b.ask(Restart("Count")).ok

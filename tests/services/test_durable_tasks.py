@@ -9,7 +9,7 @@ from pancakes.devices.types import Load, Pose
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.migration.record import Record, Wanted
 from pancakes.service import Service
-from pancakes.services.durable import DurableService
+from pancakes.hosting.client import ClientService
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.testing.faults import DISK_FULL
@@ -178,9 +178,9 @@ def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_
     """What lies on the disk is the state that it ends with, and what is on the way there is not."""
     agent = fleet.start("a", tasks={"Switch": Switch})
     fleet.run_for(2.5)
-    (hand_off,) = agent.component("client").hand_offs.values()
+    (place,) = agent.component("client").places
     agent.task("Switch").state.on = True
-    assert fleet.run_until(lambda: not hand_off.idle)
+    assert fleet.run_until(lambda: not place.standing.idle)
     agent.task("Switch").state.on = False
     fleet.stop("a")
     assert fleet.restart("a").task("Switch").state.on is False
@@ -342,7 +342,7 @@ def test_on_threads_the_state_outlives_the_agent(tmp_path):
         assert agent.task("Count").state.n >= n
 
 
-class Fields(DurableService):
+class Fields(ClientService):
     """A user's own service whose tasks are durable; it brings one itself."""
 
     def own_tasks(self):

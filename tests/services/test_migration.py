@@ -70,8 +70,8 @@ def fleet():
 
 def phase(fleet, agent, name="Circle", birthplace="a"):
     """What an agent's record of a task says."""
-    hand_off = fleet.agents[agent].component("client").hand_offs.get(TaskId(birthplace, name))
-    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+    place = fleet.agents[agent].component("client").places.find(TaskId(birthplace, name))
+    return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
 def hosts(fleet, name="Circle"):

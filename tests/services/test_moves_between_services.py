@@ -10,14 +10,14 @@ from pancakes.kernel.handlers import on
 from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import Phase, TaskId
 from pancakes.service import Service
-from pancakes.services.durable import DurableService
+from pancakes.hosting.client import ClientService
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest
 
 WHEELS = {"wheels": "null.motors"}
 
 
-class Guides(DurableService):
+class Guides(ClientService):
     """A user's own service, whose tasks can move; it fails when it sees a pose."""
 
     @on("system", Pose)
@@ -55,8 +55,8 @@ def two(services_of_b: dict[str, object], seed: int = 1) -> FleetInTest:
 
 def phase(agent: AgentInTest, service: str = "guides") -> Phase:
     owner = agent.component(service)
-    hand_off = owner.hand_offs.get(TaskId("a", "Guide")) if isinstance(owner, DurableService) else None
-    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+    place = owner.places.find(TaskId("a", "Guide")) if isinstance(owner, ClientService) else None
+    return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
 def test_it_goes_to_the_service_of_the_same_name_and_comes_back():

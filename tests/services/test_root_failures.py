@@ -11,7 +11,7 @@ from pancakes.devices.types import Load
 from pancakes.events import Event
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
-from pancakes.services.client import ClientService
+from pancakes.hosting.client import ClientService
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest, no_thread_left, threaded_agent
 

@@ -9,7 +9,7 @@ from pancakes.migration.record import Phase, TaskId
 from pancakes.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service
-from pancakes.services.durable import DurableService
+from pancakes.hosting.client import ClientService
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
@@ -28,7 +28,7 @@ class Home(Circle):
     pass
 
 
-class Surveys(DurableService):
+class Surveys(ClientService):
     """A service of a user's own."""
 
 
@@ -42,8 +42,8 @@ def two(seed=3):
 
 
 def phase(fleet, agent, name="Circle"):
-    hand_off = fleet.agents[agent].component("client").hand_offs.get(TaskId("a", name))
-    return hand_off.record.phase if hand_off is not None else Phase.ABSENT
+    place = fleet.agents[agent].component("client").places.find(TaskId("a", name))
+    return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
 def until(fleet, condition):
@@ -192,9 +192,9 @@ def test_a_tombstone_belongs_to_the_service_that_wrote_it(service):
         fleet.run_for(1.0)
         both = {name: b.component(name) for name in ("client", "surveys")}
         found = {
-            name: service.hand_offs[TaskId("a", "Circle")].record.phase
+            name: service.places.of(TaskId("a", "Circle")).standing.record.phase
             for name, service in both.items()
-            if isinstance(service, DurableService) and service.knows(TaskId("a", "Circle"))
+            if isinstance(service, ClientService) and service.knows(TaskId("a", "Circle"))
         }
         assert found == {home: Phase.RELEASED}
 

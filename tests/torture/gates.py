@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from pancakes.journal.journal import SUFFIX
 from pancakes.migration.record import Phase, TaskId
-from pancakes.services.records import KIND
+from pancakes.hosting.records import KIND
 
 PIPE_BYTES = 4096
 BALLAST_BYTES = 2 * PIPE_BYTES

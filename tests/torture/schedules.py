@@ -33,7 +33,8 @@ from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
 from pancakes.plugins import Plugins
-from pancakes.services.records import KIND
+from pancakes.hosting.client import ClientService
+from pancakes.hosting.records import KIND
 from pancakes.testing import Probe, config_of, registered
 
 ROBOTS = ("a", "b", "c")
@@ -393,8 +394,8 @@ class Schedule:
         found = []
         for name, agent in self.fleet.agents.items():
             service = agent.kernel.registry.get(join(name, "client"))
-            for hand_off in getattr(service, "hand_offs", {}).values():
-                found.append((name, hand_off.record))
+            if isinstance(service, ClientService):
+                found += [(name, place.standing.record) for place in service.places]
         return found
 
     def _stopped(self) -> list[tuple[str, str]]:

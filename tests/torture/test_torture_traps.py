@@ -16,7 +16,7 @@ from torture.waits import Waits
 
 from pancakes.journal import FileJournal, JournalEntry, JournalError
 from pancakes.migration.record import Phase, Record, TaskId
-from pancakes.services.records import KIND
+from pancakes.hosting.records import KIND
 
 TASK = TaskId("a", "One")
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pancakes.errors import ControlRefused
+from pancakes.hosting.lost import Lost
 from pancakes.migration.record import NO_EPOCH, Phase, Record
-from pancakes.services.lost import Lost
 
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 """The phases in which an agent cannot know by itself whether a task is its own."""

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
+from pancakes.hosting.lost import Lost
 from pancakes.journal import Disk, JournalEntry, RecordTable
 from pancakes.migration.record import Record, TaskId
-from pancakes.services.lost import Lost
 
 KIND = "record"
 

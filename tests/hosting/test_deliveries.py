@@ -1,13 +1,13 @@
-"""What a postbox keeps of letters whose sender has gone: no more than so many."""
+"""What is kept of letters whose sender has gone: no more than so many."""
 
 from dataclasses import dataclass
 
+from pancakes.hosting import post
+from pancakes.hosting.client import ClientService
+from pancakes.hosting.deliveries import CameFor
 from pancakes.kernel.tell import tell
 from pancakes.migration.post import Letter
 from pancakes.packet import packet_type
-from pancakes.services import postbox
-from pancakes.services.client import ClientService
-from pancakes.services.postbox import CameFor
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 
@@ -27,7 +27,7 @@ class Sink(Task):
 
 
 def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_newest_are_not(monkeypatch):
-    monkeypatch.setattr(postbox, "MOST_KNOWN", 4)
+    monkeypatch.setattr(post, "MOST_KNOWN", 4)
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         client = agent.component("client")

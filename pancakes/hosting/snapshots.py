@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from msgspec.structs import asdict, replace
+from msgspec.structs import asdict
 
 from pancakes import codecs
 from pancakes.arrays import alike
+from pancakes.hosting.catalogue import Catalogue
 from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
 from pancakes.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
-from pancakes.services.catalogue import Catalogue
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
@@ -86,18 +86,6 @@ def carried_of(snapshot: Snapshot) -> Carried:
         {timer.name: timer.period_s for timer in snapshot.timers},
         {stream: heard.upto for stream, heard in snapshot.heard.items()},
     )
-
-
-def begins_alike(one: bytes, other: bytes) -> bool:
-    """Returns whether a task that begins from either of two snapshots is the same."""
-    return bool(one and other) and _without_phases(one) == _without_phases(other)
-
-
-def _without_phases(encoded: bytes) -> bytes:
-    # At which moment of a period it was taken is for a task that moves. As bytes: to Python 1, 1.0 and True are equal,
-    # and no NaN is equal to itself.
-    snapshot = Snapshot.decode(encoded)
-    return replace(snapshot, timers=tuple(replace(timer, due_in_s=0.0) for timer in snapshot.timers)).encode()
 
 
 def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:

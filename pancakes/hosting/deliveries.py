@@ -1,0 +1,158 @@
+"""What comes for hosted tasks that are addressed wherever they are: given to them, or sent after them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.hosting.host import Host
+from pancakes.hosting.place import Place
+from pancakes.hosting.post import Post
+from pancakes.kernel.letters import ATTEMPTS
+from pancakes.kernel.tell import tell
+from pancakes.life.life import State
+from pancakes.migration.core import handle
+from pancakes.migration.effect import Deliver, Forward, Send
+from pancakes.migration.event import Arrived, PacketId
+from pancakes.migration.messages import Moved
+from pancakes.migration.post import ForwardTo, Letter, Receipt, onward
+from pancakes.migration.record import TaskId
+from pancakes.packet import Packet, join
+from pancakes.task import Task
+from pancakes.task_messages import Give, LetterGiven, LetterOutcome, Look
+
+COURIER: Final = "kernel/Courier"
+"""Where on each agent the courier is."""
+
+
+class CameFor(msgspec.Struct, frozen=True):
+    """The courier tells a service that a packet has come for one of its tasks.
+
+    Attributes:
+        letter: the letter that it came in.
+        packet: what is in it; None: it cannot be read here.
+    """
+
+    letter: Letter
+    packet: Packet | None
+
+
+class Say(msgspec.Struct, frozen=True):
+    """A service tells the courier to tell that of another agent something.
+
+    Attributes:
+        peer: the other agent.
+        body: what to tell it.
+    """
+
+    peer: str
+    body: Letter | Receipt | ForwardTo
+
+
+class Deliveries:
+    """Gives letters to the tasks of one service. All in that service's actor.
+
+    With `durability = "each"` a letter is acknowledged once its effect is on disk. With `"lazy"` that runs ahead of the
+    disk: the letter is kept here until it is written down, and given again to a task that failed and begins anew from
+    its checkpoint. So only a crash of the whole agent, or a failure of the service itself, loses what was acknowledged.
+
+    Args:
+        host: the service.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+
+    def arrived(self, came: CameFor) -> None:
+        """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
+        letter, host = came.letter, self._host
+        place = host.places.find(TaskId.parse(letter.task_id))
+        if place is None:
+            return
+        standing = place.standing
+        # Asked past the queue of events: it changes nothing, and what is being written now is no reason to wait.
+        for effect in handle(host.agent, standing.record, standing.volatile, Arrived(letter.sender)):
+            match effect:
+                case Deliver():
+                    self._deliver(place, letter, came.packet)
+                case Send(message=Moved() as moved):
+                    self._say(letter.sender, ForwardTo(letter.task_id, moved.peer, moved.epoch.n))
+                case Forward():
+                    further = onward(letter)
+                    if further is not None:
+                        self._say(effect.peer, further)
+
+    def _deliver(self, place: Place, letter: Letter, packet: Packet | None) -> None:
+        slot = self._host.places.slot_of(place)
+        if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
+            return
+        place.post = post = place.post or Post()
+        key = (letter.stream, letter.seq)
+        if packet is None and key not in post.failures:
+            post.note_failures(letter, ATTEMPTS)
+            reason = f"{slot.address} cannot read packet #{letter.seq} of {letter.stream}"
+            self._host.kernel.letters.bury(reason)
+        addressed = None
+        if packet is not None and post.failures.get(key, 0) < ATTEMPTS:
+            # To its handlers it is as any other packet that names them.
+            addressed = replace(packet, destination=slot.address)
+        # It comes again and again while the task computes or waits, and would fill the memory.
+        if post.give(slot.task, letter, packet):
+            tell(slot.task, Give(letter, addressed))
+
+    def given(self, told: LetterGiven) -> None:
+        """A task says what has become of a letter."""
+        letter, task = told.give.letter, told.task
+        place = self._host.places.find(TaskId.parse(letter.task_id))
+        post = place.post if place is not None else None
+        if place is None or post is None:
+            return  # the task was given away meanwhile
+        assert isinstance(task, Task)
+        packet = post.looked_at(task, letter)
+        if told.outcome is LetterOutcome.FAILED:
+            # It is not acknowledged, so it comes again when the task has been restarted.
+            failures = post.failures.get((letter.stream, letter.seq), 0) + 1
+            post.note_failures(letter, failures)
+            if failures == ATTEMPTS and packet is not None:
+                self._host.kernel.letters.bury(
+                    f"{task.address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
+                )
+        elif told.outcome is LetterOutcome.TAKEN:
+            self._took(place, post, task, letter, packet)
+
+    def _took(self, place: Place, post: Post, task: Task, letter: Letter, packet: Packet | None) -> None:
+        slot = self._host.places.slot_of(place)
+        if slot is None or slot.task is not task:
+            return  # the actor that took it has ended; its sender, which has not been told so, sends it again
+        post.took(letter)
+        if slot.spec.durability == "each":
+            return
+        if post.keep(letter, packet):
+            self._acknowledge(place, PacketId(letter.stream, letter.seq), letter.sender)
+        elif not post.asked:
+            post.asked = True
+            tell(task, Look())
+
+    def again(self, place: Place) -> None:
+        """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
+        if place.post is not None:
+            for letter, packet in list(place.post.kept.values()):
+                self._deliver(place, letter, packet)
+
+    def on_disk(self, place: Place, packet: PacketId) -> None:
+        """A letter, and all before it in its stream, have had their effect for good."""
+        sender = place.post.on_disk(packet) if place.post is not None else ""
+        if sender:
+            self._acknowledge(place, packet, sender)
+
+    def _acknowledge(self, place: Place, packet: PacketId, sender: str) -> None:
+        """Tells the sender of a letter that it, and all before it, have had their effect."""
+        epoch_n = place.standing.record.epoch.n
+        self._say(sender, Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n))
+
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
+        courier = self._host.kernel.registry.get(join(self._host.agent, COURIER))
+        if courier is not None:
+            tell(courier, Say(peer, body))

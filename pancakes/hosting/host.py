@@ -1,0 +1,67 @@
+"""What the parts of a hosting service need of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from pancakes.hosting.place import Place
+from pancakes.hosting.places import Places
+from pancakes.hosting.turn import AnyEvent
+from pancakes.kernel.component import Component
+from pancakes.kernel.kernel import Kernel
+from pancakes.migration.snapshot import Posted
+from pancakes.request import Request
+from pancakes.slot import Slot
+from pancakes.task_messages import Carried
+
+
+class Host(Protocol):
+    """A service that hosts tasks. All in its actor."""
+
+    kernel: Kernel
+    agent: str
+    address: str
+    name: str
+    slots: dict[str, Slot]
+    places: Places
+
+    @property
+    def component(self) -> Component:
+        """Itself, for what is told about it."""
+
+    def feed_place(self, place: Place, event: AnyEvent) -> None:
+        """Feeds an event to a task, and carries out what follows."""
+
+    def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
+        """Returns a task as data, encoded."""
+
+    def look_after(self, place: Place, request: Request) -> None:
+        """Sees to it that a request which waits for the journal is told so in time."""
+
+    def admit(self, slot: Slot) -> str: ...
+
+    def connected(self, peer: str) -> bool:
+        """Returns whether there is a link to an agent now."""
+
+    def has_migrator(self) -> bool:
+        """Returns whether the Task Migrator runs."""
+
+    def tell_migrator(self, message: object) -> None:
+        """Tells the Task Migrator something, where it runs."""
+
+    def hold_actuators(self, slot: Slot, reason: str) -> None: ...
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+
+    def put_off(self, request: Request, reason: str) -> None: ...
+
+    def waits(self, request: Request) -> bool: ...
+
+    def log(self, level: str, text: str) -> None: ...
+
+    def event(self, kind: str, /, **fields: Any) -> None: ...
+
+    def call(self, function: Callable[[], None]) -> Any: ...
+
+    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...

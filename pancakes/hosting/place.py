@@ -1,0 +1,87 @@
+"""All that a service knows of one task that it hosts, or has ever had to do with."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.hosting.checkpoints import Written
+from pancakes.hosting.post import Post
+from pancakes.hosting.standing import Standing
+from pancakes.migration.ledger import Ledger
+from pancakes.migration.messages import Solicit
+from pancakes.migration.record import TaskId
+from pancakes.request import Request
+
+
+class Move(msgspec.Struct):
+    """A move that is under way.
+
+    Attributes:
+        request: what the neighbours are asked.
+        then: a task to start here once the other has gone.
+        answer: the request to answer; None where a rule asked.
+        dry_run: whether nothing is to be moved.
+        ledger: the account as it stands while a hand-off is under way; None before the first, and between two.
+    """
+
+    request: Solicit
+    then: str
+    answer: Request | None
+    dry_run: bool
+    ledger: Ledger | None = None
+
+    def take_ledger(self) -> Ledger | None:
+        """Returns the account as it stood: the hand-off has come to nothing."""
+        ledger, self.ledger = self.ledger, None
+        return ledger
+
+
+class Adoption(msgspec.Struct, frozen=True):
+    """A person has said that the task shall run here; the answer waits until that is decided.
+
+    Attributes:
+        request: the request to answer.
+        peer: the agent that is gone; empty: the record was lost.
+        reason: what was decided, as a sentence.
+        ledger: the account of the hand-off that was in doubt.
+    """
+
+    request: Request
+    peer: str
+    reason: str
+    ledger: Ledger | None
+
+
+class Place(msgspec.Struct):
+    """The place of one task, whether it runs here or has left only its record.
+
+    Its life is in its slot, as that of every task; a task without a slot has none.
+
+    Attributes:
+        task_id: the task.
+        standing: its record, and what its hand-off is about to do.
+        post: the letters that have come for it; None: none has.
+        written: what was written down of it last; None: nothing since it began.
+        came_from: the agent that it is on its way from; empty: none.
+        move: the move that was asked for; None: none.
+        ask_again_s: its rule leaves it alone until this host time.
+        adoption: the adoption that waits for its start; None: none.
+        forgetting: the requests to forget it that wait for the disk.
+        follows: the task that it is started after; None: none.
+    """
+
+    task_id: TaskId
+    standing: Standing
+    post: Post | None = None
+    written: Written | None = None
+    came_from: str = ""
+    move: Move | None = None
+    ask_again_s: float = 0.0
+    adoption: Adoption | None = None
+    forgetting: tuple[Request, ...] = ()
+    follows: TaskId | None = None
+
+    @property
+    def owes(self) -> bool:
+        """Whether something that the task has handled waits for the disk."""
+        return self.post is not None and bool(self.post.owed)
