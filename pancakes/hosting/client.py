@@ -9,16 +9,15 @@ from functools import partial
 from typing import Any, ClassVar, Final, assert_never
 
 import msgspec
-from msgspec.structs import replace
 
-from pancakes.arrays import alike
-from pancakes.closing import STUCK_S
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Stop
 from pancakes.errors import ControlRefused, PancakesError
+from pancakes.hosting.arrivals import Arrivals
 from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.checkpointing import Checkpointing
 from pancakes.hosting.decisions import Decisions
 from pancakes.hosting.deliveries import COURIER, CameFor, Deliveries
+from pancakes.hosting.departures import Departures
 from pancakes.hosting.hosting_effect import (
     AskRoom,
     Decided,
@@ -35,14 +34,11 @@ from pancakes.hosting.hosting_effect import (
 )
 from pancakes.hosting.hosting_event import (
     CameToRest,
-    NoPlace,
     NotPersisted,
     PartConcluded,
     Persisted,
-    PlaceFree,
     Room,
     StartConfigured,
-    StillOverdue,
     StoodStill,
     TakeUp,
 )
@@ -51,14 +47,12 @@ from pancakes.hosting.moves import Moves
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records
-from pancakes.hosting.snapshots import carried_of, settings_now, snapshot_of, spec_of
+from pancakes.hosting.snapshots import carried_of, snapshot_of, spec_of
 from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
 from pancakes.kernel.component import Component
 from pancakes.kernel.tell import tell
-from pancakes.life.life import CLOSES, RESTS
-from pancakes.life.life_event import Admitted, LeaveRefused
-from pancakes.migration.candidate import would_take
+from pancakes.life.life import RESTS
 from pancakes.migration.effect import (
     Ack,
     After,
@@ -68,26 +62,21 @@ from pancakes.migration.effect import (
     Persist,
     Resume,
     Send,
-    StartTask,
     Warn,
 )
-from pancakes.migration.event import FreezeFailed, Frozen, Received
-from pancakes.migration.messages import HandOffMessage, Transfer
+from pancakes.migration.messages import HandOffMessage
 from pancakes.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.migration.rest import rest_of
-from pancakes.migration.sequel import Sequel
 from pancakes.migration.snapshot import Posted, Snapshot
-from pancakes.packet import Fence, join
+from pancakes.packet import join
 from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.bidding_messages import Accounted, BidAwarded, Came, MigratorBegan, MoveOver, SendTo
 from pancakes.services.courier import Courier
 from pancakes.services.migrator import TaskMigrator
-from pancakes.settings import make_settings
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
-from pancakes.task_messages import Carried, GoOn, LetterGiven, Looked, StandStill, Stood
-from pancakes.weight import in_brief
+from pancakes.task_messages import Carried, LetterGiven, Looked, Stood
 
 MIGRATOR: Final = "network/TaskMigrator"
 
@@ -106,6 +95,7 @@ class ClientService(Service):
 
     Attributes:
         places: all tasks that it has ever had to do with.
+        residents: the names of those that its configuration has.
     """
 
     class Settings(msgspec.Struct):
@@ -127,7 +117,7 @@ class ClientService(Service):
         self._records = records
         self._catalogue = catalogue
         self.places = Places(self.agent, self.slots)
-        self._residents: frozenset[str] = frozenset()
+        self.residents: frozenset[str] = frozenset()
         self._events: deque[tuple[Place, AnyEvent]] = deque()
         self._turning = False
         self._writing = 0  # how many records wait for the disk
@@ -136,6 +126,8 @@ class ClientService(Service):
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
         self._moves = Moves(self)
+        self._arrivals = Arrivals(self, catalogue)
+        self._departures = Departures(self)
         self._decisions = Decisions(self, records, self._moves)
 
     @property
@@ -153,8 +145,8 @@ class ClientService(Service):
 
     def specs(self) -> Sequence[TaskSpec]:
         specs = list(super().specs())
-        self._residents = frozenset(spec.name for spec in specs)
-        for name in self._residents:
+        self.residents = frozenset(spec.name for spec in specs)
+        for name in self.residents:
             self._records.claim(TaskId(self.agent, name), self.name)
         for record in self._records.all().values():
             if record.service == self.name:
@@ -170,7 +162,7 @@ class ClientService(Service):
             return
         try:
             snapshot = Snapshot.decode(record.snapshot)
-            if task_id.name not in self._residents:
+            if task_id.name not in self.residents:
                 specs.append(spec_of(snapshot, self._catalogue))
         except (PancakesError, msgspec.ValidationError) as error:
             self.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
@@ -262,7 +254,7 @@ class ClientService(Service):
             case HandedOver():
                 self._moves.handed_over(place, effect)
             case OpenPlace():
-                self._open(place, effect.start)
+                self._arrivals.open(place, effect.start)
             case Unreserve():
                 self.kernel.registry.unreserve(self._address_of(place.task_id))
             case Decided():
@@ -271,9 +263,9 @@ class ClientService(Service):
             case Lasts():
                 self._decisions.written(place, effect.why_not)
             case Drop():
-                self._drop(place, slot, effect.ends)
+                self._departures.drop(place, slot, effect.ends)
             case Resume():
-                self._resume(place, slot)
+                self._departures.resume(place, slot)
             case AskRoom() | Prepare() | Rested() | Freeze() | TakeDown() | LetGoOn() | Vacate():
                 if slot is not None:
                     self._carry_out_at(slot, place, effect)
@@ -291,17 +283,17 @@ class ClientService(Service):
             case AskRoom():
                 self.feed_place(place, self._room(slot, place, effect))
             case Prepare():
-                self._prepare(slot, place, effect.start)
+                self._arrivals.prepare(slot, place, effect.start)
             case Rested():
                 self.rested(slot)
             case Freeze():
-                self._freeze(slot, place, effect)
+                self._departures.freeze(slot, place, effect)
             case TakeDown():
-                self._take_down(slot, place, effect)
+                self._departures.take_down(slot, place, effect)
             case LetGoOn():
-                self._let_go_on(slot)
+                self._departures.let_go_on(slot)
             case Vacate():
-                self._vacate(slot)
+                self._departures.vacate(slot)
             case _:
                 assert_never(effect)
 
@@ -349,45 +341,6 @@ class ClientService(Service):
         carries = slot.carried is not None or unborn(record)
         return Room(asked, snapshot=self.snapshot(slot, slot.carried) if carries else b"")
 
-    def _open(self, place: Place, start: StartTask) -> None:
-        if place.task_id.name in self.slots:
-            return  # the actor of a task of the same name that was given away has not ended yet
-        try:
-            self.open_slot(spec_of(Snapshot.decode(start.snapshot), self._catalogue))
-        except PancakesError as error:
-            self.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
-            self.feed_place(place, NoPlace(str(error)))
-        else:
-            self.feed_place(place, PlaceFree())
-
-    def _prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
-        snapshot = Snapshot.decode(start.snapshot)
-        place.written = None
-        slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
-        slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
-        for seq in snapshot.sent.values():
-            self.kernel.continue_seq(slot.address, seq + 1)
-        courier = self._courier()
-        if courier is not None:
-            courier.arrive(place.task_id, snapshot.posted, start.fresh)
-        if place.came_from:
-            self._moves.arrived(place)
-            state = in_brief(snapshot.state)
-            self.event("task_arrived", task=slot.name, source_agent=place.came_from, epoch=start.epoch.n, state=state)
-            place.came_from = ""
-        reason = CLOSES if self.closing else self.admit(slot)
-        reason = reason or self.kernel.registry.hold(slot.address, slot.spec.cls.requires)
-        self.feed_place(place, LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
-
-    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
-        """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
-        if slot.name not in self._residents or alike(snapshot.configured, slot.spec.settings):
-            return snapshot.settings
-        settings, names = settings_now(snapshot, slot.spec.settings)
-        if names:
-            self.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
-        return settings
-
     def spawn(self, slot: Slot) -> None:
         super().spawn(slot)
         # From here on the record is what counts, and this grows old.
@@ -423,72 +376,7 @@ class ClientService(Service):
         # What it has heard it has heard: its sender may not know yet, and sends that again.
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
-    # Standing still and leaving --------------------------------------------------------------------------------
-
-    def _freeze(self, slot: Slot, place: Place, effect: Freeze) -> None:
-        if slot.task is None:
-            self.feed_place(place, StoodStill(effect.offer, reason="it does not run"))
-            return
-        tell(slot.task, StandStill(effect.offer))
-        self.after_host(STUCK_S, partial(self.feed_place, place, StillOverdue(effect.offer)))
-
-    def _take_down(self, slot: Slot, place: Place, effect: TakeDown) -> None:
-        self.hold_actuators(slot, "its task is handed over")
-        courier = self._courier()
-        assert isinstance(effect.carried, Carried)
-        try:
-            posted = courier.leave(place.task_id) if courier is not None else None
-            snapshot = self.snapshot(slot, effect.carried, posted)
-        except PancakesError as error:
-            self._stay(place)
-            self._let_go_on(slot)
-            self.feed_place(place, FreezeFailed(effect.offer, str(error)))
-            return
-        self.event("task_frozen", task=slot.name, offer=effect.offer.n)
-        move = place.move
-        sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
-        self.feed_place(place, Frozen(effect.offer, snapshot, sequel))
-
-    def _let_go_on(self, slot: Slot) -> None:
-        if slot.task is not None:
-            tell(slot.task, GoOn())
-
-    def _stay(self, place: Place) -> None:
-        courier = self._courier()
-        if courier is not None:
-            courier.stay(place.task_id)
-
-    def _resume(self, place: Place, slot: Slot | None) -> None:
-        self._stay(place)
-        if slot is not None and slot.task is not None:
-            self.event("task_resumed", task=slot.name)
-            self._let_go_on(slot)
-
-    def _drop(self, place: Place, slot: Slot | None, ends: bool) -> None:
-        self.kernel.registry.unreserve(self._address_of(place.task_id))
-        # What it was, down to the last byte of its state, is elsewhere now.
-        place.came_from, place.post, place.written, place.ask_again_s = "", None, None, 0.0
-        courier = self._courier()
-        if courier is not None:
-            courier.gone(place.task_id, ends)
-        if ends and slot is not None:
-            # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
-            self.hold_actuators(slot, "its task was handed over")
-            self.kernel.registry.release(slot.address)
-
-    def _vacate(self, slot: Slot) -> None:
-        """A task was given away: what is left of it here is the tombstone in the journal."""
-        slot.carried = None
-        slot.mailbox.clear_data()
-        courier = self._courier()
-        if courier is not None and slot.fence is not None:
-            courier.ended(slot.fence.task_id)
-        if slot.name not in self._residents:
-            del self.slots[slot.name]
-        for other in self.places.named(slot.name):
-            self.feed_place(other, PlaceFree())
-
-    def _courier(self) -> Courier | None:
+    def courier(self) -> Courier | None:
         """Returns this agent's courier; None while it is being started anew."""
         return self.kernel.registry.get(join(self.agent, COURIER))  # type: ignore[return-value]
 
@@ -508,7 +396,7 @@ class ClientService(Service):
             case CameFor():
                 self._deliveries.arrived(message)
             case Came():
-                self._receive(message.peer, message.message, message.refusal)
+                self._arrivals.receive(message.peer, message.message, message.refusal)
             case BidAwarded():
                 self._moves.awarded(message)
             case Accounted():
@@ -520,36 +408,6 @@ class ClientService(Service):
             case _:
                 return super().on_receive(message)
         return None
-
-    def _receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
-        """Takes a hand-off message from a peer."""
-        place = self.places.of(message.task_id)
-        news = isinstance(message, Transfer) and would_take(place.standing.record, message.offer)
-        if isinstance(message, Transfer) and news and not refusal:
-            refusal = self._cannot_build(place, message)
-            if not refusal:
-                place.came_from = peer
-        self.feed_place(place, Received(peer, message, refusal))
-
-    def _cannot_build(self, place: Place, message: Transfer) -> str:
-        """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
-        try:
-            snapshot = Snapshot.decode(message.snapshot)
-            if snapshot.task_id != message.task_id:
-                return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
-            if snapshot.service != self.name:
-                return f"has a record of {message.task_id} in its service {self.name!r}, not in {snapshot.service!r}"
-            spec = spec_of(snapshot, self._catalogue)
-            make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
-            make_settings(spec.cls.State, snapshot.state, allow_nan=True)
-        except (PancakesError, msgspec.ValidationError) as error:
-            return str(error)
-        slot = self.slots.get(message.task_id.name)
-        if slot is not None:
-            there = self.places.at(slot)
-            if there is not place and not there.standing.leaving:
-                return f"has a task named {slot.name} already"
-        return self.kernel.registry.reserve(self._address_of(message.task_id), snapshot.requires)
 
     def _send(self, peer: str, message: HandOffMessage) -> None:
         self.tell_migrator(SendTo(peer, message))

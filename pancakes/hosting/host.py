@@ -12,7 +12,9 @@ from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.migration.snapshot import Posted
 from pancakes.request import Request
+from pancakes.services.courier import Courier
 from pancakes.slot import Slot
+from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
 
 
@@ -25,6 +27,8 @@ class Host(Protocol):
     name: str
     slots: dict[str, Slot]
     places: Places
+    residents: frozenset[str]
+    closing: bool
 
     @property
     def component(self) -> Component:
@@ -43,6 +47,11 @@ class Host(Protocol):
 
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
+
+    def courier(self) -> Courier | None:
+        """Returns this agent's courier; None while it is being started anew."""
+
+    def open_slot(self, spec: TaskSpec) -> Slot: ...
 
     def has_migrator(self) -> bool:
         """Returns whether the Task Migrator runs."""

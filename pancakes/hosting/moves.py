@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from pancakes.control import Migrate
 from pancakes.errors import ControlRefused, MigrationError
 from pancakes.hosting.host import Host
@@ -31,9 +29,6 @@ from pancakes.services.bidding_messages import (
     ServiceBegan,
 )
 from pancakes.slot import Slot
-
-SETTLE_S: Final = 10.0
-"""How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
 
 
 class Moves:
@@ -70,10 +65,6 @@ class Moves:
         except MigrationError as error:
             self._host.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
             return Sequel()
-
-    def arrived(self, place: Place) -> None:
-        """A task has come from another agent."""
-        place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
 
     # Asking for a move -----------------------------------------------------------------------------------------
 

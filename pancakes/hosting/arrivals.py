@@ -1,0 +1,119 @@
+"""What happens when a task arrives or begins: it is checked, gets a place, and what it begins with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.arrays import alike
+from pancakes.errors import PancakesError
+from pancakes.hosting.catalogue import Catalogue
+from pancakes.hosting.host import Host
+from pancakes.hosting.hosting_event import NoPlace, PlaceFree
+from pancakes.hosting.place import Place
+from pancakes.hosting.snapshots import carried_of, settings_now, spec_of
+from pancakes.life.life import CLOSES
+from pancakes.life.life_event import Admitted, LeaveRefused
+from pancakes.migration.candidate import would_take
+from pancakes.migration.effect import StartTask
+from pancakes.migration.event import Received
+from pancakes.migration.messages import HandOffMessage, Transfer
+from pancakes.migration.snapshot import Snapshot
+from pancakes.packet import Fence, join
+from pancakes.settings import make_settings
+from pancakes.slot import Slot
+from pancakes.weight import in_brief
+
+SETTLE_S: Final = 10.0
+"""How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
+
+
+class Arrivals:
+    """Takes tasks in, from other agents and from the journal. All in the service's actor.
+
+    Args:
+        host: the service.
+        catalogue: where the classes of tasks that arrive are found.
+    """
+
+    def __init__(self, host: Host, catalogue: Catalogue) -> None:
+        self._host = host
+        self._catalogue = catalogue
+
+    def receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
+        """Takes a hand-off message from a peer."""
+        place = self._host.places.of(message.task_id)
+        news = isinstance(message, Transfer) and would_take(place.standing.record, message.offer)
+        if isinstance(message, Transfer) and news and not refusal:
+            refusal = self._cannot_build(place, message)
+            if not refusal:
+                place.came_from = peer
+        self._host.feed_place(place, Received(peer, message, refusal))
+
+    def _cannot_build(self, place: Place, message: Transfer) -> str:
+        """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
+        try:
+            snapshot = Snapshot.decode(message.snapshot)
+            if snapshot.task_id != message.task_id:
+                return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
+            if snapshot.service != self._host.name:
+                return (
+                    f"has a record of {message.task_id} in its service {self._host.name!r}, not in {snapshot.service!r}"
+                )
+            spec = spec_of(snapshot, self._catalogue)
+            make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
+            make_settings(spec.cls.State, snapshot.state, allow_nan=True)
+        except (PancakesError, msgspec.ValidationError) as error:
+            return str(error)
+        slot = self._host.slots.get(message.task_id.name)
+        if slot is not None:
+            there = self._host.places.at(slot)
+            if there is not place and not there.standing.leaving:
+                return f"has a task named {slot.name} already"
+        return self._host.kernel.registry.reserve(join(self._host.address, message.task_id.name), snapshot.requires)
+
+    def open(self, place: Place, start: StartTask) -> None:
+        """Opens a place for a task among the tasks of the service."""
+        if place.task_id.name in self._host.slots:
+            return  # the actor of a task of the same name that was given away has not ended yet
+        try:
+            self._host.open_slot(spec_of(Snapshot.decode(start.snapshot), self._catalogue))
+        except PancakesError as error:
+            self._host.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
+            self._host.feed_place(place, NoPlace(str(error)))
+        else:
+            self._host.feed_place(place, PlaceFree())
+
+    def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
+        """Gives the place of a task what it begins with, and its actuators."""
+        snapshot = Snapshot.decode(start.snapshot)
+        place.written = None
+        slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
+        slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
+        for seq in snapshot.sent.values():
+            self._host.kernel.continue_seq(slot.address, seq + 1)
+        courier = self._host.courier()
+        if courier is not None:
+            courier.arrive(place.task_id, snapshot.posted, start.fresh)
+        if place.came_from:
+            place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
+            state = in_brief(snapshot.state)
+            self._host.event(
+                "task_arrived", task=slot.name, source_agent=place.came_from, epoch=start.epoch.n, state=state
+            )
+            place.came_from = ""
+        reason = CLOSES if self._host.closing else self._host.admit(slot)
+        reason = reason or self._host.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        self._host.feed_place(place, LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
+
+    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
+        """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
+        if slot.name not in self._host.residents or alike(snapshot.configured, slot.spec.settings):
+            return snapshot.settings
+        settings, names = settings_now(snapshot, slot.spec.settings)
+        if names:
+            self._host.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
+        return settings

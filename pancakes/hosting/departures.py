@@ -1,0 +1,98 @@
+"""What happens at the place of a task that is handed over: it stands still, goes on or leaves."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from pancakes.closing import STUCK_S
+from pancakes.errors import PancakesError
+from pancakes.hosting.host import Host
+from pancakes.hosting.hosting_effect import TakeDown
+from pancakes.hosting.hosting_event import PlaceFree, StillOverdue, StoodStill
+from pancakes.hosting.place import Place
+from pancakes.kernel.tell import tell
+from pancakes.migration.effect import Freeze
+from pancakes.migration.event import FreezeFailed, Frozen
+from pancakes.migration.sequel import Sequel
+from pancakes.packet import join
+from pancakes.slot import Slot
+from pancakes.task_messages import Carried, GoOn, StandStill
+
+
+class Departures:
+    """Carries out what hand-offs ask of tasks that leave one service. All in that service's actor.
+
+    Args:
+        host: the service.
+    """
+
+    def __init__(self, host: Host) -> None:
+        self._host = host
+
+    def freeze(self, slot: Slot, place: Place, effect: Freeze) -> None:
+        """Has a task stand still; it answers `StoodStill`."""
+        if slot.task is None:
+            self._host.feed_place(place, StoodStill(effect.offer, reason="it does not run"))
+            return
+        tell(slot.task, StandStill(effect.offer))
+        self._host.after_host(STUCK_S, partial(self._host.feed_place, place, StillOverdue(effect.offer)))
+
+    def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> None:
+        """Writes down a task that stands still, and holds its actuators."""
+        self._host.hold_actuators(slot, "its task is handed over")
+        courier = self._host.courier()
+        assert isinstance(effect.carried, Carried)
+        try:
+            posted = courier.leave(place.task_id) if courier is not None else None
+            snapshot = self._host.snapshot(slot, effect.carried, posted)
+        except PancakesError as error:
+            self._stay(place)
+            self.let_go_on(slot)
+            self._host.feed_place(place, FreezeFailed(effect.offer, str(error)))
+            return
+        self._host.event("task_frozen", task=slot.name, offer=effect.offer.n)
+        move = place.move
+        sequel = Sequel(move.then, move.ledger).encode() if move is not None else b""
+        self._host.feed_place(place, Frozen(effect.offer, snapshot, sequel))
+
+    def let_go_on(self, slot: Slot) -> None:
+        """Lets a task go on that stands still."""
+        if slot.task is not None:
+            tell(slot.task, GoOn())
+
+    def _stay(self, place: Place) -> None:
+        courier = self._host.courier()
+        if courier is not None:
+            courier.stay(place.task_id)
+
+    def resume(self, place: Place, slot: Slot | None) -> None:
+        """Lets a task go on that does not leave after all."""
+        self._stay(place)
+        if slot is not None and slot.task is not None:
+            self._host.event("task_resumed", task=slot.name)
+            self.let_go_on(slot)
+
+    def drop(self, place: Place, slot: Slot | None, ends: bool) -> None:
+        """Forgets what is owed for a task, and kept for it."""
+        self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
+        # What it was, down to the last byte of its state, is elsewhere now.
+        place.came_from, place.post, place.written, place.ask_again_s = "", None, None, 0.0
+        courier = self._host.courier()
+        if courier is not None:
+            courier.gone(place.task_id, ends)
+        if ends and slot is not None:
+            # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
+            self._host.hold_actuators(slot, "its task was handed over")
+            self._host.kernel.registry.release(slot.address)
+
+    def vacate(self, slot: Slot) -> None:
+        """A task was given away: what is left of it here is the tombstone in the journal."""
+        slot.carried = None
+        slot.mailbox.clear_data()
+        courier = self._host.courier()
+        if courier is not None and slot.fence is not None:
+            courier.ended(slot.fence.task_id)
+        if slot.name not in self._host.residents:
+            del self._host.slots[slot.name]
+        for other in self._host.places.named(slot.name):
+            self._host.feed_place(other, PlaceFree())
