@@ -20,9 +20,11 @@ from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, PluginError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.hosting.client import ClientService
-from pancakes.hosting.deliveries import COURIER
+from pancakes.hosting.courier import Courier
+from pancakes.hosting.courier_messages import COURIER
 from pancakes.hosting.records import KIND as RECORD
 from pancakes.hosting.records import Records
+from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
@@ -40,7 +42,6 @@ from pancakes.plugins import Plugins
 from pancakes.service import Service
 from pancakes.service_messages import Close
 from pancakes.service_spec import ServiceSpec
-from pancakes.services.courier import Courier
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.fences import Fences
 from pancakes.services.ledgers import Ledgers
@@ -181,7 +182,7 @@ class Agent:
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
-        self.outbox = Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name)
+        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         for channel in config.channels:
             self.kernel.stream.open(channel)
@@ -218,7 +219,12 @@ class Agent:
 
     def _spawn_courier(self) -> None:
         self.kernel.spawn(
-            Courier, join(self.name, COURIER), outbox=self.outbox, mesh=self.mesh, exited=self._courier_ended
+            Courier,
+            join(self.name, COURIER),
+            outbox=self.outbox,
+            records=self.records,
+            mesh=self.mesh,
+            exited=self._courier_ended,
         )
 
     def _courier_ended(self, courier: Component, error: BaseException | None) -> None:
@@ -492,6 +498,7 @@ class Agent:
             arguments["hosting"] = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
         if issubclass(cls, ClientService):
             arguments["catalogue"] = self
+            arguments["outbox"] = self.outbox
         return arguments
 
     def _device(self, config: DeviceConfig) -> DeviceSpec | None:

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from pancakes.arrays import alike
 from pancakes.errors import PancakesError
 from pancakes.hosting.catalogue import Catalogue
+from pancakes.hosting.courier_messages import SendUnsent
 from pancakes.hosting.host import Host
 from pancakes.hosting.hosting_event import NoPlace, PlaceFree
 from pancakes.hosting.place import Place
@@ -95,9 +96,9 @@ class Arrivals:
         slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
         for seq in snapshot.sent.values():
             self._host.kernel.continue_seq(slot.address, seq + 1)
-        courier = self._host.courier()
-        if courier is not None:
-            courier.arrive(place.task_id, snapshot.posted, start.fresh)
+        self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, self._host.kernel.host.now())
+        if snapshot.posted is not None:
+            self._host.tell_courier(SendUnsent())
         if place.came_from:
             place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
             state = in_brief(snapshot.state)

@@ -15,8 +15,9 @@ from pancakes.errors import ControlRefused, PancakesError
 from pancakes.hosting.arrivals import Arrivals
 from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.checkpointing import Checkpointing
+from pancakes.hosting.courier_messages import COURIER, CameFor
 from pancakes.hosting.decisions import Decisions
-from pancakes.hosting.deliveries import COURIER, CameFor, Deliveries
+from pancakes.hosting.deliveries import Deliveries
 from pancakes.hosting.departures import Departures
 from pancakes.hosting.hosting_effect import (
     AskRoom,
@@ -47,6 +48,7 @@ from pancakes.hosting.moves import Moves
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records
+from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.hosting.snapshots import carried_of, snapshot_of, spec_of
 from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
@@ -72,7 +74,6 @@ from pancakes.packet import join
 from pancakes.request import Request
 from pancakes.service import Service
 from pancakes.services.bidding_messages import Accounted, BidAwarded, Came, MigratorBegan, MoveOver, SendTo
-from pancakes.services.courier import Courier
 from pancakes.services.migrator import TaskMigrator
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
@@ -92,6 +93,7 @@ class ClientService(Service):
     Args:
         records: where the records are kept.
         catalogue: where the classes of tasks that arrive are found.
+        outbox: what its tasks have sent to others and is not acknowledged.
 
     Attributes:
         places: all tasks that it has ever had to do with.
@@ -112,10 +114,11 @@ class ClientService(Service):
     # A record must have been taken up before anything else is heard of its task.
     started_at_once: ClassVar[int] = sys.maxsize
 
-    def __init__(self, *args: Any, records: Records, catalogue: Catalogue, **others: Any) -> None:
+    def __init__(self, *args: Any, records: Records, catalogue: Catalogue, outbox: SharedOutbox, **others: Any) -> None:
         super().__init__(*args, **others)
         self._records = records
         self._catalogue = catalogue
+        self.outbox = outbox
         self.places = Places(self.agent, self.slots)
         self.residents: frozenset[str] = frozenset()
         self._events: deque[tuple[Place, AnyEvent]] = deque()
@@ -376,9 +379,11 @@ class ClientService(Service):
         # What it has heard it has heard: its sender may not know yet, and sends that again.
         slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
 
-    def courier(self) -> Courier | None:
-        """Returns this agent's courier; None while it is being started anew."""
-        return self.kernel.registry.get(join(self.agent, COURIER))  # type: ignore[return-value]
+    def tell_courier(self, message: object) -> None:
+        """Tells this agent's courier something; nothing, while it is being started anew."""
+        courier = self.kernel.registry.get(join(self.agent, COURIER))
+        if courier is not None:
+            tell(courier, message)
 
     # What others tell ------------------------------------------------------------------------------------------
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-import msgspec
 from msgspec.structs import replace
 
+from pancakes.hosting.courier_messages import CameFor, Say
 from pancakes.hosting.host import Host
 from pancakes.hosting.place import Place
 from pancakes.hosting.post import Post
@@ -19,36 +17,9 @@ from pancakes.migration.event import Arrived, PacketId
 from pancakes.migration.messages import Moved
 from pancakes.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.migration.record import TaskId
-from pancakes.packet import Packet, join
+from pancakes.packet import Packet
 from pancakes.task import Task
 from pancakes.task_messages import Give, LetterGiven, LetterOutcome, Look
-
-COURIER: Final = "kernel/Courier"
-"""Where on each agent the courier is."""
-
-
-class CameFor(msgspec.Struct, frozen=True):
-    """The courier tells a service that a packet has come for one of its tasks.
-
-    Attributes:
-        letter: the letter that it came in.
-        packet: what is in it; None: it cannot be read here.
-    """
-
-    letter: Letter
-    packet: Packet | None
-
-
-class Say(msgspec.Struct, frozen=True):
-    """A service tells the courier to tell that of another agent something.
-
-    Attributes:
-        peer: the other agent.
-        body: what to tell it.
-    """
-
-    peer: str
-    body: Letter | Receipt | ForwardTo
 
 
 class Deliveries:
@@ -153,6 +124,4 @@ class Deliveries:
         self._say(sender, Receipt(str(place.task_id), packet.stream, packet.seq, epoch_n))
 
     def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
-        courier = self._host.kernel.registry.get(join(self._host.agent, COURIER))
-        if courier is not None:
-            tell(courier, Say(peer, body))
+        self._host.tell_courier(Say(peer, body))

@@ -40,13 +40,11 @@ class Departures:
     def take_down(self, slot: Slot, place: Place, effect: TakeDown) -> None:
         """Writes down a task that stands still, and holds its actuators."""
         self._host.hold_actuators(slot, "its task is handed over")
-        courier = self._host.courier()
         assert isinstance(effect.carried, Carried)
         try:
-            posted = courier.leave(place.task_id) if courier is not None else None
-            snapshot = self._host.snapshot(slot, effect.carried, posted)
+            snapshot = self._host.snapshot(slot, effect.carried, self._host.outbox.leave(place.task_id))
         except PancakesError as error:
-            self._stay(place)
+            self._host.outbox.stay(place.task_id)
             self.let_go_on(slot)
             self._host.feed_place(place, FreezeFailed(effect.offer, str(error)))
             return
@@ -60,14 +58,9 @@ class Departures:
         if slot.task is not None:
             tell(slot.task, GoOn())
 
-    def _stay(self, place: Place) -> None:
-        courier = self._host.courier()
-        if courier is not None:
-            courier.stay(place.task_id)
-
     def resume(self, place: Place, slot: Slot | None) -> None:
         """Lets a task go on that does not leave after all."""
-        self._stay(place)
+        self._host.outbox.stay(place.task_id)
         if slot is not None and slot.task is not None:
             self._host.event("task_resumed", task=slot.name)
             self.let_go_on(slot)
@@ -77,9 +70,7 @@ class Departures:
         self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
         # What it was, down to the last byte of its state, is elsewhere now.
         place.came_from, place.post, place.written, place.ask_again_s = "", None, None, 0.0
-        courier = self._host.courier()
-        if courier is not None:
-            courier.gone(place.task_id, ends)
+        self._host.outbox.gone(place.task_id, ends)
         if ends and slot is not None:
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.
             self._host.hold_actuators(slot, "its task was handed over")
@@ -89,9 +80,8 @@ class Departures:
         """A task was given away: what is left of it here is the tombstone in the journal."""
         slot.carried = None
         slot.mailbox.clear_data()
-        courier = self._host.courier()
-        if courier is not None and slot.fence is not None:
-            courier.ended(slot.fence.task_id)
+        if slot.fence is not None:
+            self._host.outbox.ended(slot.fence.task_id)
         if slot.name not in self._host.residents:
             del self._host.slots[slot.name]
         for other in self._host.places.named(slot.name):

@@ -7,12 +7,12 @@ from typing import Any, Protocol
 
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
+from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.hosting.turn import AnyEvent
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.migration.snapshot import Posted
 from pancakes.request import Request
-from pancakes.services.courier import Courier
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
@@ -28,6 +28,7 @@ class Host(Protocol):
     slots: dict[str, Slot]
     places: Places
     residents: frozenset[str]
+    outbox: SharedOutbox
     closing: bool
 
     @property
@@ -48,8 +49,8 @@ class Host(Protocol):
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
 
-    def courier(self) -> Courier | None:
-        """Returns this agent's courier; None while it is being started anew."""
+    def tell_courier(self, message: object) -> None:
+        """Tells this agent's courier something; nothing, while it is being started anew."""
 
     def open_slot(self, spec: TaskSpec) -> Slot: ...
 

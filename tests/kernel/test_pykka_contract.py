@@ -13,12 +13,12 @@ from pykka._envelope import Envelope
 from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr, _ActorStop
 
 from pancakes.clock import MissionClock, MonotonicClock
+from pancakes.hosting.client import ClientService
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.timer import Timer
 from pancakes.plugins import Plugins
 from pancakes.service import Service
-from pancakes.hosting.client import ClientService
 from pancakes.services.device import DeviceTask
 from pancakes.services.log import Console
 from pancakes.services.migrator import TaskMigrator

@@ -4,8 +4,8 @@ import pytest
 
 from pancakes.control import Describe, Reply, Restart, Start, Stop
 from pancakes.devices.types import Pose
-from pancakes.kernel.handlers import on
 from pancakes.hosting.client import ClientService
+from pancakes.kernel.handlers import on
 from pancakes.task import Task
 from pancakes.testing import AgentInTest, FleetInTest
 

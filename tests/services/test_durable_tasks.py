@@ -6,10 +6,10 @@ import pytest
 
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
 from pancakes.devices.types import Load, Pose
+from pancakes.hosting.client import ClientService
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.migration.record import Record, Wanted
 from pancakes.service import Service
-from pancakes.hosting.client import ClientService
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent
 from pancakes.testing.faults import DISK_FULL

@@ -6,11 +6,11 @@ import pytest
 
 from pancakes.control import Migrate, Start, Stop
 from pancakes.devices.types import Load, Pose
+from pancakes.hosting.client import ClientService
 from pancakes.kernel.handlers import on
 from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import Phase, TaskId
 from pancakes.service import Service
-from pancakes.hosting.client import ClientService
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest
 

@@ -9,9 +9,9 @@ from pancakes.control import Describe, Reply, Restart, Start, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Load
 from pancakes.events import Event
+from pancakes.hosting.client import ClientService
 from pancakes.kernel.handlers import on
 from pancakes.service import Service
-from pancakes.hosting.client import ClientService
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest, no_thread_left, threaded_agent
 

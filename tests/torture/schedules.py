@@ -27,14 +27,14 @@ from pancakes.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
+from pancakes.hosting.client import ClientService
+from pancakes.hosting.records import KIND
 from pancakes.journal import JournalEntry
 from pancakes.kernel.mailbox import Mailbox
 from pancakes.migration.record import Phase, Record, Wanted
 from pancakes.net.memory import Quality
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
 from pancakes.plugins import Plugins
-from pancakes.hosting.client import ClientService
-from pancakes.hosting.records import KIND
 from pancakes.testing import Probe, config_of, registered
 
 ROBOTS = ("a", "b", "c")

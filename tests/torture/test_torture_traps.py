@@ -14,9 +14,9 @@ from torture.tally import Tally
 from torture.traps import Field, Trap
 from torture.waits import Waits
 
+from pancakes.hosting.records import KIND
 from pancakes.journal import FileJournal, JournalEntry, JournalError
 from pancakes.migration.record import Phase, Record, TaskId
-from pancakes.hosting.records import KIND
 
 TASK = TaskId("a", "One")
 
