@@ -22,6 +22,9 @@ from pancakes.events import Event
 from pancakes.hosting.client import ClientService
 from pancakes.hosting.courier import Courier
 from pancakes.hosting.courier_messages import COURIER
+from pancakes.hosting.host_state import HostState
+from pancakes.hosting.ledgers import Ledgers
+from pancakes.hosting.load import describe_process
 from pancakes.hosting.records import KIND as RECORD
 from pancakes.hosting.records import Records
 from pancakes.hosting.shared_outbox import SharedOutbox
@@ -40,14 +43,11 @@ from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
 from pancakes.service import Service
-from pancakes.service_messages import Close
+from pancakes.service_messages import Close, PeerDown
 from pancakes.service_spec import ServiceSpec
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.fences import Fences
-from pancakes.services.ledgers import Ledgers
-from pancakes.services.load import describe_process
 from pancakes.services.log import LogService
-from pancakes.services.migrator import Hosting, TaskMigrator
 from pancakes.services.network import NetworkService
 from pancakes.services.root import Root
 from pancakes.services.wanted_recordings import wanted_recordings
@@ -93,6 +93,7 @@ class Agent:
         store: writes to its journal.
         skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
         outbox: what its tasks have sent to tasks, until that is acknowledged.
+        host_state: what it could be to a task from elsewhere.
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
@@ -154,6 +155,7 @@ class Agent:
         self.records = Records(disk)
         self.resting = self._resting()
         self.ledgers = Ledgers(disk, self.kernel.log)
+        self.host_state = HostState(self.kernel, self.config.agent.role, self._has_type, self._costs, self.records)
         # Each kind of record on disk, the services that work with it, and the argument by which they get it.
         self._kept: tuple[tuple[Any, type[Service], str], ...] = (
             (self.records, ClientService, "records"),
@@ -358,18 +360,11 @@ class Agent:
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
             "process": self._process() if self.kernel.virtual is None else None,
-            **self._condition(),
+            **self.host_state.describe(),
         }
 
     def _process(self) -> dict[str, Any]:
         return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
-
-    def _condition(self) -> dict[str, Any]:
-        migrator = self.kernel.registry.get(join(self.name, "network", "TaskMigrator"))
-        if not isinstance(migrator, TaskMigrator):
-            return {"load": None, "battery_level": None}
-        load = migrator.measured
-        return {"load": msgspec.to_builtins(load), "battery_level": migrator.battery_level}
 
     # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
 
@@ -422,9 +417,9 @@ class Agent:
             self._clients.discard(name)
         else:
             self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
-        service = self.kernel.registry.get(join(self.name, "network"))
-        if isinstance(service, NetworkService):
-            service.call(lambda: service.peer_down(name))
+        for component in self.kernel.registry.components():
+            if isinstance(component, (NetworkService, ClientService)):
+                tell(component, PeerDown(name))
 
     # Composition -----------------------------------------------------------------------------------------------
 
@@ -495,10 +490,12 @@ class Agent:
             arguments["record"] = asdict(record) if record is not None else None
         elif issubclass(cls, NetworkService):
             arguments["mesh"] = self.mesh
-            arguments["hosting"] = Hosting(self.config.agent.role, self._has_type, self._costs, self.records.service_of)
+            arguments["state"] = self.host_state
         if issubclass(cls, ClientService):
             arguments["catalogue"] = self
             arguments["outbox"] = self.outbox
+            arguments["mesh"] = self.mesh
+            arguments["state"] = self.host_state
         return arguments
 
     def _device(self, config: DeviceConfig) -> DeviceSpec | None:

@@ -45,3 +45,13 @@ class ServiceEnded(msgspec.Struct, frozen=True):
     error: BaseException | None
     kept: Mapping[str, Carried]
     unheard: tuple[Request, ...]
+
+
+class PeerDown(msgspec.Struct, frozen=True):
+    """The agent tells the services that have to do with other agents that one has gone.
+
+    Attributes:
+        peer: the other agent.
+    """
+
+    peer: str

@@ -13,15 +13,17 @@ from pancakes.errors import PancakesError
 from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.courier_messages import SendUnsent
 from pancakes.hosting.host import Host
+from pancakes.hosting.host_state import HostState
 from pancakes.hosting.hosting_event import NoPlace, PlaceFree
 from pancakes.hosting.place import Place
+from pancakes.hosting.records import Records
 from pancakes.hosting.snapshots import carried_of, settings_now, spec_of
 from pancakes.life.life import CLOSES
 from pancakes.life.life_event import Admitted, LeaveRefused
 from pancakes.migration.candidate import would_take
 from pancakes.migration.effect import StartTask
 from pancakes.migration.event import Received
-from pancakes.migration.messages import HandOffMessage, Transfer
+from pancakes.migration.messages import HandOffMessage, Reserve, Transfer
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.settings import make_settings
@@ -38,20 +40,29 @@ class Arrivals:
     Args:
         host: the service.
         catalogue: where the classes of tasks that arrive are found.
+        records: says which service has the record of a task.
+        state: says whether this agent can take a task.
     """
 
-    def __init__(self, host: Host, catalogue: Catalogue) -> None:
+    def __init__(self, host: Host, catalogue: Catalogue, records: Records, state: HostState) -> None:
         self._host = host
         self._catalogue = catalogue
+        self._records = records
+        self._state = state
 
-    def receive(self, peer: str, message: HandOffMessage, refusal: str) -> None:
+    def receive(self, peer: str, message: HandOffMessage) -> None:
         """Takes a hand-off message from a peer."""
+        if self._records.service_of(message.task_id) not in ("", self._host.name) and not _asks(message):
+            return  # the service that has its record answers, once it is asked
         place = self._host.places.of(message.task_id)
-        news = isinstance(message, Transfer) and would_take(place.standing.record, message.offer)
-        if isinstance(message, Transfer) and news and not refusal:
-            refusal = self._cannot_build(place, message)
-            if not refusal:
-                place.came_from = peer
+        refusal = ""
+        if isinstance(message, Reserve):
+            refusal = self._state.reserve(peer, message)
+        elif isinstance(message, Transfer):
+            self._state.free(message.task_id)
+            if would_take(place.standing.record, message.offer):
+                refusal = self._cannot_build(place, message)
+                place.came_from = "" if refusal else peer
         self._host.feed_place(place, Received(peer, message, refusal))
 
     def _cannot_build(self, place: Place, message: Transfer) -> str:
@@ -60,10 +71,9 @@ class Arrivals:
             snapshot = Snapshot.decode(message.snapshot)
             if snapshot.task_id != message.task_id:
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
-            if snapshot.service != self._host.name:
-                return (
-                    f"has a record of {message.task_id} in its service {self._host.name!r}, not in {snapshot.service!r}"
-                )
+            here = self._records.service_of(message.task_id) or self._host.name
+            if not here == snapshot.service == self._host.name:
+                return f"has a record of {message.task_id} in its service {here!r}, not in {snapshot.service!r}"
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
@@ -118,3 +128,8 @@ class Arrivals:
         if names:
             self._host.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
         return settings
+
+
+def _asks(message: HandOffMessage) -> bool:
+    """Returns whether a message asks this agent to take a task."""
+    return isinstance(message, (Reserve, Transfer))

@@ -13,12 +13,15 @@ import msgspec
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Stop
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.hosting.arrivals import Arrivals
+from pancakes.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.hosting.carrier import Carrier
 from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.checkpointing import Checkpointing
 from pancakes.hosting.courier_messages import COURIER, CameFor
 from pancakes.hosting.decisions import Decisions
 from pancakes.hosting.deliveries import Deliveries
 from pancakes.hosting.departures import Departures
+from pancakes.hosting.host_state import HostState
 from pancakes.hosting.hosting_effect import (
     AskRoom,
     Decided,
@@ -36,7 +39,6 @@ from pancakes.hosting.hosting_effect import (
 from pancakes.hosting.hosting_event import (
     CameToRest,
     NotPersisted,
-    PartConcluded,
     Persisted,
     Room,
     StartConfigured,
@@ -53,6 +55,8 @@ from pancakes.hosting.snapshots import carried_of, snapshot_of, spec_of
 from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
 from pancakes.kernel.component import Component
+from pancakes.kernel.handlers import on
+from pancakes.kernel.keep import reliable
 from pancakes.kernel.tell import tell
 from pancakes.life.life import RESTS
 from pancakes.migration.effect import (
@@ -66,20 +70,22 @@ from pancakes.migration.effect import (
     Send,
     Warn,
 )
-from pancakes.migration.messages import HandOffMessage
+from pancakes.migration.messages import Abort, Activated, Commit, Nak, Piece, Prepared, Reserve, Reserved, Unknown
 from pancakes.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
-from pancakes.packet import join
+from pancakes.net.mesh import Mesh
+from pancakes.packet import NETWORK, Packet, agent_of, join
 from pancakes.request import Request
 from pancakes.service import Service
-from pancakes.services.bidding_messages import Accounted, BidAwarded, Came, MigratorBegan, MoveOver, SendTo
-from pancakes.services.migrator import TaskMigrator
+from pancakes.service_messages import PeerDown
 from pancakes.slot import Slot
 from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried, LetterGiven, Looked, Stood
 
 MIGRATOR: Final = "network/TaskMigrator"
+KEEP: Final = reliable(1024)
+"""Of each type of hand-off message; each is said again where it is needed."""
 
 
 class ClientService(Service):
@@ -94,6 +100,8 @@ class ClientService(Service):
         records: where the records are kept.
         catalogue: where the classes of tasks that arrive are found.
         outbox: what its tasks have sent to others and is not acknowledged.
+        state: what this agent could be to a task from elsewhere.
+        mesh: says what neighbours are connected.
 
     Attributes:
         places: all tasks that it has ever had to do with.
@@ -114,11 +122,22 @@ class ClientService(Service):
     # A record must have been taken up before anything else is heard of its task.
     started_at_once: ClassVar[int] = sys.maxsize
 
-    def __init__(self, *args: Any, records: Records, catalogue: Catalogue, outbox: SharedOutbox, **others: Any) -> None:
+    def __init__(
+        self,
+        *args: Any,
+        records: Records,
+        catalogue: Catalogue,
+        outbox: SharedOutbox,
+        state: HostState,
+        mesh: Mesh,
+        **others: Any,
+    ) -> None:
         super().__init__(*args, **others)
         self._records = records
         self._catalogue = catalogue
         self.outbox = outbox
+        self.state = state
+        self._carrier = Carrier(self, mesh)
         self.places = Places(self.agent, self.slots)
         self.residents: frozenset[str] = frozenset()
         self._events: deque[tuple[Place, AnyEvent]] = deque()
@@ -129,7 +148,7 @@ class ClientService(Service):
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
         self._moves = Moves(self)
-        self._arrivals = Arrivals(self, catalogue)
+        self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
         self._decisions = Decisions(self, records, self._moves)
 
@@ -147,6 +166,7 @@ class ClientService(Service):
                 self.open_channel(channel)
 
     def specs(self) -> Sequence[TaskSpec]:
+        self.state.begin(self.name)
         specs = list(super().specs())
         self.residents = frozenset(spec.name for spec in specs)
         for name in self.residents:
@@ -160,6 +180,7 @@ class ClientService(Service):
         """Takes up a record that was on disk; adds its task, where the configuration does not have it."""
         task_id = record.task_id
         self.places.add(record)
+        self.state.entered(self.name, record)
         self._moves.found(record)
         if not record.snapshot:
             return
@@ -229,7 +250,7 @@ class ClientService(Service):
         self._end_if_written()
 
     def _step(self, place: Place, event: AnyEvent) -> None:
-        slot = self.places.slot_of(place)
+        slot, record = self.places.slot_of(place), place.standing.record
         at = Moment(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
         life, place.standing, effects = step(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
@@ -239,13 +260,27 @@ class ClientService(Service):
                 self._carry_out(place, effect, slot)
             elif slot is not None:
                 self.keeper.carry_out(slot, effect)
+        if place.standing.record is not record:
+            self._note(place)
+
+    def _note(self, place: Place) -> None:
+        """Keeps true what others know of the tasks here."""
+        name = place.task_id.name
+        slot = self.slots.get(name)
+        self.state.entered(self.name, place.standing.record)
+        self.state.host(self.name, name, self.places.id_of(slot) if slot is not None else None)
+
+    def open_slot(self, spec: TaskSpec) -> Slot:
+        slot = super().open_slot(spec)
+        self.state.host(self.name, spec.name, self.places.id_of(slot))
+        return slot
 
     def _carry_out(self, place: Place, effect: HostingEffect, slot: Slot | None) -> None:
         match effect:
             case Persist():
                 self._persist(place, effect.record)
             case Send():
-                self._send(effect.peer, effect.message)
+                self._carrier.send(effect.peer, effect.message)
             case After():
                 self.after_host(effect.drawn_s(self.random), partial(self.feed_place, place, effect.event))
             case Warn():
@@ -400,12 +435,12 @@ class ClientService(Service):
                 self._deliveries.given(message)
             case CameFor():
                 self._deliveries.arrived(message)
-            case Came():
-                self._arrivals.receive(message.peer, message.message, message.refusal)
+            case PeerDown():
+                self._carrier.drop(message.peer)
             case BidAwarded():
                 self._moves.awarded(message)
             case Accounted():
-                self.feed_place(self.places.of(message.task_id), PartConcluded())
+                self._moves.accounted(message)
             case MoveOver():
                 self._moves.over(message)
             case MigratorBegan():
@@ -414,23 +449,29 @@ class ClientService(Service):
                 return super().on_receive(message)
         return None
 
-    def _send(self, peer: str, message: HandOffMessage) -> None:
-        self.tell_migrator(SendTo(peer, message))
-
-    def migrator(self) -> TaskMigrator | None:
-        """Returns the Task Migrator; None: it does not run."""
-        component = self.kernel.registry.get(join(self.agent, MIGRATOR))
-        return component if isinstance(component, TaskMigrator) else None
-
-    def has_migrator(self) -> bool:
-        return self.migrator() is not None
+    @on(NETWORK, Reserve, keep=KEEP, addressed=True)
+    @on(NETWORK, Reserved, keep=KEEP, addressed=True)
+    @on(NETWORK, Piece, keep=KEEP, addressed=True)
+    @on(NETWORK, Nak, keep=KEEP, addressed=True)
+    @on(NETWORK, Prepared, keep=KEEP, addressed=True)
+    @on(NETWORK, Commit, keep=KEEP, addressed=True)
+    @on(NETWORK, Activated, keep=KEEP, addressed=True)
+    @on(NETWORK, Abort, keep=KEEP, addressed=True)
+    @on(NETWORK, Unknown, keep=KEEP, addressed=True)
+    def on_hand_off(self, packet: Packet) -> None:
+        """Takes a hand-off message in."""
+        message = self._carrier.take(packet)
+        if message is not None:
+            self._arrivals.receive(agent_of(packet.source), message)
 
     def connected(self, peer: str) -> bool:
-        migrator = self.migrator()
-        return migrator is not None and migrator.connected(peer)
+        return self._carrier.connected(peer)
+
+    def has_migrator(self) -> bool:
+        return self.kernel.registry.get(join(self.agent, MIGRATOR)) is not None
 
     def tell_migrator(self, message: object) -> None:
-        migrator = self.migrator()
+        migrator = self.kernel.registry.get(join(self.agent, MIGRATOR))
         if migrator is not None:
             tell(migrator, message)
 
@@ -488,14 +529,6 @@ class ClientService(Service):
         return told
 
     def refuse_stop(self) -> str:
-        for place in self.places:
-            if place.standing.record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
-                return f"{self.address} must not stop while {place.task_id} is being handed over"
+        for task_id in self.state.under_way(self.name):
+            return f"{self.address} must not stop while {task_id} is being handed over"
         return ""
-
-    # For the Task Migrator and the courier -------------------------------------------------------------------
-
-    def knows(self, task_id: TaskId) -> bool:
-        """Returns whether this service has a record of the task. Any thread."""
-        place = self.places.find(task_id)
-        return place is not None and not unborn(place.standing.record)

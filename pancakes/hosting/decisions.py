@@ -5,6 +5,7 @@ from __future__ import annotations
 from pancakes.control import Adopt, Forget
 from pancakes.errors import ControlRefused
 from pancakes.hosting import adoption
+from pancakes.hosting.bidding_messages import AttemptOver
 from pancakes.hosting.host import Host
 from pancakes.hosting.lost import Lost
 from pancakes.hosting.moves import Moves
@@ -14,7 +15,6 @@ from pancakes.migration.event import Adopt as RunHere
 from pancakes.migration.event import Forget as LetRest
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.request import Request
-from pancakes.services.bidding_messages import AttemptOver
 
 
 class Decisions:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from pancakes.hosting.host_state import HostState
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.shared_outbox import SharedOutbox
@@ -29,6 +30,7 @@ class Host(Protocol):
     places: Places
     residents: frozenset[str]
     outbox: SharedOutbox
+    state: HostState
     closing: bool
 
     @property

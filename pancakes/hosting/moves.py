@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from pancakes.control import Migrate
 from pancakes.errors import ControlRefused, MigrationError
+from pancakes.hosting.bidding_messages import (
+    Accounted,
+    AttemptOver,
+    BidAwarded,
+    BrokenOff,
+    HasMoved,
+    MoveOver,
+    Negotiate,
+    ServiceBegan,
+)
 from pancakes.hosting.host import Host
 from pancakes.hosting.hosting_event import PartConcluded, StartWanted
 from pancakes.hosting.place import Move, Place
@@ -19,15 +29,6 @@ from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.sequel import Sequel
 from pancakes.packet import SYSTEM, Packet, agent_of
 from pancakes.request import Request
-from pancakes.services.bidding_messages import (
-    AttemptOver,
-    BidAwarded,
-    BrokenOff,
-    HasMoved,
-    MoveOver,
-    Negotiate,
-    ServiceBegan,
-)
 from pancakes.slot import Slot
 
 
@@ -166,7 +167,9 @@ class Moves:
         A hand-off under way goes on without it, and with it the move.
         """
         for place in self._host.places:
-            if place.move is not None and place.move.ledger is None:
+            if place.account is not None:
+                self._host.tell_migrator(place.account)
+            elif place.move is not None and place.move.ledger is None:
                 self.over(MoveOver(place.task_id, "the Task Migrator was started anew", None))
 
     # What hand-offs ask for ------------------------------------------------------------------------------------
@@ -188,16 +191,19 @@ class Moves:
     def _conclude(self, place: Place, effect: HandedOver, sequel: Sequel) -> None:
         host, task_id, peer = self._host, place.task_id, effect.peer
         anew = f"the Task Migrator of {host.agent}" if place.move is not None else host.address
-        if host.has_migrator():
-            note = (
-                f"{anew} was started anew while the task was on its way, so the duration ends with the choice of {peer}"
-            )
-            message = HasMoved(self._host.component, task_id, peer, str(effect.epoch), sequel.ledger, note)
-            host.tell_migrator(message)
-        else:
-            host.log("warning", f"the move of {task_id} to {peer} leaves no account: the Network Service is stopped")
-            host.feed_place(place, PartConcluded())
+        on_its_way = f"{anew} was started anew while the task was on its way"
+        note = f"{on_its_way}, so the duration ends with the choice of {peer}"
+        # Where the migrator does not run, it is told once it does.
+        place.account = HasMoved(host.component, task_id, peer, str(effect.epoch), sequel.ledger, note)
+        host.tell_migrator(place.account)
         self._follow(sequel.then, place)
+
+    def accounted(self, accounted: Accounted) -> None:
+        """The account of a move is kept."""
+        place = self._host.places.of(accounted.task_id)
+        if place.account is not None:
+            place.account = None
+            self._host.feed_place(place, PartConcluded())
 
     def _follow(self, name: str, gone: Place) -> None:
         """Starts a task because another one has gone; once its record says that it is wanted, that is concluded."""

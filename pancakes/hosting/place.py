@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
+from pancakes.hosting.bidding_messages import HasMoved
 from pancakes.hosting.checkpoints import Written
 from pancakes.hosting.post import Post
 from pancakes.hosting.standing import Standing
@@ -65,6 +66,7 @@ class Place(msgspec.Struct):
         came_from: the agent that it is on its way from; empty: none.
         move: the move that was asked for; None: none.
         ask_again_s: its rule leaves it alone until this host time.
+        account: the account of its move, which the Task Migrator has not kept yet; None: there is none.
         adoption: the adoption that waits for its start; None: none.
         forgetting: the requests to forget it that wait for the disk.
         follows: the task that it is started after; None: none.
@@ -77,6 +79,7 @@ class Place(msgspec.Struct):
     came_from: str = ""
     move: Move | None = None
     ask_again_s: float = 0.0
+    account: HasMoved | None = None
     adoption: Adoption | None = None
     forgetting: tuple[Request, ...] = ()
     follows: TaskId | None = None

@@ -10,16 +10,17 @@ from msgspec import Meta, Struct, field
 
 from pancakes.control import Follow, Stop, Unfollow
 from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
+from pancakes.hosting.bidding import TaskMigrator
+from pancakes.hosting.host_state import HostState
+from pancakes.hosting.ledgers import Ledgers
 from pancakes.kernel.handlers import Tick, every
-from pancakes.kernel.tell import tell
 from pancakes.net.busy_poll import BUSY_POLL_S
 from pancakes.net.mesh import Mesh
-from pancakes.packet import Packet, agent_of, join
+from pancakes.packet import Packet, agent_of
 from pancakes.request import Request
 from pancakes.service import Service
+from pancakes.service_messages import PeerDown
 from pancakes.services.follower import LEAST_HZ, Follower
-from pancakes.services.ledgers import Ledgers
-from pancakes.services.migrator import Hosting, PeerDown, TaskMigrator
 from pancakes.slot import Slot
 from pancakes.task import Task, TaskSpec
 from pancakes.wire.link import LinkTimes
@@ -102,10 +103,10 @@ class NetworkService(Service):
         insecure: bool = False
         transport: dict[str, bool | int | float | str] = field(default_factory=dict)
 
-    def __init__(self, *args: Any, mesh: Mesh, hosting: Hosting, ledgers: Ledgers, **others: Any) -> None:
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)
         self._mesh = mesh
-        self._hosting = hosting
+        self._state = state
         self._ledgers = ledgers
         self._followers: dict[tuple[str, str], Follower] = {}
         self._for_s: float | None = None  # how long it is to sleep, in mission time
@@ -115,9 +116,7 @@ class NetworkService(Service):
         return [
             TaskSpec(CLIENT, NetworkClient, arguments=mesh),
             TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
-            TaskSpec(
-                "TaskMigrator", TaskMigrator, arguments={**mesh, "hosting": self._hosting, "ledgers": self._ledgers}
-            ),
+            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, "state": self._state, "ledgers": self._ledgers}),
         ]
 
     def on_start(self) -> None:
@@ -147,10 +146,8 @@ class NetworkService(Service):
             if isinstance(component, Task) and networked.intersection(component.requires):
                 needed = ", ".join(sorted(networked.intersection(component.requires)))
                 return f"{self.address} must not sleep while {component.address} needs {needed} from elsewhere"
-        migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
-        if isinstance(migrator, TaskMigrator):
-            return migrator.refuse_stop()
-        return ""
+        moving = ", ".join(map(str, dict.fromkeys((*self._state.negotiated, *self._state.under_way()))))
+        return f"the network of {self.agent} must not sleep while {moving} is being moved" if moving else ""
 
     def links(self) -> list[dict[str, Any]]:
         """Returns what is to be known about the links to other agents, as plain values. Any thread."""
@@ -160,14 +157,13 @@ class NetworkService(Service):
         """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
         return [by for followed, by in list(self._followers) if followed == channel]
 
-    def peer_down(self, name: str) -> None:
-        """Forgets what a peer followed that has gone. In this actor."""
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, PeerDown):
+            return super().on_receive(message)
         for channel, by in list(self._followers):
-            if agent_of(by) == name:
+            if agent_of(by) == message.peer:
                 self._unfollow(channel, by)
-        migrator = self.kernel.registry.get(join(self.address, "TaskMigrator"))
-        if isinstance(migrator, TaskMigrator):
-            tell(migrator, PeerDown(name))
+        return None
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
         if isinstance(body, Follow):

@@ -13,6 +13,7 @@ from pykka._envelope import Envelope
 from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr, _ActorStop
 
 from pancakes.clock import MissionClock, MonotonicClock
+from pancakes.hosting.bidding import TaskMigrator
 from pancakes.hosting.client import ClientService
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
@@ -21,7 +22,6 @@ from pancakes.plugins import Plugins
 from pancakes.service import Service
 from pancakes.services.device import DeviceTask
 from pancakes.services.log import Console
-from pancakes.services.migrator import TaskMigrator
 from pancakes.services.network import Discovery, NetworkClient
 from pancakes.services.root import Root
 from pancakes.task import Task, every

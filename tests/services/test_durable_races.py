@@ -7,11 +7,10 @@ import pytest
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Load, Twist
-from pancakes.kernel.tell import tell
-from pancakes.migration.messages import Transfer
+from pancakes.migration.messages import Transfer, addressed
+from pancakes.migration.pieces import cut
 from pancakes.migration.record import Epoch, Phase, TaskId, Wanted
 from pancakes.net.memory import Quality
-from pancakes.services.bidding_messages import Came
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 
@@ -184,8 +183,9 @@ def test_a_transfer_that_comes_late_brings_no_second_arrival(fleet):
     fleet.connect()
     assert a.reply_to(_move(fleet)).ok
     record = place(b, "Count", "a").standing.record
-    service = b.component("client")
-    tell(service, Came("a", Transfer(record.task_id, Epoch(1, "a"), record.snapshot), ""))
+    (late,) = cut(Transfer(record.task_id, Epoch(1, "a"), record.snapshot))
+    a.publish("network", addressed(late, b.agent.mesh.identity.journal), to="b/client")
+    fleet.run_for(0.1)
     assert b.ask(Restart("Count")).ok
     assert len(b.events("task_arrived")) == 1
 
@@ -197,7 +197,7 @@ def test_a_service_that_fails_in_the_middle_of_a_move_leaves_the_network_free_to
     fleet.network.set_quality("a", "b", Quality(latency_s=0.1))
     service = a.component("client")
     _move(fleet)
-    assert fleet.run_until(lambda: bool(a.component("network/TaskMigrator").refuse_stop()))
+    assert fleet.run_until(lambda: not a.ask(Stop("network", dry_run=True)).ok)
 
     def fails():
         raise RuntimeError("no luck")

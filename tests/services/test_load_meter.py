@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pancakes.control import Describe
-from pancakes.services.load import Load, LoadMeter, host_share, processor_time_s
+from pancakes.hosting.load import Load, LoadMeter, host_share, processor_time_s
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
 
@@ -71,8 +71,7 @@ def test_the_operating_system_tells_both_figures():
 
 def test_an_agent_on_threads_measures_itself():
     with threaded_agent(tasks={"Ticking": Ticking}) as agent:
-        migrator = agent.task("TaskMigrator", "network")
-        agent.wait_until(lambda: migrator.measured is not None)
+        agent.wait_until(lambda: agent.ask(Describe()).result["load"] is not None)
         load = agent.ask(Describe()).result["load"]
         assert load.keys() == {"agent_share", "host_share", "lateness_share"}
         assert 0.0 <= load["agent_share"] < 10.0

@@ -192,9 +192,10 @@ def test_a_tombstone_belongs_to_the_service_that_wrote_it(service):
         fleet.run_for(1.0)
         both = {name: b.component(name) for name in ("client", "surveys")}
         found = {
-            name: service.places.of(TaskId("a", "Circle")).standing.record.phase
+            name: place.standing.record.phase
             for name, service in both.items()
-            if isinstance(service, ClientService) and service.knows(TaskId("a", "Circle"))
+            if isinstance(service, ClientService)
+            if (place := service.places.find(TaskId("a", "Circle"))) is not None
         }
         assert found == {home: Phase.RELEASED}
 

@@ -23,7 +23,7 @@ TASK = TaskId("a", "One")
 
 def row(kind: str, source: str, to: str, task_id: Any = TASK) -> list[Any]:
     body = {"task_id": list(task_id)}
-    return ["network", kind, f"{source}/network/TaskMigrator", f"{to}/network/TaskMigrator", 0.0, 1, None, body, None]
+    return ["network", kind, f"{source}/client", f"{to}/client", 0.0, 1, None, body, None]
 
 
 class Rig:

@@ -8,7 +8,7 @@ import msgspec
 
 from pancakes.kernel.component import Component
 from pancakes.migration.ledger import Ledger
-from pancakes.migration.messages import HandOffMessage, Solicit
+from pancakes.migration.messages import Solicit
 from pancakes.migration.record import TaskId
 
 # What a service tells the Task Migrator.
@@ -96,18 +96,6 @@ class ServiceBegan(msgspec.Struct, frozen=True):
     service: Component
 
 
-class SendTo(msgspec.Struct, frozen=True):
-    """Send a message of a hand-off; it may be lost, and is said again where it is needed.
-
-    Attributes:
-        peer: the agent that it is for.
-        message: the message.
-    """
-
-    peer: str
-    message: HandOffMessage
-
-
 # What the Task Migrator tells a service.
 
 
@@ -153,17 +141,3 @@ class MoveOver(msgspec.Struct, frozen=True):
     task_id: TaskId
     reason: str
     result: Any
-
-
-class Came(msgspec.Struct, frozen=True):
-    """A message of a hand-off has come.
-
-    Attributes:
-        peer: the agent that it comes from.
-        message: the message.
-        refusal: why this agent cannot do what it asks for; empty: it can.
-    """
-
-    peer: str
-    message: HandOffMessage
-    refusal: str
