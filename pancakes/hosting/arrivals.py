@@ -14,7 +14,9 @@ from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.courier_messages import SendUnsent
 from pancakes.hosting.host import Host
 from pancakes.hosting.host_state import HostState
-from pancakes.hosting.hosting_event import NoPlace, PlaceFree
+from pancakes.hosting.hosting_effect import AskRoom
+from pancakes.hosting.hosting_event import NoPlace, PlaceFree, Room
+from pancakes.hosting.machine import unborn
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
 from pancakes.hosting.snapshots import carried_of, settings_now, spec_of
@@ -24,10 +26,12 @@ from pancakes.migration.candidate import would_take
 from pancakes.migration.effect import StartTask
 from pancakes.migration.event import Received
 from pancakes.migration.messages import HandOffMessage, Reserve, Transfer
+from pancakes.migration.record import Phase, Record
 from pancakes.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.settings import make_settings
 from pancakes.slot import Slot
+from pancakes.task import TaskSpec
 from pancakes.weight import in_brief
 
 SETTLE_S: Final = 10.0
@@ -49,6 +53,29 @@ class Arrivals:
         self._catalogue = catalogue
         self._records = records
         self._state = state
+
+    def found(self, place: Place) -> list[TaskSpec]:
+        """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
+        host, task_id, record = self._host, place.task_id, place.standing.record
+        if not record.snapshot:
+            return []
+        try:
+            snapshot = Snapshot.decode(record.snapshot)
+            specs = [] if task_id.name in host.residents else [spec_of(snapshot, self._catalogue)]
+        except (PancakesError, msgspec.ValidationError) as error:
+            host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
+            return []
+        if record.phase is Phase.PREPARED:
+            # A task that is in doubt may be started any moment: no other task here may take its actuators before.
+            reason = host.kernel.registry.reserve(join(host.address, task_id.name), snapshot.requires)
+            if reason:
+                host.log("warning", f"no actuators are kept for {task_id}: {reason}")
+        return specs
+
+    def undecided(self, record: Record) -> str:
+        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
+        lost = self._records.lost(record.task_id)
+        return lost.undecided(self._host.agent) if lost is not None and record.phase is Phase.ABSENT else ""
 
     def receive(self, peer: str, message: HandOffMessage) -> None:
         """Takes a hand-off message from a peer."""
@@ -81,10 +108,27 @@ class Arrivals:
             return str(error)
         slot = self._host.slots.get(message.task_id.name)
         if slot is not None:
-            there = self._host.places.at(slot)
+            there = self._host.places.at[slot.name]
             if there is not place and not there.standing.leaving:
                 return f"has a task named {slot.name} already"
         return self._host.kernel.registry.reserve(join(self._host.address, message.task_id.name), snapshot.requires)
+
+    def room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:
+        """Sees whether a task can run here now, and what it would begin with."""
+        registry, record = self._host.kernel.registry, place.standing.record
+        if undecided := self.undecided(record):
+            registry.unreserve(slot.address)
+            return Room(asked, undecided, for_good=True)
+        reason = self._host.admit(slot)
+        if not reason and asked.keep:
+            reason = registry.reserve(slot.address, slot.spec.cls.requires)
+        if reason:
+            return Room(asked, reason)
+        if slot.fresh:
+            slot.fresh = False
+            self._host.drop_state(slot)
+        carries = slot.carried is not None or unborn(record)
+        return Room(asked, snapshot=self._host.snapshot(slot, slot.carried) if carries else b"")
 
     def open(self, place: Place, start: StartTask) -> None:
         """Opens a place for a task among the tasks of the service."""

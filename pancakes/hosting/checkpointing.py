@@ -29,11 +29,14 @@ class Checkpointing:
 
     Args:
         host: the service.
+
+    Attributes:
+        late: the places of tasks whose checkpoint had to wait for the disk.
     """
 
     def __init__(self, host: Host) -> None:
         self._host = host
-        self._late: dict[TaskId, Place] = {}  # their checkpoints had to wait
+        self.late: dict[TaskId, Place] = {}
 
     def begin(self) -> None:
         """Looks at all tasks from now on."""
@@ -56,15 +59,15 @@ class Checkpointing:
             if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
                 continue
             # Its duplicate filter cannot have changed either: a letter that it is given leaves it owing an answer.
-            place = places.at(slot)
+            place = places.at[slot.name]
             if place.owes or place.written is None or not place.written.surely_holds(slot.task):
                 tell(slot.task, Look())
 
     def look_at_late(self) -> None:
         """The disk has written something: looks at the tasks whose checkpoint had to wait."""
-        late, self._late = self._late, {}
+        late, self.late = self.late, {}
         for place in late.values():
-            slot = self._host.places.slot_of(place)
+            slot = place.slot
             if slot is not None and (slot.spec.durability == "each" or place.owes):
                 self._look_at([slot.name])
 
@@ -79,11 +82,11 @@ class Checkpointing:
         """Writes down a running task, if anything has changed."""
         if slot.life.state is not State.RUNNING:
             return
-        place = self._host.places.at(slot)
+        place = self._host.places.at[slot.name]
         standing = place.standing
         if not standing.idle:
             # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
-            self._late[place.task_id] = place
+            self.late[place.task_id] = place
             return
         try:
             plain = plain_of(carried)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final, assert_never
 import msgspec
 
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Stop
-from pancakes.errors import ControlRefused, PancakesError
+from pancakes.errors import ControlRefused
 from pancakes.hosting.arrivals import Arrivals
 from pancakes.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.hosting.carrier import Carrier
@@ -40,7 +40,6 @@ from pancakes.hosting.hosting_event import (
     CameToRest,
     NotPersisted,
     Persisted,
-    Room,
     StartConfigured,
     StoodStill,
     TakeUp,
@@ -51,7 +50,7 @@ from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records
 from pancakes.hosting.shared_outbox import SharedOutbox
-from pancakes.hosting.snapshots import carried_of, snapshot_of, spec_of
+from pancakes.hosting.snapshots import carried_of, snapshot_of
 from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
 from pancakes.kernel.component import Component
@@ -173,41 +172,23 @@ class ClientService(Service):
             self._records.claim(TaskId(self.agent, name), self.name)
         for record in self._records.all().values():
             if record.service == self.name:
-                self._take_record(record, specs)
+                place = self.places.add(record)
+                self._note(place)
+                self._moves.found(record)
+                specs += self._arrivals.found(place)
         return specs
-
-    def _take_record(self, record: Record, specs: list[TaskSpec]) -> None:
-        """Takes up a record that was on disk; adds its task, where the configuration does not have it."""
-        task_id = record.task_id
-        self.places.add(record)
-        self.state.entered(self.name, record)
-        self._moves.found(record)
-        if not record.snapshot:
-            return
-        try:
-            snapshot = Snapshot.decode(record.snapshot)
-            if task_id.name not in self.residents:
-                specs.append(spec_of(snapshot, self._catalogue))
-        except (PancakesError, msgspec.ValidationError) as error:
-            self.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
-            return
-        if record.phase is Phase.PREPARED:
-            # A task that is in doubt may be started any moment: no other task here may take its actuators before.
-            reason = self.kernel.registry.reserve(self._address_of(task_id), snapshot.requires)
-            if reason:
-                self.log("warning", f"no actuators are kept for {task_id}: {reason}")
 
     def after_start(self) -> None:
         super().after_start()
         # A tombstone has no slot, and answers all the same.
         for place in self.places:
-            if self.places.slot_of(place) is None:
+            if place.slot is None:
                 self.feed_place(place, TakeUp())
         self._checkpointing.begin()
         self._moves.begin()
 
     def wants(self, slot: Slot) -> bool:
-        record = self.places.at(slot).standing.record
+        record = self.places.at[slot.name].standing.record
         if unborn(record):
             return slot.spec.start
         # The journal wins over `start` in the configuration: a stop that a person asked for outlives a reboot.
@@ -218,7 +199,7 @@ class ClientService(Service):
         slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        self.feed_place(self.places.at(slot), StartConfigured(slot.fresh))
+        self.feed_place(self.places.at[slot.name], StartConfigured(slot.fresh))
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -233,8 +214,9 @@ class ClientService(Service):
     # The events of its tasks -----------------------------------------------------------------------------------
 
     def feed(self, slot: Slot, event: Any) -> None:
-        if self.slots.get(slot.name) is slot:  # else it is a late timer of a task that has left
-            self.feed_place(self.places.at(slot), event)
+        name = slot.spec.name
+        if self.slots.get(name) is slot:  # else it is a late timer of a task that has left
+            self.feed_place(self.places.at[name], event)
 
     def feed_place(self, place: Place, event: AnyEvent) -> None:
         """Feeds an event to a task, and carries out what follows. One that comes meanwhile waits until then."""
@@ -250,7 +232,7 @@ class ClientService(Service):
         self._end_if_written()
 
     def _step(self, place: Place, event: AnyEvent) -> None:
-        slot, record = self.places.slot_of(place), place.standing.record
+        slot, before = place.slot, place.standing
         at = Moment(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
         life, place.standing, effects = step(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
@@ -260,19 +242,18 @@ class ClientService(Service):
                 self._carry_out(place, effect, slot)
             elif slot is not None:
                 self.keeper.carry_out(slot, effect)
-        if place.standing.record is not record:
+        if (place.standing.record, place.standing.leaving) != (before.record, before.leaving):
             self._note(place)
 
     def _note(self, place: Place) -> None:
-        """Keeps true what others know of the tasks here."""
+        """A record or a slot has changed: keeps true which slot is whose, also for others on this agent."""
         name = place.task_id.name
-        slot = self.slots.get(name)
-        self.state.entered(self.name, place.standing.record)
-        self.state.host(self.name, name, self.places.id_of(slot) if slot is not None else None)
+        self.state.note(self.name, name, self.places.bind(name), place.standing.record)
 
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)
-        self.state.host(self.name, spec.name, self.places.id_of(slot))
+        self.places.bind(spec.name)
+        self._note(self.places.at[spec.name])
         return slot
 
     def _carry_out(self, place: Place, effect: HostingEffect, slot: Slot | None) -> None:
@@ -296,10 +277,13 @@ class ClientService(Service):
             case Unreserve():
                 self.kernel.registry.unreserve(self._address_of(place.task_id))
             case Decided():
-                self._decisions.started(place, effect.reason)
-                self._moves.followed(place)
+                if place.adoption is not None:
+                    self._decisions.started(place, place.adoption, effect.reason)
+                if place.follows is not None:
+                    self._moves.followed(place, place.follows)
             case Lasts():
-                self._decisions.written(place, effect.why_not)
+                if place.forgetting:
+                    self._decisions.written(place, effect.why_not)
             case Drop():
                 self._departures.drop(place, slot, effect.ends)
             case Resume():
@@ -319,7 +303,7 @@ class ClientService(Service):
         """Carries out an effect for which the task has a place."""
         match effect:
             case AskRoom():
-                self.feed_place(place, self._room(slot, place, effect))
+                self.feed_place(place, self._arrivals.room(slot, place, effect))
             case Prepare():
                 self._arrivals.prepare(slot, place, effect.start)
             case Rested():
@@ -349,7 +333,8 @@ class ClientService(Service):
         if isinstance(event, NotPersisted):
             place.written = None
         self.feed_place(place, event)
-        self._checkpointing.look_at_late()
+        if self._checkpointing.late:
+            self._checkpointing.look_at_late()
 
     # Starting and ending ---------------------------------------------------------------------------------------
 
@@ -359,25 +344,8 @@ class ClientService(Service):
     def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
         """Returns a task as data, encoded."""
         sent = self.kernel.seq_of(slot.address).value - 1
-        task_id = self.places.id_of(slot)
+        task_id = self.places.at[slot.name].task_id
         return snapshot_of(slot, task_id, self.name, carried, self.now(), sent, posted).encode()
-
-    def _room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:
-        """Sees whether a task can run here now, and what it would begin with."""
-        registry, record = self.kernel.registry, place.standing.record
-        if undecided := self._undecided(record):
-            registry.unreserve(slot.address)
-            return Room(asked, undecided, for_good=True)
-        reason = self.admit(slot)
-        if not reason and asked.keep:
-            reason = registry.reserve(slot.address, slot.spec.cls.requires)
-        if reason:
-            return Room(asked, reason)
-        if slot.fresh:
-            slot.fresh = False
-            self.drop_state(slot)
-        carries = slot.carried is not None or unborn(record)
-        return Room(asked, snapshot=self.snapshot(slot, slot.carried) if carries else b"")
 
     def spawn(self, slot: Slot) -> None:
         super().spawn(slot)
@@ -385,7 +353,7 @@ class ClientService(Service):
         slot.carried = None
 
     def task_running(self, slot: Slot) -> None:
-        self._deliveries.again(self.places.at(slot))
+        self._deliveries.again(self.places.at[slot.name])
         self._moves.watch(slot)
 
     def write_rest(self, slot: Slot) -> None:
@@ -405,7 +373,7 @@ class ClientService(Service):
             self._checkpointing.save(slot, slot.task, carried)
 
     def carried_of(self, slot: Slot) -> Carried:
-        record = self.places.at(slot).standing.record
+        record = self.places.at[slot.name].standing.record
         if slot.carried is not None or not record.snapshot:
             return super().carried_of(slot)
         return carried_of(Snapshot.decode(record.snapshot))
@@ -493,7 +461,7 @@ class ClientService(Service):
 
     def _refuse_elsewhere(self, body: Any, slot: Slot) -> None:
         """Refuses what cannot be asked here of a task that is on its way, or has left."""
-        standing = self.places.at(slot).standing
+        standing = self.places.at[slot.name].standing
         record, volatile = standing.record, standing.volatile
         describes = isinstance(body, Describe)
         going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
@@ -505,18 +473,13 @@ class ClientService(Service):
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
 
     def command_waits(self, slot: Slot, request: Request) -> None:
-        self.look_after(self.places.at(slot), request)
+        self.look_after(self.places.at[slot.name], request)
 
     def look_after(self, place: Place, request: Request) -> None:
         self._waiters.look_after(place, request)
 
     def refuse_start(self, slot: Slot) -> str:
-        return self._undecided(self.places.at(slot).standing.record) or super().refuse_start(slot)
-
-    def _undecided(self, record: Record) -> str:
-        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
-        lost = self._records.lost(record.task_id)
-        return lost.undecided(self.agent) if lost is not None and record.phase is Phase.ABSENT else ""
+        return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
 
     def has(self, name: str) -> bool:
         # What was given away and stands in doubt has no slot any more, nor has what came here and was lost.
@@ -525,7 +488,7 @@ class ClientService(Service):
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         told = super().describe_task(slot)
         if slot.life.state in RESTS:
-            told["rest"] = rest_of(self.places.at(slot).standing.record)
+            told["rest"] = rest_of(self.places.at[slot.name].standing.record)
         return told
 
     def refuse_stop(self) -> str:

@@ -80,7 +80,7 @@ class Decisions:
     def _adopt_lost(self, lost: Lost, body: Adopt, request: Request) -> None:
         host, task_id = self._host, lost.task_id
         slot = host.slots.get(task_id.name)
-        if slot is not None and host.places.id_of(slot) != task_id:
+        if slot is not None and host.places.at[slot.name].task_id != task_id:
             raise ControlRefused(f"{task_id} is not adopted: {host.address} has a task named {slot.name} already")
         # What it would begin with that begins as its configuration says.
         snapshot = lost.snapshot or (host.snapshot(slot, slot.carried) if slot is not None else b"")
@@ -107,11 +107,9 @@ class Decisions:
         host.look_after(place, request)
         host.feed_place(place, event)
 
-    def started(self, place: Place, why_not: str) -> None:
-        """The start of a task is decided: answers the request to adopt it, if there is one."""
-        adopted, place.adoption = place.adoption, None
-        if adopted is None:
-            return
+    def started(self, place: Place, adopted: Adoption, why_not: str) -> None:
+        """The start of a task is decided: answers the request to adopt it."""
+        place.adoption = None
         host, task_id = self._host, place.task_id
         record = place.standing.record
         if record.phase is Phase.OWNER:

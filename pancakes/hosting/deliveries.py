@@ -56,7 +56,7 @@ class Deliveries:
                         self._say(effect.peer, further)
 
     def _deliver(self, place: Place, letter: Letter, packet: Packet | None) -> None:
-        slot = self._host.places.slot_of(place)
+        slot = place.slot
         if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
             return
         place.post = post = place.post or Post()
@@ -94,7 +94,7 @@ class Deliveries:
             self._took(place, post, task, letter, packet)
 
     def _took(self, place: Place, post: Post, task: Task, letter: Letter, packet: Packet | None) -> None:
-        slot = self._host.places.slot_of(place)
+        slot = place.slot
         if slot is None or slot.task is not task:
             return  # the actor that took it has ended; its sender, which has not been told so, sends it again
         post.took(letter)

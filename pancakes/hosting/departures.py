@@ -84,6 +84,5 @@ class Departures:
             self._host.outbox.ended(slot.fence.task_id)
         if slot.name not in self._host.residents:
             del self._host.slots[slot.name]
-            self._host.state.host(self._host.name, slot.name, None)
         for other in self._host.places.named(slot.name):
             self._host.feed_place(other, PlaceFree())

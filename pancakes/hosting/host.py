@@ -46,6 +46,8 @@ class Host(Protocol):
     def look_after(self, place: Place, request: Request) -> None:
         """Sees to it that a request which waits for the journal is told so in time."""
 
+    def drop_state(self, slot: Slot) -> None: ...
+
     def admit(self, slot: Slot) -> str: ...
 
     def connected(self, peer: str) -> bool:

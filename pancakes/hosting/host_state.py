@@ -72,18 +72,14 @@ class HostState:
         with self._lock:
             self._names[service] = {}
 
-    def host(self, service: str, name: str, task_id: TaskId | None) -> None:
-        """Learns which task a name in a service belongs to; None: to none any more."""
+    def note(self, service: str, name: str, task_id: TaskId | None, record: Record) -> None:
+        """Learns of a record that is on disk now, and which task its name belongs to in a service; None: to none."""
         with self._lock:
             names = self._names[service]
             if task_id is not None:
                 names[name] = task_id
             else:
                 names.pop(name, None)
-
-    def entered(self, service: str, record: Record) -> None:
-        """Learns of a record that is on disk now."""
-        with self._lock:
             if record.phase in UNDER_WAY:
                 self._under_way[record.task_id] = service
             else:

@@ -24,7 +24,7 @@ from pancakes.migration.effect import AttemptFailed, HandedOver
 from pancakes.migration.event import Award
 from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import Solicit
-from pancakes.migration.record import Phase, Record
+from pancakes.migration.record import Phase, Record, TaskId
 from pancakes.migration.rule import ASK_AGAIN_S
 from pancakes.migration.sequel import Sequel
 from pancakes.packet import SYSTEM, Packet, agent_of
@@ -81,7 +81,7 @@ class Moves:
             ControlRefused: the task cannot move now.
         """
         host = self._host
-        place = host.places.at(slot)
+        place = host.places.at[slot.name]
         if slot.task is None or slot.life.state is not State.RUNNING:
             raise ControlRefused(f"{slot.address} is {slot.life.word}, so it cannot move")
         if not slot.spec.type:
@@ -129,7 +129,7 @@ class Moves:
             rule = slot.spec.rule
             if rule is None or rule.when != packet.type or slot.life.state is not State.RUNNING:
                 continue
-            place = host.places.at(slot)
+            place = host.places.at[slot.name]
             due = host.kernel.host.now() >= place.ask_again_s
             if due and place.move is None and rule.met_by(packet.body):
                 # What is to follow may exist only on the agent where the rule was written.
@@ -216,7 +216,7 @@ class Moves:
         elif reason := host.admit(slot):
             reason = f"{slot.address} cannot follow: {reason}"
         else:
-            place = host.places.at(slot)
+            place = host.places.at[slot.name]
             place.follows = gone.task_id
             host.feed_place(place, StartWanted())
             return
@@ -224,8 +224,7 @@ class Moves:
             host.log("error", reason)
         host.feed_place(gone, PartConcluded())
 
-    def followed(self, place: Place) -> None:
-        """The start of a task is decided."""
-        gone, place.follows = place.follows, None
-        if gone is not None:
-            self._host.feed_place(self._host.places.of(gone), PartConcluded())
+    def followed(self, place: Place, gone: TaskId) -> None:
+        """The start of a task that follows another one is decided."""
+        place.follows = None
+        self._host.feed_place(self._host.places.of(gone), PartConcluded())

@@ -12,6 +12,7 @@ from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import Solicit
 from pancakes.migration.record import TaskId
 from pancakes.request import Request
+from pancakes.slot import Slot
 
 
 class Move(msgspec.Struct):
@@ -56,10 +57,11 @@ class Adoption(msgspec.Struct, frozen=True):
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
-    Its life is in its slot, as that of every task; a task without a slot has none.
+    Its life is in its slot, as that of every task; a task without one has no life here.
 
     Attributes:
         task_id: the task.
+        slot: its slot; None: it has none.
         standing: its record, and what its hand-off is about to do.
         post: the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
@@ -74,6 +76,7 @@ class Place(msgspec.Struct):
 
     task_id: TaskId
     standing: Standing
+    slot: Slot | None = None
     post: Post | None = None
     written: Written | None = None
     came_from: str = ""

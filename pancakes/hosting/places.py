@@ -11,14 +11,18 @@ from pancakes.slot import Slot
 
 
 class Places:
-    """Finds places, by tasks and by slots. In the service's actor.
+    """All places, and which of them each slot belongs to. In the service's actor.
 
     Args:
         agent: the agent's name.
         slots: the service's slots, by the names of tasks.
+
+    Attributes:
+        at: the place that each slot belongs to, by the name of the task.
     """
 
     def __init__(self, agent: str, slots: Mapping[str, Slot]) -> None:
+        self.at: dict[str, Place] = {}
         self._agent = agent
         self._slots = slots
         self._places: dict[TaskId, Place] = {}
@@ -45,19 +49,25 @@ class Places:
         """Returns the places of all tasks of a name: each birthplace may have one."""
         return list(self._by_name.get(name, ()))
 
-    def id_of(self, slot: Slot) -> TaskId:
-        """Returns which task a slot is for: of one that came from elsewhere, its birthplace is another agent."""
-        for place in self._by_name.get(slot.name, ()):
-            standing = place.standing
-            if standing.leaving or standing.record.phase not in (Phase.ABSENT, Phase.RELEASED):
-                return place.task_id
-        return TaskId(self._agent, slot.name)
+    def bind(self, name: str) -> TaskId | None:
+        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has.
 
-    def at(self, slot: Slot) -> Place:
-        """Returns the place that a slot is part of."""
-        return self.of(self.id_of(slot))
+        Returns:
+            The task that it is for; of one that came from elsewhere, its birthplace is another agent. None: there is no
+            such slot.
+        """
+        for place in self._by_name.get(name, ()):
+            place.slot = None
+        slot = self._slots.get(name)
+        if slot is None:
+            self.at.pop(name, None)
+            return None
+        here = (place for place in self._by_name.get(name, ()) if _is_here(place.standing))
+        place = next(here, None) or self.of(TaskId(self._agent, name))
+        place.slot = slot
+        self.at[name] = place
+        return place.task_id
 
-    def slot_of(self, place: Place) -> Slot | None:
-        """Returns the slot of a place; None: it has none."""
-        slot = self._slots.get(place.task_id.name)
-        return slot if slot is not None and self.id_of(slot) == place.task_id else None
+
+def _is_here(standing: Standing) -> bool:
+    return standing.leaving or standing.record.phase not in (Phase.ABSENT, Phase.RELEASED)

@@ -42,7 +42,7 @@ class Waiters:
         if not trouble:
             host.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))
             return
-        slot = host.places.slot_of(place)
+        slot = place.slot
         what = f"{slot.address} is {slot.life.word}" if slot is not None else str(place.task_id)
         host.put_off(
             request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"

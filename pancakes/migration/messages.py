@@ -1,7 +1,8 @@
 """What two agents say to each other while a task moves between them.
 
 Each is the body of a packet on `network`: those of the bidding from one agent's `network/TaskMigrator` to the
-other's, those of the hand-off from the service that hosts the task to the one of the same name. The network may lose, double, reorder and delay them: the hand-off's core expects that.
+other's, those of the hand-off from the service that hosts the task to the one of the same name. The network
+may lose, double, reorder and delay them: the hand-off's core expects that.
 
 `journal` is the id of the receiver's journal as the sender knows it when it writes the message. An agent
 whose disk was lost has a new id, and so does not believe what was meant for its former self. The core
