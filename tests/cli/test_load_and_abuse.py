@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from abuse import Abuse, Answered, Told, in_file
-from processes import Rig, Running
+from cli.abuse import Abuse, Answered, Told, in_file
+from cli.processes import Rig, Running
 
 from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
 

@@ -124,7 +124,7 @@ class TestWhatIsWritten:
 
 def test_every_template_has_a_purpose_and_every_purpose_a_template():
     paths = {file.path for kind in KINDS for file in files_of(kind, Names.of("package"))}
-    assert paths == set(distribution._PURPOSES)
+    assert paths == set(distribution.PURPOSES)
 
 
 def test_templates_are_installed_with_the_package():
@@ -218,7 +218,7 @@ def test_what_the_templates_name_themselves_is_no_name():
                 names.update(re.findall(r"^class (\w+)", file.text, re.MULTILINE))
                 names.update(re.findall(r"^([A-Z]\w+) = ", file.text, re.MULTILINE))
     classes = {name for name in names if name[0].isupper() and not name.isupper() and not name.startswith("Zz")}
-    assert classes == distribution._IMPORTED
+    assert classes == distribution.IMPORTED
 
 
 def test_a_folder_that_exists_is_left_alone(tmp_path):

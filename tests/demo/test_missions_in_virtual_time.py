@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from flights import SCAN, Flight, fly
+from demo.flights import SCAN, Flight, fly
 
 KHEPERA_RADIUS_M, BUG_RADIUS_M, MOVER_RADIUS_M = 0.065, 0.06, 0.1
 KHEPERA_BASE_M, KHEPERA_WHEEL_MPS = 0.0885, 48_000 / 144.01 / 1000

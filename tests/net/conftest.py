@@ -257,7 +257,7 @@ def tcp_rig() -> Iterator[TcpRig]:
 
 @pytest.fixture
 def ear(rig: Any) -> Callable[[], Ear]:
-    return rig.ear  # type: ignore[no-any-return]
+    return rig.ear
 
 
 class Agent:
@@ -327,7 +327,7 @@ class Agent:
 
 @pytest.fixture
 def agent(rig: Any) -> Callable[..., Agent]:
-    return rig.agent  # type: ignore[no-any-return]
+    return rig.agent
 
 
 @pytest.fixture

@@ -144,7 +144,7 @@ def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:
 
 def test_it_gives_way_each_time_that_nothing_is_ready(sockets: Sockets, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr("pancakes.net.busy_poll._give_way", lambda: given.append(sockets.now_s))
+    monkeypatch.setattr("pancakes.net.busy_poll.give_way", lambda: given.append(sockets.now_s))
     waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     assert not given

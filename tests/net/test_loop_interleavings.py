@@ -209,7 +209,7 @@ def test_nothing_is_run_after_the_end() -> None:
 def until_it_stops(loop: Loop) -> None:
     """Waits until a stop has begun."""
     moment = threading.Event()
-    while not loop._stopping:
+    while not loop.stopping:
         moment.wait(0.001)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy
 import pytest
@@ -127,7 +128,7 @@ def test_when_both_dial_one_link_stays_that_of_the_lower_name(memory_rig):
     assert a.downs == [] and b.downs == []
     (peer,) = a.mesh.describe()["peers"]
     assert peer["remote"] == "tcp://b:1", "a dialled it"
-    assert len(memory_rig.network._pipes) == 1
+    assert len(memory_rig.network.pipes) == 1
 
 
 def test_both_dialling_over_real_sockets_ends_in_one_link(tcp_rig):
@@ -190,7 +191,7 @@ def test_a_link_whose_other_end_has_gone_unseen_gives_way_to_a_new_one(memory_ri
     a = memory_rig.agent("a", listen="tcp://a:1")
     b = memory_rig.agent("b", ["tcp://a:1"], listen="tcp://b:1")
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
-    (pipe,) = memory_rig.network._pipes
+    (pipe,) = memory_rig.network.pipes
     pipe.cut = True
     pipe.ends[0].finish_later("only b sees the break")
     memory_rig.until(lambda: b.downs)
@@ -338,7 +339,7 @@ def test_counters_and_round_trips_can_be_read(rig, agent):
 
 
 def test_packets_of_one_turn_leave_together(memory_rig):
-    turn_ends = []
+    turn_ends: list[Callable[[], None]] = []
     a = memory_rig.agent("a", defer=turn_ends.append)
     b = memory_rig.agent("b", [a.mesh.listen])
     memory_rig.until(lambda: a.knows("b"))
