@@ -2,6 +2,7 @@
 
 import pytest
 
+from pancakes.kernel.component import Component
 from pancakes.kernel.registry import DeviceEntry, Registry
 
 CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
@@ -9,7 +10,7 @@ CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
 
 @pytest.fixture
 def registry():
-    made = Registry()
+    made: Registry[Component] = Registry()
     made.add_device(DeviceEntry("wheels", "motors", actuator=True))
     made.add_device(DeviceEntry("arm", "arm", actuator=True))
     made.add_device(DeviceEntry("eye", "ir"))

@@ -542,11 +542,12 @@ def test_a_question_that_crosses_the_end_of_an_actor_is_answered(rig):
 
     class Crossing:
         def put(self, envelope):
-            diary.stop_now()
+            ref.actor_inbox = inbox
+            diary.stop()
+            rig.settle()
             inbox.put(envelope)
             questions.append(envelope)
 
-    diary.stop_now = lambda: (setattr(ref, "actor_inbox", inbox), diary.stop(), rig.settle())
     ref.actor_inbox = Crossing()
     with pytest.raises(ActorDeadError):
         ref.ask("too late", block=False).get(timeout=0)

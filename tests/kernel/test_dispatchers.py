@@ -99,10 +99,10 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
     assert all(echo.reached.is_set() for echo in stuck)
 
 
-def test_who_starts_and_ends_the_services_is_not_told_to_be_written_otherwise(kernel):
+def test_who_starts_and_ends_the_services_is_not_told_to_be_written_otherwise(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
-    kernel._hogged("a/kernel", 0.1)
-    kernel._hogged("a/client/T", 0.1)
+    pools[0].name_held("a/kernel", 0.1)
+    pools[0].name_held("a/client/T", 0.1)
     assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
     assert ["a/client/T has held" in packet.body.text for packet in probe.packets(LogLine)] == [True]
 
@@ -118,7 +118,12 @@ def test_an_actor_that_fails_ends_alone(kernel, bad):
     failing = ready(kernel.spawn(bad, "a/client/Bad"))
     ended = threading.Event()
     errors = []
-    failing.exited = lambda component, error: (errors.append(error), ended.set())
+
+    def exited(component, error):
+        errors.append(error)
+        ended.set()
+
+    failing.exited = exited
     pinned = ready(kernel.spawn(Pinned, "a/client/Pinned"))
     echo = ready(kernel.spawn(Echo, "a/client/Echo"))
     source = kernel.spawn(Echo, "a/client/Source")
@@ -218,7 +223,7 @@ def test_a_call_for_a_time_that_has_passed_comes_now():
     dispatcher.run_until(5.0)
     times = []
     dispatcher.call_at(1.0, lambda: times.append(dispatcher.clock.now()))
-    dispatcher.call_at(2.0, lambda: times.append("never")).cancel()
+    dispatcher.call_at(2.0, lambda: times.append(2.0)).cancel()
     dispatcher.run_until(6.0)
     assert times == [5.0]
 
@@ -235,7 +240,8 @@ def test_a_call_for_the_end_of_all_time_never_comes():
 
 def test_calls_come_in_the_order_of_their_times_and_those_of_one_time_as_they_were_asked_for():
     dispatcher, source = VirtualDispatcher(1), random.Random(7)
-    asked, came = [], []
+    asked: list[tuple[float, int, bool]] = []
+    came: list[tuple[float, int]] = []
 
     def ask(depth):
         # Some far away, most so soon that they need no heap, many for one and the same time.

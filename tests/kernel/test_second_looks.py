@@ -123,9 +123,16 @@ def test_what_a_turn_puts_off_is_done_at_its_end_also_what_that_puts_off(dispatc
     given(dispatcher, actor)
     done = []
     actor.after_turn = lambda: done.append("after the turn")
-    actor.do(
-        lambda: (defer(lambda: (done.append("put off"), defer(lambda: done.append("again")))), done.append("turn"))
-    )
+
+    def put_off():
+        done.append("put off")
+        defer(lambda: done.append("again"))
+
+    def turn():
+        defer(put_off)
+        done.append("turn")
+
+    actor.do(turn)
     assert not given(dispatcher, actor)
     assert done == ["turn", "after the turn", "put off", "again"]
     defer(lambda: done.append("at once"))
@@ -135,7 +142,15 @@ def test_what_a_turn_puts_off_is_done_at_its_end_also_what_that_puts_off(dispatc
 def test_what_was_put_off_and_fails_is_told_of_and_the_rest_is_done(dispatcher, actor):
     given(dispatcher, actor)
     done = []
-    actor.do(lambda: (defer(lambda: 1 / 0), defer(lambda: done.append(1))))
+
+    def fail():
+        raise ZeroDivisionError("division by zero")
+
+    def turn():
+        defer(fail)
+        defer(lambda: done.append(1))
+
+    actor.do(turn)
     assert not given(dispatcher, actor)
     assert done == [1]
     assert actor.kernel.said == ["what a turn of a/client/A had put off failed: ZeroDivisionError: division by zero"]

@@ -114,7 +114,7 @@ def test_what_is_bound_for_elsewhere_goes_to_the_gateway_and_to_nobody_here():
     here = Reader(stream, "a/client/T", ("system", "pose"))
     stream.publish(packet(to="b"))
     assert stream.undelivered == 1  # there is no way out yet
-    sent = []
+    sent: list[Packet] = []
     stream.gateway = sent.append
     stream.publish(packet(to="b/client/T", seq=2))
     stream.publish(packet(to="*", seq=3))
@@ -154,7 +154,7 @@ def test_where_a_reliable_reader_has_no_room_nobody_gets_the_packet():
 
 def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
     stream = InformationStream("a")
-    heard = []
+    heard: list[Packet] = []
     stream.tap("system", heard.append)
     stream.publish(packet(seq=1))
     stream.publish(packet(seq=2, to="a/client/T"))
@@ -170,7 +170,7 @@ def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
 
 def test_a_tap_hears_the_types_that_it_wants_and_no_others():
     stream = InformationStream("a")
-    heard = []
+    heard: list[Packet] = []
     tap = heard.append
     stream.tap("system", tap, ("pose", "twist"))
     for seq, kind in enumerate(("pose", "load", "twist", "pose")):

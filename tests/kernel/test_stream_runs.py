@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from kernel.actors import put_back
@@ -92,7 +93,7 @@ def test_a_destination_is_kept_to():
 
 def test_a_tap_hears_each_of_them():
     stream = InformationStream("a")
-    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), []
+    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), list[Packet]()
     stream.tap("system", heard.append)
     for run in (packets(1, 2), packets(3, 4)):
         stream.inject_all(run, nobody)
@@ -150,7 +151,8 @@ def test_who_begins_to_listen_while_somebody_has_no_room_costs_the_others_nothin
             Reader(stream, "a/client/New", ir=queue(9))
             return "a/client/Full"
 
-    full.mailbox.component = Component()
+    component: Any = Component()
+    full.mailbox.component = component
     stream.inject_all(packets(1, 2), lambda packet, error: refused.append(packet.seq))
     assert refused == [2] and full.got() == [1] and full.queue.dropped() == 1
     assert other.got() == [1, 2]

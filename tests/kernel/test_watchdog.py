@@ -4,7 +4,6 @@ import threading
 
 import pytest
 
-from pancakes.kernel import pool as pool_module
 from pancakes.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
 PATIENCE_S = 10.0
@@ -45,7 +44,7 @@ def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
     rig.see_held()
     for _ in range(5):
         rig.look(LATER_S)
-    assert rig.named == [] and rig.pool._active == 0
+    assert rig.named == [] and rig.pool.active == 0
     gate.set()
     rig.at_rest()
 
@@ -67,24 +66,28 @@ def no_thread(*_):
 
 def test_where_no_thread_can_be_started_nobody_fails_and_work_is_done_later(rig, monkeypatch, caplog):
     with monkeypatch.context() as patch:
-        patch.setattr(pool_module._Worker, "start", no_thread)
+        patch.setattr(threading.Thread, "start", no_thread)
         done = threading.Event()
         actor = rig.new_actor()
         actor.do(done.set)
         rig.look()
         assert len(caplog.records) == 1 and "gets none: can't start new thread" in caplog.text
-        assert rig.pool._active == 0 and rig.pool._workers == []
-        assert not rig.pool._may_doze(), "nobody will look again"
+        assert rig.pool.active == 0 and rig.pool.workers == 0
+        assert not rig.pool.may_doze(), "nobody will look again"
     rig.look()
     assert done.wait(PATIENCE_S)
     rig.at_rest()
+    gates = []
+    while rig.pool.idle:
+        gates.append(rig.hold())
+        rig.see_held()
     with monkeypatch.context() as patch:
-        patch.setattr(pool_module._Worker, "start", no_thread)
-        rig.pool._idle, rig.pool._workers, kept = [], [], (rig.pool._idle, rig.pool._workers)
+        patch.setattr(threading.Thread, "start", no_thread)
         actor.do(lambda: None)
         assert len(caplog.records) == 2, "it is told each time that it begins"
-        rig.pool._idle, rig.pool._workers = kept
     rig.look()
+    for gate in gates:
+        gate.set()
     rig.at_rest()
 
 
@@ -114,12 +117,11 @@ def test_a_watchdog_that_fails_looks_again_and_does_not_rest(rig, caplog):
         raise ValueError("a fault in whoever is told")
 
     rig.at_rest()
-    rig.pool.look = look
-    with rig.pool._lock:
-        rig.pool._watch_again()
+    rig.pool.looks = look
+    rig.pool.wake_watchdog()
     for _ in range(2 * DOZE_LOOKS):
         assert looked.acquire(timeout=PATIENCE_S), "the watchdog has ended"
-    rig.pool.look = lambda: 0
+    rig.pool.looks = lambda: 0
     assert "the watchdog of the pool of p failed" in caplog.text
 
 
@@ -132,46 +134,41 @@ def test_a_watchdog_that_sees_visits_only_sees_that_something_is_done(rig):
 
 def test_a_watchdog_does_not_rest_while_somebody_is_here(rig):
     rig.at_rest()
-    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     gate = rig.hold()
-    assert not rig.pool._dozing, "nobody watches the worker"
+    assert not rig.pool.dozing, "nobody watches the worker"
     gate.set()
     rig.at_rest()
-    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     guest = rig.visiting()
-    assert not rig.pool._dozing, "nobody watches the guest"
-    assert not rig.pool._may_doze()
+    assert not rig.pool.dozing, "nobody watches the guest"
+    assert not rig.pool.may_doze()
     rig.see_held()
-    assert not rig.pool._may_doze(), "a guest that is held is still to be watched"
+    assert not rig.pool.may_doze(), "a guest that is held is still to be watched"
     guest.leave()
     gate = rig.hold()
     rig.see_held()
-    assert not rig.pool._may_doze(), "a worker that is held is still to be named"
+    assert not rig.pool.may_doze(), "a worker that is held is still to be named"
     gate.set()
 
 
 def test_a_pool_stops_while_its_watchdog_is_being_woken(rig):
     """Its alarm rings already."""
     rig.at_rest()
-    may_doze = rig.pool._may_doze
     stopping = threading.Thread(target=rig.end)
 
-    def hooked():
-        dozes = may_doze()
+    def seen(dozes):
         if dozes:
             assert guest.arrive()
             stopping.start()
-            rig.until(lambda: rig.pool._stopping, "nobody stops")
-            with rig.pool._lock:
-                pass
-        return dozes
+            rig.until(lambda: rig.pool.stopping, "nobody stops")
+            rig.pool.pass_lock()
 
     guest = rig.guest()
-    rig.pool._may_doze = hooked
-    with rig.pool._lock:
-        rig.pool._watch_again()
-    rig.until(lambda: rig.pool._stopping, "the watchdog never rests")
+    rig.pool.seen_dozing = seen
+    rig.pool.wake_watchdog()
+    rig.until(lambda: rig.pool.stopping, "the watchdog never rests")
     stopping.join(PATIENCE_S)
-    assert not stopping.is_alive() and not rig.pool._watchdog.is_alive()
+    assert not stopping.is_alive() and not rig.pool.watched
     rig.end = lambda: None
     guest.leave()
