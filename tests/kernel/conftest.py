@@ -6,6 +6,7 @@ import threading
 import pytest
 from kernel.actors import Actor, holding
 from kernel.hooked_pool import HookedPool
+from kernel.virtual_rig import VirtualRig
 
 from pancakes.kernel.guest import Guest
 from pancakes.kernel.kernel import Kernel
@@ -24,6 +25,11 @@ def kernel():
         for component in reversed(made.registry.components()):
             component.actor_ref.stop(timeout=PATIENCE_S)
         made.stop()
+
+
+@pytest.fixture
+def virtual():
+    return VirtualRig()
 
 
 @pytest.fixture
