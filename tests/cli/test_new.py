@@ -26,10 +26,16 @@ def new(*arguments: str) -> Result:
     return CliRunner().invoke(pancakes, ["new", *arguments])
 
 
+class AsWritten(configparser.ConfigParser):
+    """Leaves capital letters in the names of options."""
+
+    def optionxform(self, optionstr: str) -> str:
+        return optionstr
+
+
 def installed(folder: Path, site: Path) -> dict[str, str]:
     """Installs a distribution as pip would leave it on the disk, without pip; returns an environment that has it."""
-    parser = configparser.ConfigParser(delimiters=("=",))
-    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser = AsWritten(delimiters=("=",))
     parser.read(folder / "setup.cfg")
     name, version = parser["metadata"]["name"], parser["metadata"]["version"]
     points = "".join(f"[{group}]\n{lines}\n" for group, lines in parser["options.entry_points"].items())

@@ -114,9 +114,10 @@ def robots_did_what_robots_can(flight: Flight) -> None:
 def the_batteries_explain_the_events(flight: Flight) -> None:
     """The true voltage only falls; what the agents do at 90 % and 65 % happens where it is 90 % and 65 %."""
     for robot in ("agent1", "agent2"):
-        volts = [moment.battery_v for moment in flight.paths[robot]]
-        assert all(later <= earlier for earlier, later in pairwise(volts))  # type: ignore[operator]
-        assert all(EMPTY_V < volt <= FULL_V for volt in volts if volt is not None)
+        volts = [moment.battery_v for moment in flight.paths[robot] if moment.battery_v is not None]
+        assert len(volts) == len(flight.paths[robot])
+        assert all(later <= earlier for earlier, later in pairwise(volts))
+        assert all(EMPTY_V < volt <= FULL_V for volt in volts)
     for (event,), level in (
         (flight.told("saving_power", "agent1"), 0.90),
         (flight.told("migration_asked", "agent1"), 0.65),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy
 import pytest
+from net.meetings import pair, raw_hello
 
 from pancakes.devices.types import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
@@ -16,36 +17,10 @@ from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.link_messages import VERSION, Hello
-from pancakes.wire.runs import RowEncoder, head_of, run_of
-
-
-def pair(rig, agent, **more):
-    a = agent("a", **more)
-    b = agent("b", [a.mesh.listen])
-    rig.until(lambda: a.knows("b") and b.knows("a"))
-    return a, b
 
 
 def bodies(who):
     return [packet.body for packet in who.packets]
-
-
-def message_of(packet):
-    head = head_of(packet)
-    return run_of(head, [RowEncoder(head).encode(packet)])
-
-
-def raw_hello(name="intruder", **more):
-    values = {
-        "version": VERSION,
-        "fleet": "default",
-        "role": "agent",
-        "journal": f"journal of {name}",
-        "boot": 1,
-        **more,
-    }
-    return frame([Encoder().link_message(Hello(name=name, **values))])
 
 
 def test_two_agents_meet_and_exchange_packets_in_order(rig, agent):
