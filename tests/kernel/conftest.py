@@ -47,7 +47,7 @@ def pools(monkeypatch):
 
 
 class HandClock:
-    """Stands still until it is moved; who waits for it to move by itself fails."""
+    """Stands still until it is moved; what waits for it to move by itself fails."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -63,7 +63,7 @@ class Rig:
     """A pool whose watchdog looks when it is told to.
 
     Attributes:
-        named: whom the watchdog has named.
+        named: the components that the watchdog has named, and for how long each held its thread.
     """
 
     def __init__(self):
@@ -93,7 +93,7 @@ class Rig:
         """Lets an actor do something, and waits until it has, though the watchdog does not look."""
         done = threading.Event()
         actor.do(done.set)
-        assert done.wait(PATIENCE_S), f"nobody gives {actor.address} its turn"
+        assert done.wait(PATIENCE_S), f"no thread gives {actor.address} its turn"
 
     def hold(self):
         """Holds a worker; returns what lets it go on."""
@@ -104,7 +104,7 @@ class Rig:
         return gate
 
     def see_held(self):
-        """Lets the watchdog see everybody who is held."""
+        """Lets the watchdog see each thread that is held."""
         self.look()
         self.look(LATER_S)
 
@@ -141,12 +141,12 @@ class Rig:
         return gate, visitor
 
     def at_rest(self):
-        """Waits until nobody is at work; who has been counted wrongly stays so for ever."""
+        """Waits until no thread is at work; one that was counted wrongly stays so for ever."""
         self.until(lambda: self.pool.at_rest and self.pool.active == 0, "a thread never rests")
 
     @staticmethod
     def until(condition, complaint):
-        """Waits until something is so that nobody tells of."""
+        """Waits until a condition holds that no event tells of."""
         moment = threading.Event()
         for _ in range(int(PATIENCE_S * 1000)):
             if condition():

@@ -1,4 +1,4 @@
-"""Who may have an actuator: one holder, and what is kept for a task that is about to arrive."""
+"""Actuators: one holder each, and what is kept for a task that is about to arrive."""
 
 import pytest
 
@@ -17,7 +17,7 @@ def registry():
     return made
 
 
-def test_what_is_kept_obeys_nobody_and_goes_to_nobody_else(registry):
+def test_what_is_kept_obeys_no_task_and_goes_to_no_other(registry):
     assert registry.reserve(CIRCLE, ("motors", "ir")) == ""
     assert registry.holder("wheels") == ""
     assert registry.hold(HOME, ("motors",)) == f"wheels is kept for {CIRCLE}, which is about to start"

@@ -5,7 +5,7 @@ from kernel.virtual_rig import Diary
 from pykka import ActorDeadError
 
 
-def test_who_asks_an_actor_that_has_stopped_is_told(virtual):
+def test_the_asker_of_an_actor_that_has_stopped_is_told(virtual):
     diary = virtual.spawn(Diary, "a/client/Diary")
     waiting = diary.actor_ref.ask("hello", block=False)
     diary.stop()
@@ -40,7 +40,7 @@ def test_a_question_that_crosses_the_end_of_an_actor_is_answered(virtual):
 
 
 @pytest.mark.parametrize("error", [ValueError("asked badly"), SystemExit(4)])
-def test_who_asks_for_what_fails_gets_the_error(virtual, error):
+def test_the_asker_of_what_fails_gets_the_error(virtual, error):
     class Failing(Diary):
         def fail(self):
             raise error
@@ -50,5 +50,5 @@ def test_who_asks_for_what_fails_gets_the_error(virtual, error):
     virtual.settle()
     with pytest.raises(type(error)):
         question.get(timeout=0)
-    # As in pykka: an error goes to who asked, and the actor lives; what would end the process ends this actor alone.
+    # As in pykka: an error goes to the asker, and the actor lives; what would end the process ends this actor alone.
     assert failing.actor_ref.is_alive() == isinstance(error, Exception)

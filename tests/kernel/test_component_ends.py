@@ -23,7 +23,7 @@ def ends_of(virtual, cls, *bodies, address="a/client/T", mailbox=None):
 
 
 @pytest.mark.parametrize("error", [ValueError("bad"), SystemExit(1), KeyboardInterrupt()])
-def test_any_error_ends_the_actor_and_nobody_else(virtual, error):
+def test_any_error_ends_the_actor_and_no_other(virtual, error):
     class Failing(Diary):
         def on_failure(self, exception_type, exception_value, traceback):
             self.diary.append(f"failed: {exception_type.__name__}")
@@ -90,7 +90,7 @@ def test_a_successor_finds_what_waited_in_the_mailbox_of_its_slot(virtual):
 
     slot = Mailbox()
     ends_of(virtual, Failing, Number(1), Word("bad"), Number(2), Number(3), mailbox=slot)
-    virtual.send(Number(4))  # while nobody is there
+    virtual.send(Number(4))  # between the two
     successor = virtual.kernel.spawn(Diary, "a/client/T", mailbox=slot)
     virtual.settle()
     assert successor.diary == ["start", 2, 3, 4]

@@ -1,4 +1,4 @@
-"""The dispatchers: who runs where, and that nobody stops the rest."""
+"""The dispatchers: where each component runs, and that none stops the rest."""
 
 import math
 import random
@@ -99,7 +99,7 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
     assert all(echo.reached.is_set() for echo in stuck)
 
 
-def test_who_starts_and_ends_the_services_is_not_told_to_be_written_otherwise(pools, kernel):
+def test_the_root_is_not_named_for_holding_a_thread(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
     pools[0].name_held("a/kernel", 0.1)
     pools[0].name_held("a/client/T", 0.1)
@@ -173,7 +173,7 @@ def test_packets_to_an_actor_keep_their_order_however_many_threads_publish(kerne
 
 
 def order_of_work(seed):
-    """Who of twenty actors is served in which order."""
+    """Returns the order in which twenty actors get their turns."""
     dispatcher = VirtualDispatcher(seed)
     kernel = Kernel("a", virtual=dispatcher)
     served = []
@@ -186,7 +186,7 @@ def order_of_work(seed):
     for number in range(20):
         kernel.spawn(Served, f"a/client/{number}")
     dispatcher.settle()
-    kernel.say(LogLine("info", "on log, which nobody hears"))
+    kernel.say(LogLine("info", "on log, which has no reader"))
     kernel.spawn(Component, "a/client/Source").publish("system", LogLine("info", "go"))
     dispatcher.settle()
     return served
@@ -198,7 +198,7 @@ def test_in_virtual_time_a_seed_draws_the_order():
     assert len({tuple(order_of_work(seed)) for seed in range(20)}) == 20
 
 
-def test_virtual_time_moves_only_when_nobody_has_anything_to_do():
+def test_virtual_time_moves_only_when_no_component_has_anything_to_do():
     dispatcher = VirtualDispatcher(1)
     times = []
 

@@ -87,7 +87,7 @@ def arrived(guest):
 def test_a_guest_gives_the_turns_that_it_has_caused_in_its_own_thread(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
-    kernel.log("info", "nobody reads this")
+    kernel.log("info", "without a reader")
     source = Component(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "one"))
     assert hearing.heard == [], "its turn comes when the guest says so"
@@ -151,7 +151,7 @@ def test_a_guest_that_is_held_is_relieved_once_and_the_others_go_on():
 
         visitor = threading.Thread(target=visit)
         visitor.start()
-        assert news.wait(PATIENCE_S), "nobody took the duties of a guest over that is held"
+        assert news.wait(PATIENCE_S), "no thread took the duties of a guest over that is held"
         assert free.news.wait(PATIENCE_S), "a guest that is held has stopped another"
         gate.set()
         visitor.join(PATIENCE_S)
@@ -161,7 +161,7 @@ def test_a_guest_that_is_held_is_relieved_once_and_the_others_go_on():
         kernel.stop()
 
 
-def test_a_handler_that_holds_the_timer_s_thread_stops_nobody_s_ticks(kernel, caplog):
+def test_a_handler_that_holds_the_timer_s_thread_stops_no_ticks(kernel, caplog):
     class Held(Ticked):
         gate = threading.Event()
 
@@ -186,9 +186,9 @@ def test_a_handler_that_holds_the_timer_s_thread_stops_nobody_s_ticks(kernel, ca
     assert caplog.records == [], "the thread that was held has disturbed the one that took over"
 
 
-def test_the_watchdog_rests_while_nobody_works_and_wakes_when_somebody_does():
+def test_the_watchdog_rests_while_no_thread_works_and_wakes_when_one_does():
     class Counting(MonotonicClock):
-        """Counts who asks for the time."""
+        """Counts how often it is asked for the time."""
 
         def __init__(self):
             self.asked = threading.Semaphore(0)
@@ -206,7 +206,7 @@ def test_the_watchdog_rests_while_nobody_works_and_wakes_when_somebody_does():
             assert looked < 1000, "the watchdog never rests"
         guest = Guest(pool, lambda: None)
         assert guest.arrive()
-        assert clock.asked.acquire(timeout=PATIENCE_S), "nobody watches the guest"
+        assert clock.asked.acquire(timeout=PATIENCE_S), "the watchdog does not watch the guest"
         guest.leave()
         pool.stop()
 
@@ -255,7 +255,7 @@ def test_a_worker_gives_the_turns_that_a_guest_has_no_time_for(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
     Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
-    assert hearing.news.wait(PATIENCE_S), "a guest that gives no turns keeps everybody from theirs"
+    assert hearing.news.wait(PATIENCE_S), "a guest that gives no turns keeps all components from theirs"
     guest.leave()
 
 
@@ -287,7 +287,7 @@ def test_a_kernel_stops_while_a_handler_holds_the_timer_s_thread():
             stopping.join(PATIENCE_S)
 
 
-def test_ticks_outlive_a_fault_in_whoever_is_told_of_an_end(kernel):
+def test_ticks_outlive_a_fault_in_what_is_told_of_an_end(kernel):
     ended = threading.Event()
 
     class Failing(Component):
@@ -308,7 +308,7 @@ def test_ticks_outlive_a_fault_in_whoever_is_told_of_an_end(kernel):
 
 @pytest.mark.parametrize(("quick", "slow"), [(0, 1), (10, 1)])
 def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kernel, quick, slow):
-    """Those who run elsewhere than in the pool would have to wait for all of them."""
+    """Components that run elsewhere than in the pool would have to wait for all of them."""
     ticked = []
     fired: list[Component] = []
     both = threading.Event()
@@ -327,7 +327,7 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kerne
         def tick(self, tick):
             pass
 
-    pools[0].looks = lambda: 0  # however slow the machine, nobody else takes over
+    pools[0].looks = lambda: 0  # however slow the machine, no other thread takes over
     for number in range(quick):
         kernel.spawn(Quick, f"a/client/Quick{number}")
     tasks = [kernel.spawn(Slow, f"a/client/Slow{number}") for number in range(10)]

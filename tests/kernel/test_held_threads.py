@@ -1,4 +1,4 @@
-"""Whoever a handler holds is not reckoned with: the others work on, and a guest's loop goes on in another thread."""
+"""The pool does not count on a thread that a handler holds: others work on, and another thread runs a guest's loop."""
 
 import threading
 
@@ -13,7 +13,7 @@ PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
 
 
-def test_beside_a_held_worker_nobody_waits_for_the_watchdog(rig):
+def test_beside_a_held_worker_no_component_waits_for_the_watchdog(rig):
     """Else all others would be given their turns at its pace: fifty times a second, as long as the handler takes."""
     other = rig.actor()
     gates = [rig.hold()]
@@ -42,7 +42,7 @@ def test_beside_a_held_guest_others_work_at_once_and_it_is_relieved_once(rig):
     rig.at_rest()
 
 
-def test_beside_a_guest_that_is_held_between_its_turns_nobody_waits_for_the_watchdog(rig):
+def test_beside_a_guest_that_is_held_between_its_turns_no_component_waits_for_the_watchdog(rig):
     relieved = []
     other = rig.actor()
     guest = rig.visiting(lambda: relieved.append(1))
@@ -53,7 +53,7 @@ def test_beside_a_guest_that_is_held_between_its_turns_nobody_waits_for_the_watc
     rig.look()
     rig.does(other)
     guest.leave()
-    assert relieved == [], "nobody else may be in the middle of its loop"
+    assert relieved == [], "no other thread may be in the middle of its loop"
     rig.at_rest()
 
 
@@ -129,7 +129,7 @@ def test_a_guest_that_is_not_reckoned_with_comes_back_though_the_watchdog_sees_a
     rig.at_rest()
 
 
-def test_nobody_waits_for_a_worker_that_was_called_and_does_not_come(rig):
+def test_no_component_waits_for_a_worker_that_was_called_and_does_not_come(rig):
     """The machine may have no core for it."""
     actor = rig.actor()
     rig.at_rest()
@@ -139,14 +139,14 @@ def test_nobody_waits_for_a_worker_that_was_called_and_does_not_come(rig):
     rig.look()
     assert rig.pool.active == 1
     rig.look(LATER_S)
-    assert done.wait(PATIENCE_S), "nobody else has come"
+    assert done.wait(PATIENCE_S), "no other worker has come"
     hear()
     rig.at_rest()
 
 
 def test_a_worker_whose_turn_has_ended_is_reckoned_with_in_its_next(rig, monkeypatch):
     """Else another would be at work beside it as long as it finds work."""
-    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)  # nobody else comes to what waits
+    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)  # no other worker comes to what waits
     waiting, first = rig.actor(), rig.hold()
     rig.see_held()
     gate, holds = threading.Event(), threading.Event()

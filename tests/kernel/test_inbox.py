@@ -18,7 +18,7 @@ def test_messages_come_in_their_order():
     assert inbox.empty()
 
 
-def test_who_waits_is_woken_by_a_message():
+def test_a_reader_that_waits_is_woken_by_a_message():
     inbox, got = Inbox(), []
     reader = threading.Thread(target=lambda: got.append(inbox.get()))
     reader.start()
@@ -27,7 +27,7 @@ def test_who_waits_is_woken_by_a_message():
     assert got == ["a message"]
 
 
-def test_nobody_waits_where_there_is_a_message_or_no_time():
+def test_a_reader_does_not_wait_where_there_is_a_message_or_no_time():
     inbox = Inbox()
     inbox.wait(0.0)
     inbox.wait(-1.0)
@@ -37,7 +37,7 @@ def test_nobody_waits_where_there_is_a_message_or_no_time():
     inbox.wait(float("inf"))
 
 
-def test_a_message_that_was_taken_wakes_nobody_any_more():
+def test_a_message_that_was_taken_ends_no_later_wait():
     """The timer would look into its book once more for each."""
     inbox = Inbox()
     inbox.put(1)

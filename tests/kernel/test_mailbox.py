@@ -189,7 +189,7 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
         else:
             bound = name if name in bounds else None
             if bound not in bounds:
-                continue  # nobody listens to this type, so the stream never puts it here
+                continue  # this type has no subscriber, so the stream never puts it here
             same = [entry for entry in model if entry[1] == bound]
             full = len(same) >= bounds[bound].limit
             assert waiting.refuses(packet(seq, name), 0) == (bounds[bound].reliable and full)

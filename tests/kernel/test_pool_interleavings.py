@@ -1,4 +1,4 @@
-"""The pool, interleaving by interleaving: who comes just then, and how much of everything there may be."""
+"""The pool, interleaving by interleaving: what comes just then, and how many threads there may be."""
 
 import threading
 
@@ -15,7 +15,7 @@ LATER_S = 1.1 * WATCH_S
 # Second looks
 
 
-def test_of_two_guests_that_find_nobody_at_work_one_is_let_in(rig):
+def test_of_two_guests_that_find_no_thread_at_work_one_is_let_in(rig):
     rig.at_rest()
     first, second = rig.guest(), rig.guest()
     rig.pool.before_lock(first.arrive)
@@ -24,7 +24,7 @@ def test_of_two_guests_that_find_nobody_at_work_one_is_let_in(rig):
     rig.at_rest()
 
 
-def test_of_two_that_find_nobody_at_work_one_calls_a_worker(rig):
+def test_of_two_actors_that_find_no_thread_at_work_one_calls_a_worker(rig):
     first, second = rig.actor(), rig.actor()
     gate, holds, done = threading.Event(), threading.Event(), threading.Event()
     rig.at_rest()
@@ -51,7 +51,7 @@ def test_what_comes_while_a_worker_is_about_to_lie_down_it_does(rig):
     actor, other = rig.actor(), rig.actor()
     rig.at_rest()
     done = threading.Event()
-    # It is at work still, so nobody else is called.
+    # It is at work still, so no other worker is called.
     rig.pool.before_retire = lambda: rig.pool.before_lock(lambda: other.do(done.set))
     actor.do(lambda: None)
     assert done.wait(PATIENCE_S), "a worker lay down while there was work"
@@ -88,7 +88,7 @@ def test_a_guest_gives_no_turns_after_its_time(rig):
     guest.leave()
 
 
-def test_nobody_has_more_than_a_slice_of_a_thread_at_a_time(rig):
+def test_no_actor_has_more_than_a_slice_of_a_thread_at_a_time(rig):
     actor = rig.actor()
     guest = rig.visiting()
     actor.do(lambda: None)
@@ -105,7 +105,7 @@ def test_a_guest_without_work_does_not_wait_for_any(rig):
     guest.leave()
 
 
-def test_who_readies_somebody_while_there_is_one_at_work_does_nothing_else(rig):
+def test_an_actor_is_readied_without_the_lock_while_a_thread_is_at_work(rig):
     """Under the lock all of them would wait for each other."""
     actor = rig.actor()
     guest = rig.visiting()
@@ -139,7 +139,7 @@ def test_there_are_no_more_workers_than_there_may_be(rig, monkeypatch):
     rig.look(LATER_S)
     assert rig.pool.workers == 3 and not done.is_set()
     gates[0].set()
-    assert done.wait(PATIENCE_S), "nobody has come to what waited"
+    assert done.wait(PATIENCE_S), "no worker has come to what waited"
 
 
 def test_there_are_no_more_guests_than_there_may_be(rig, monkeypatch):

@@ -1,7 +1,7 @@
 """What Pancakes relies on inside of pykka: when a new version changes it, these tests say so, not a robot.
 
 `Component` replaces pykka's loop by turns, and keeps pykka's messages. So it overrides or calls methods that pykka
-does not promise to anybody.
+does not promise.
 """
 
 import inspect

@@ -11,7 +11,7 @@ from pancakes.kernel.schedule import Due, Schedule
 
 
 class Ticking:
-    """Somebody who ticks; the schedule looks at nothing but who it is."""
+    """A target of ticks; the schedule looks at nothing but its identity."""
 
 
 def ticks_due(schedule: Schedule, now_s: float) -> list[Due]:
@@ -78,7 +78,7 @@ def test_rounding_gives_no_second_tick_at_a_deadline_that_has_been():
     assert schedule.next_s == pytest.approx(0.4)
 
 
-def test_who_is_cancelled_does_not_tick():
+def test_a_target_that_is_cancelled_does_not_tick():
     schedule = Schedule()
     one, two = Ticking(), Ticking()
     schedule.every(one, 1.0, now_s=0.0)

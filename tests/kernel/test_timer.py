@@ -54,7 +54,7 @@ def test_ten_a_second_is_ten_a_second():
     assert ticker.missed == 0
 
 
-def test_a_mission_that_is_held_ticks_nobody_until_it_begins():
+def test_a_mission_that_is_held_ticks_no_target_until_it_begins():
     rig, ticker = VirtualRig(held=True), Ticker()
     rig.timer.every(ticker, 0.5)
     rig.run_until(100.0)
@@ -189,7 +189,7 @@ def test_a_call_that_fails_ends_no_other(caplog):
     assert [record.message for record in caplog.records] == ["a call of the timer failed"], "once, not again and again"
 
 
-def test_a_message_just_before_something_is_due_lets_nobody_wait():
+def test_a_message_just_before_something_is_due_delays_nothing():
     """With a `queue.SimpleQueue` as its inbox the timer stood still then, until it was told something else."""
     with no_thread_left():
         host = VirtualClock()

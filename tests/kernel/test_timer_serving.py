@@ -14,7 +14,7 @@ PATIENCE_S = 10.0
 
 
 class Clock:
-    """Stands still until it is moved; counts how often it is asked, for who would ask for ever."""
+    """Stands still until it is moved; counts how often it is asked, to end a loop that asks for ever."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -157,7 +157,7 @@ def test_a_visit_in_which_a_call_fails_ends_as_any(timer, clock):
     assert guest.left == 1
 
 
-def test_who_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clock):
+def test_a_guest_that_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clock):
     """The successor serves the same schedules already."""
     first, second, guest = Ticked(), Ticked(), Visitor(clock)
     guest.turns = [lambda: False, lambda: pytest.fail("a relieved guest gives another turn")]
@@ -172,10 +172,10 @@ def test_who_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clo
     assert (len(first.deadlines), len(second.deadlines)) == (1, 1)
 
 
-def test_who_is_relieved_while_it_gives_the_turns_that_wait_goes_too(timer, clock):
+def test_a_guest_that_is_relieved_while_it_gives_the_turns_that_wait_goes_too(timer, clock):
     guest = Visitor(clock)
     timer.after_host(0.0, lambda: guest.turns.append(lambda: bool(clock.now_s) and False))
-    # Something is due again at once: whoever stays would go on.
+    # Something is due again at once: a guest that stays would go on.
     guest.takes_s = 0.001
     later = []
     timer.after_host(0.0005, lambda: later.append(1))

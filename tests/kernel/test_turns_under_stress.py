@@ -159,7 +159,7 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
 
 
 @pytest.mark.parametrize("with_guest", [True, False], ids=["with a guest", "with workers only"])
-def test_nobody_is_forgotten_though_no_watchdog_looks(unruly, pools, with_guest):
+def test_no_packet_is_forgotten_though_no_watchdog_looks(unruly, pools, with_guest):
     """A worker that lies down, or a guest that leaves, just when something comes."""
 
     class Echo(Component):
@@ -249,14 +249,14 @@ def minded(kernel, idea, *texts, second="system"):
 
 
 @pytest.mark.parametrize("second", ["system", "ctrl"])
-def test_who_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
+def test_an_actor_that_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
     component = minded(kernel, lambda it, packet: it.stop(), second=second)
     assert component.heard == ["one"]
     assert [it.body.text for it in iter(component.actor_inbox.queues[second].take, None)] == ["two"]
 
 
 @pytest.mark.parametrize("second", ["system", "ctrl"])
-def test_who_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel, second):
+def test_an_actor_that_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel, second):
     component = minded(kernel, lambda it, packet: it.pause(), second=second)
     assert component.heard == ["one"]
     resumed = threading.Event()
@@ -309,14 +309,14 @@ def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_succe
     mailbox = component.actor_inbox
     component.actor_ref.stop(timeout=PATIENCE_S)
     source = Component(kernel, "a/client/Source")
-    source.publish("system", LogLine("info", "while nobody is there"))
+    source.publish("system", LogLine("info", "between the two"))
     component.drain()
     mailbox.list_all()
     source.publish("system", LogLine("info", "for the successor"))
     assert mailbox.waiting == [mailbox.queues["system"]]
 
 
-def test_a_stream_that_was_silenced_reaches_nobody_who_published_before_either(kernel):
+def test_a_stream_that_was_silenced_takes_nothing_from_earlier_publishers_either(kernel):
     component = minded(kernel, lambda it, packet: None)
     source = Component(kernel, "a/client/Other")
     for text in ("three", "four"):

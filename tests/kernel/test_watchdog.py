@@ -1,4 +1,4 @@
-"""The pool's watchdog: whom it names, when it rests, and what it does where there are no threads."""
+"""The pool's watchdog: what it names, when it rests, and what it does where there are no threads."""
 
 import threading
 
@@ -10,7 +10,7 @@ PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
 
 
-def test_whoever_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
+def test_a_component_that_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
     gate = rig.hold()
     rig.look()
     rig.look(0.5 * HOGGED_S)
@@ -29,7 +29,7 @@ def test_whoever_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
     gate.set()
 
 
-def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
+def test_a_component_that_has_ended_is_not_named(rig):
     """What is told of its end may hold it still."""
     gate, holds = threading.Event(), threading.Event()
     actor = rig.actor()
@@ -49,7 +49,7 @@ def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
     rig.at_rest()
 
 
-def test_nobody_is_named_because_the_whole_machine_stood_still(rig):
+def test_no_component_is_named_because_the_whole_machine_stood_still(rig):
     """The watchdog itself came late then, and knows of no more than what it would have seen by its own periods."""
     gate = rig.hold()
     rig.look()
@@ -64,7 +64,7 @@ def no_thread(*_):
     raise RuntimeError("can't start new thread")
 
 
-def test_where_no_thread_can_be_started_nobody_fails_and_work_is_done_later(rig, monkeypatch, caplog):
+def test_where_no_thread_can_be_started_no_component_fails_and_work_is_done_later(rig, monkeypatch, caplog):
     with monkeypatch.context() as patch:
         patch.setattr(threading.Thread, "start", no_thread)
         done = threading.Event()
@@ -73,7 +73,7 @@ def test_where_no_thread_can_be_started_nobody_fails_and_work_is_done_later(rig,
         rig.look()
         assert len(caplog.records) == 1 and "gets none: can't start new thread" in caplog.text
         assert rig.pool.active == 0 and rig.pool.workers == 0
-        assert not rig.pool.may_doze(), "nobody will look again"
+        assert not rig.pool.may_doze(), "the watchdog will not look again"
     rig.look()
     assert done.wait(PATIENCE_S)
     rig.at_rest()
@@ -114,7 +114,7 @@ def test_a_watchdog_that_fails_looks_again_and_does_not_rest(rig, caplog):
 
     def look():
         looked.release()
-        raise ValueError("a fault in whoever is told")
+        raise ValueError("a fault in what it calls")
 
     rig.at_rest()
     rig.pool.looks = look
@@ -132,16 +132,16 @@ def test_a_watchdog_that_sees_visits_only_sees_that_something_is_done(rig):
     assert rig.look() == rig.look()
 
 
-def test_a_watchdog_does_not_rest_while_somebody_is_here(rig):
+def test_a_watchdog_does_not_rest_while_a_thread_is_here(rig):
     rig.at_rest()
     rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     gate = rig.hold()
-    assert not rig.pool.dozing, "nobody watches the worker"
+    assert not rig.pool.dozing, "the watchdog does not watch the worker"
     gate.set()
     rig.at_rest()
     rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     guest = rig.visiting()
-    assert not rig.pool.dozing, "nobody watches the guest"
+    assert not rig.pool.dozing, "the watchdog does not watch the guest"
     assert not rig.pool.may_doze()
     rig.see_held()
     assert not rig.pool.may_doze(), "a guest that is held is still to be watched"
@@ -161,7 +161,7 @@ def test_a_pool_stops_while_its_watchdog_is_being_woken(rig):
         if dozes:
             assert guest.arrive()
             stopping.start()
-            rig.until(lambda: rig.pool.stopping, "nobody stops")
+            rig.until(lambda: rig.pool.stopping, "the pool does not stop")
             rig.pool.pass_lock()
 
     guest = rig.guest()
