@@ -112,7 +112,7 @@ class TcpRig(TransportRig):
             self.changed.notify_all()
 
     def until(self, condition: Callable[[], Any]) -> None:
-        # `wait_for` looks again at each note; the short slices are for conditions about which nobody notes.
+        # `wait_for` looks again at each note; the short slices are for conditions that no note tells of.
         deadline_s = time.monotonic() + PATIENCE_S
         with self.changed:
             while not condition():

@@ -151,7 +151,7 @@ def test_a_thread_that_was_relieved_ends_and_another_goes_on(rig: Rig) -> None:
     before = first.threads[0]
     before.join(PATIENCE_S)
     assert not before.is_alive(), "two threads are in one loop"
-    # It was ready together with the first, and is not lost; whoever was relieved serves it no more.
+    # It was ready together with the first, and is not lost; the thread that was relieved serves it no more.
     served = [bell.threads[-1] for bell in (first, second)]
     assert len(rig.guests) == 2 and served.count(before) == 1
     in_loop(rig.loop, lambda: None)

@@ -88,10 +88,10 @@ def test_only_agents_are_neighbours_and_clients_are_not_spread(rig, agent):
     assert a.mesh.neighbours() == ["b"]
     assert world.mesh.neighbours() == ["a", "b"]
     assert a.say(NEIGHBOURS, "hello") == 1
-    # The client found the others through a and dialled them; nobody was told where it listens itself.
+    # The client found the others through a and dialled them; no agent was told where it listens itself.
     for other in (a, b, world):
         assert terminal.mesh.listen not in [it["address"] for it in other.mesh.describe()["addresses"]]
-    assert a.say("terminal", "an answer to the one who asked") == 1
+    assert a.say("terminal", "an answer to the asker") == 1
     rig.until(lambda: terminal.packets)
 
 

@@ -42,7 +42,7 @@ def test_two_agents_of_one_name_refuse_each_other(rig, agent):
     first = agent("a")
     second = agent("a", [first.mesh.listen], journal="another journal")
     rig.until(lambda: second.refusals or first.refusals)
-    assert second.refusals and not first.refusals, "the one who dials is the newcomer"
+    assert second.refusals and not first.refusals, "the agent that dials is the newcomer"
     assert first.mesh.connected() == second.mesh.connected() == []
 
 

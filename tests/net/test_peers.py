@@ -1,4 +1,4 @@
-"""Membership: who is dialled, when, and which connection stays."""
+"""Membership: which agents are dialled, when, and which connection stays."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def test_what_a_slow_peer_is_offered_goes_behind_what_was_published_before(sendi
     peers["b"].full = True
     with pytest.raises(PeerBusy):
         sending.send(packet(3))
-    assert sending.send(packet(4, NEIGHBOURS)) == 1, "to neighbours it is not given, and nobody is told"
+    assert sending.send(packet(4, NEIGHBOURS)) == 1, "to neighbours it is not given, and the sender is not told"
     turn.end()
     assert len(peers["b"].got()) == 1
 
@@ -253,7 +253,7 @@ def test_no_way_is_made_of_links_that_are_being_replaced():
     sending = made(turn, peers)
 
     class Links(dict):
-        """Lets the other thread begin while somebody looks for his way, and no sooner."""
+        """Lets the other thread begin while a sender looks for its way, and no sooner."""
 
         def get(self, name, default=None):
             other.start()

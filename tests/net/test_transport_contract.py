@@ -59,7 +59,7 @@ def test_what_is_no_address_cannot_be_listened_at(rig, ear, address):
 def test_a_dial_that_fails_is_told_once(rig, ear, nobody):
     address = "nonsense"
     if nobody:
-        # A port that was just given back: nobody else is likely to have taken it.
+        # A port that was just given back: no other program is likely to have taken it.
         closed = rig.transport("c")
         address = closed.listen(rig.listen_at, lambda: ear())
         closed.close()

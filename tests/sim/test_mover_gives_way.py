@@ -1,4 +1,4 @@
-"""Somebody walks through the arena, and nobody is ever run into, though no robot looks where it goes."""
+"""A mover walks through the arena, and never runs into a robot, though no robot looks where it goes."""
 
 import math
 import random
