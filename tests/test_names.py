@@ -15,7 +15,7 @@ from pancakes.names import fault_of_name, nearest_name
 from pancakes.packet import Packet
 from pancakes.printable import printable, printable_data, printable_line
 from pancakes.wire.link_messages import Identity, fault_of_address
-from pancakes.wire.runs import RowEncoder, Unfit, head_of, messages_from_payload, packets_of, run_of
+from pancakes.wire.runs import PacketRun, RowEncoder, Unfit, head_of, messages_from_payload, packets_of, run_of
 
 
 @pytest.mark.parametrize("name", ["a", "agent1", "_x", "go-home", "ScanTarget_2", "0", "x" * 64])
@@ -66,7 +66,8 @@ def test_a_task_that_is_offered_under_no_name_is_not_taken():
     packet = Packet("network", "migration.solicit", "r2/network/TaskMigrator", "r1", 0.0, 1, body)
     head = head_of(packet)
     (run,) = messages_from_payload(b"\x91" + run_of(head, [RowEncoder(head).encode(packet)]))
-    packets, (unfit,) = packets_of(run)  # type: ignore[arg-type]
+    assert isinstance(run, PacketRun)
+    packets, (unfit,) = packets_of(run)
     assert packets == [] and isinstance(unfit, Unfit) and "migration.solicit" in unfit.reason
 
 

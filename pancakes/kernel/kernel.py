@@ -8,7 +8,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from pancakes.clock import Clock, MissionClock, MonotonicClock, VirtualMissionClock
 from pancakes.errors import PancakesError
@@ -26,6 +26,8 @@ from pancakes.kernel.task_timer import TaskTimer
 from pancakes.kernel.timer import Timer, VirtualTimer
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.packet import LOG, Packet, type_name
+
+_Made = TypeVar("_Made", bound=Component)
 
 
 class Kernel:
@@ -95,12 +97,12 @@ class Kernel:
 
     def spawn(
         self,
-        cls: Callable[..., Component],
+        cls: Callable[..., _Made],
         address: str,
         *,
         exited: Callable[[Component, BaseException | None], None] | None = None,
         **arguments: Any,
-    ) -> Component:
+    ) -> _Made:
         """Makes a component and lets it run.
 
         Args:

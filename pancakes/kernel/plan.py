@@ -19,25 +19,25 @@ Handler = Callable[[Any, Packet], None]
 class Handlers(dict[str | None, tuple[Handler, ...]]):
     """What a component does with the packets of one channel, by their type: all of its handlers for it, in order."""
 
-    __slots__ = ("_for_all",)
+    __slots__ = ("for_all",)
 
     def __init__(self, like: Handlers | None = None) -> None:
         super().__init__(like or {})
-        self._for_all: tuple[Handler, ...] = like._for_all if like is not None else ()
+        self.for_all: tuple[Handler, ...] = like.for_all if like is not None else ()
 
     def add(self, type_name: str | None, handler: Handler) -> None:
         """Adds a handler; those for all types (None) come after those for one."""
         if type_name is None:
-            self._for_all = (*self._for_all, handler)
+            self.for_all = (*self.for_all, handler)
             for name in self:
                 self[name] = (*self[name], handler)
         else:
             own = self[type_name]
-            before = len(own) - len(self._for_all)
+            before = len(own) - len(self.for_all)
             self[type_name] = (*own[:before], handler, *own[before:])
 
     def __missing__(self, type_name: str | None) -> tuple[Handler, ...]:
-        return self._for_all
+        return self.for_all
 
 
 NO_HANDLERS = Handlers()

@@ -18,7 +18,7 @@ from typing import Any
 
 import pykka
 from pykka._envelope import Envelope
-from pykka.messages import _ActorStop
+from pykka.messages import _ActorStop as ActorStop
 
 
 class PykkaActor(pykka.Actor):
@@ -48,7 +48,7 @@ class PykkaActor(pykka.Actor):
         """Ends this actor after what it is doing now. Any thread; one that has ended already is left alone."""
         # pykka's own raises where the actor ends just then.
         if not self.actor_stopped.is_set():
-            self.actor_inbox.put(Envelope(_ActorStop()))
+            self.actor_inbox.put(Envelope(ActorStop()))
 
     def handle_envelope(self, envelope: Envelope[Any]) -> None:
         """Handles what came by a reference: `tell`, `ask`, a proxy's call, `stop`. In the actor."""
@@ -75,7 +75,7 @@ def dismiss(item: Any) -> None:
     """Tells a caller that waits for an answer to `item`, which an ended actor has not handled, that none will come."""
     if not isinstance(item, Envelope) or item.reply_to is None:
         return
-    if isinstance(item.message, _ActorStop):
+    if isinstance(item.message, ActorStop):
         item.reply_to.set(None)
     else:
         error = pykka.ActorDeadError(f"stopped before it handled {item.message!r}")

@@ -20,7 +20,7 @@ STREAK: Final = 8
 that tick at the same time, are no dialogue.
 """
 
-_give_way: Final[Callable[[], object] | None] = getattr(os, "sched_yield", None)
+give_way: Final[Callable[[], object] | None] = getattr(os, "sched_yield", None)
 
 Ready = list[tuple[int, int]]
 """The numbers of sockets' files, each with what it is ready for."""
@@ -48,7 +48,7 @@ class BusyPoll:
         """Returns the sockets that are ready, none where none is until then (host time; None: for ever)."""
         now, poll, busy_poll_s = self._now, self._poll, self.busy_poll_s
         began_s = now_s = now()
-        if self._streak >= STREAK and _give_way is not None:
+        if self._streak >= STREAK and give_way is not None:
             end_s = began_s + busy_poll_s
             if until_s is not None and until_s < end_s:
                 end_s = until_s
@@ -56,7 +56,7 @@ class BusyPoll:
                 ready = poll(0)
                 if ready:
                     return ready
-                _give_way()
+                give_way()
                 now_s = now()
         ready = poll(None if until_s is None else max(0.0, min(until_s - now_s, LONGEST_S)))
         self._streak = self._streak + 1 if ready and now() - began_s < busy_poll_s else 0

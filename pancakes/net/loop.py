@@ -53,6 +53,7 @@ class Loop:
 
     Attributes:
         busy_poll: how it waits.
+        stopping: whether it has been told to stop.
     """
 
     def __init__(self, clock: Clock, name: str) -> None:
@@ -64,7 +65,7 @@ class Loop:
         self._lock = threading.Lock()
         self._timers: list[tuple[float, int, TimerHandle]] = []
         self._count = 0
-        self._stopping = False
+        self.stopping = False
         self._ended = False
         self._over = threading.Event()
         self._woken = False
@@ -88,7 +89,7 @@ class Loop:
         After `stop` nothing is run any more.
         """
         with self._lock:
-            if self._stopping:
+            if self.stopping:
                 return TimerHandle(None)
             timer = TimerHandle(function)
             due_s = self._now() + delay_s
@@ -127,8 +128,8 @@ class Loop:
     def stop(self, last: Callable[[], None]) -> None:
         """Runs what is due, then `last`, and ends the thread; waits for that, unless called in the thread itself."""
         with self._lock:
-            if not self._stopping:
-                self._stopping = True
+            if not self.stopping:
+                self.stopping = True
                 self._count += 1
                 heapq.heappush(self._timers, (self._now(), self._count, TimerHandle(lambda: self._end(last))))
                 self._wake()

@@ -68,6 +68,9 @@ class MemoryNetwork:
         now: the virtual clock.
         source: random numbers for the jitter.
         quality: how well agents hear each other where nothing else is said.
+
+    Attributes:
+        pipes: the connections that exist, in the order in which they were made.
     """
 
     def __init__(
@@ -81,7 +84,7 @@ class MemoryNetwork:
         self.partitions: list[_Partition] = []
         self._listeners: dict[str, tuple[MemoryTransport, Callable[[], ConnectionHandler]]] = {}
         self._exempt: dict[str, None] = {}
-        self._pipes: dict[_Pipe, None] = {}
+        self.pipes: dict[_Pipe, None] = {}
         self._next_port = _FIRST_FREE_PORT
 
     def transport(self, agent: str) -> MemoryTransport:
@@ -121,7 +124,7 @@ class MemoryNetwork:
         self.partitions.append(cut)
 
         def begin() -> None:
-            for pipe in list(self._pipes):
+            for pipe in list(self.pipes):
                 if not pipe.exempt and cut.parts(pipe.agents[0], pipe.agents[1], self.now()):
                     pipe.break_off("the network was cut", at_once)
 
@@ -142,7 +145,7 @@ class MemoryNetwork:
             b: name of the other.
             at_once: whether both ends are told; otherwise they have only the silence to tell them.
         """
-        for pipe in list(self._pipes):
+        for pipe in list(self.pipes):
             if not pipe.exempt and pipe.agents in ((a, b), (b, a)):
                 pipe.break_off(f"the link between {a} and {b} was broken", at_once)
 
@@ -200,7 +203,7 @@ class MemoryNetwork:
             else:
                 del owner.dials[handler]
                 pipe = _Pipe(self, (owner, there[0]), exempt, address)
-                self._pipes[pipe] = None
+                self.pipes[pipe] = None
                 pipe.ends[1].begin(there[1]())
                 pipe.ends[0].begin(handler)
 
@@ -211,14 +214,14 @@ class MemoryNetwork:
         """Ends all that a transport has."""
         for address in [address for address, (other, _) in self._listeners.items() if other is owner]:
             del self._listeners[address]
-        for pipe in list(self._pipes):
+        for pipe in list(self.pipes):
             for end in pipe.ends:
                 if end.owner is owner:
                     end.close("the transport was closed")
 
     def ended(self, pipe: _Pipe) -> None:
         """Both ends of a pipe are closed."""
-        self._pipes.pop(pipe, None)
+        self.pipes.pop(pipe, None)
 
 
 class MemoryTransport(Transport):
@@ -297,7 +300,7 @@ class _End(Connection):
         self._network = pipe.network
         self._handler: ConnectionHandler | None = None
         self._closing = False
-        self._closed = False
+        self.closed = False
         self._unsent = 0
         self._free_s = 0.0  # when the bytes before have left
         self._arrival_s = 0.0  # of what was sent last
@@ -378,10 +381,10 @@ class _End(Connection):
             drained()
 
     def _finish(self, reason: str) -> None:
-        if self._closed:
+        if self.closed:
             return
-        self._closed = True
-        if self.other._closed:
+        self.closed = True
+        if self.other.closed:
             self._network.ended(self._pipe)
         if self._handler is not None:
             self._handler.closed(reason)

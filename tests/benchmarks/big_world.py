@@ -15,6 +15,7 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from random import Random
 
@@ -117,6 +118,11 @@ def simulation_alone(robots: int, duration_s: float) -> float:
     return 100.0 * (time.process_time() - began_s) / duration_s
 
 
+def with_and_without_agents(robots: int, duration_s: float) -> list[float]:
+    """Measures the whole world, and then the simulation alone."""
+    return [*world(robots, duration_s), simulation_alone(robots, duration_s)]
+
+
 def measure(plan: Plan) -> Iterator[Figure]:
     """Measures everything."""
     duration_s = max(2.0, DURATION_S * plan.scale)
@@ -132,5 +138,5 @@ def measure(plan: Plan) -> Iterator[Figure]:
         yield from alone(
             plan if robots == USUAL else Plan(rounds=1),  # the others only show how the cost grows
             figures,
-            lambda robots=robots: [*world(robots, duration_s), simulation_alone(robots, duration_s)],  # type: ignore[misc]
+            partial(with_and_without_agents, robots, duration_s),
         )

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -267,8 +268,8 @@ def measure(plan: Plan) -> Iterator[Figure]:
         yield from in_turns(
             plan,
             figures,
-            lambda subscribers=subscribers, packets=packets: from_a_task(subscribers, packets),  # type: ignore[misc]
-            lambda subscribers=subscribers, packets=packets: stock_pykka(subscribers, packets),  # type: ignore[misc]
+            partial(from_a_task, subscribers, packets),
+            partial(stock_pykka, subscribers, packets),
         )
     packets = plan.share(DELIVERIES)
     yield from in_turns(

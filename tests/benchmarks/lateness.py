@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -175,8 +176,8 @@ def measure(plan: Plan) -> Iterator[Figure]:
         yield from in_turns(
             plan,
             [Figure(f"{name}: lateness p50", "µs"), Figure(f"{name}: lateness p99", "µs", wanted=2.0)],
-            lambda tasks=tasks, rate_hz=rate_hz: pancakes(tasks, rate_hz, duration_s),  # type: ignore[misc]
-            lambda tasks=tasks, rate_hz=rate_hz: bare_thread(tasks, rate_hz, duration_s),  # type: ignore[misc]
+            partial(pancakes, tasks, rate_hz, duration_s),
+            partial(bare_thread, tasks, rate_hz, duration_s),
         )
     tasks, rate_hz = BUSY_CASE
     name = f"{tasks} at {rate_hz:g} Hz beside a busy task"

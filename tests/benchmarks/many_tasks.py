@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from subprocess import Popen
 
@@ -197,8 +198,8 @@ def measure(plan: Plan) -> Iterator[Figure]:
         yield from in_turns(
             plan,
             [Figure(f"{name}: start", "ms", wanted=start), Figure(f"{name}: memory", "MiB", wanted=memory)],
-            lambda ours=ours, number=number: ours(number),  # type: ignore[misc]
-            lambda number=number: bare_actors(number),  # type: ignore[misc]
+            partial(ours, number),
+            partial(bare_actors, number),
         )
 
 

@@ -6,6 +6,7 @@ There is no baseline, and nothing is wanted: it is to grow in proportion. The ta
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 from benchmarks.figure import Figure, Plan, alone
 from benchmarks.many_tasks import crowded
@@ -38,4 +39,4 @@ def measure(plan: Plan) -> Iterator[Figure]:
             Figure(f"{tasks:,} tasks at rest: processor, of a core", "%"),
             Figure(f"{tasks:,} tasks at 1 Hz: processor time a tick", "µs"),
         ]
-        yield from alone(plan, figures, lambda tasks=tasks: grown(tasks, span_s))  # type: ignore[misc]
+        yield from alone(plan, figures, partial(grown, tasks, span_s))

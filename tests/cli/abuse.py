@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import threading
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running
 
 from pancakes.client.door import Answer, Door
 from pancakes.clock import MonotonicClock
@@ -90,7 +91,7 @@ class Abuse:
             transport = TcpTransport(self.clock, f"abuse{index}", TcpTransport.Settings())
             door = Door(f"abuse{index}", "test", transport, self.clock, self._news)
             client = Listener(door, transport, {name: [] for name in agents})
-            door.listen(lambda agent, packet, client=client: self._heard(client, agent, packet))  # type: ignore[misc]
+            door.listen(partial(self._heard, client))
             for running in agents.values():
                 door.learn(rig.address(running))
             self.clients.append(client)

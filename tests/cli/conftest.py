@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from live_output import LiveOutput
-from processes import Rig, Running
+from cli.live_output import LiveOutput
+from cli.processes import Rig, Running
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import time
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from processes import PATIENCE_S, Rig
+from cli.processes import PATIENCE_S, Rig
 
 
 class LiveOutput:

@@ -23,7 +23,7 @@ READY = "/kernel: ready"
 class Running:
     """A process, and the lines that it has said on standard error; on standard output too where it is to be `whole`.
 
-    An agent may be `ours`: it ends with this thread, and an interrupt at the terminal is for us alone, who end it.
+    An agent may be `ours`: it ends with this thread, and an interrupt at the terminal reaches the test, which ends it.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Running:
         raise AssertionError(f"{text!r} was never said, but:\n" + "\n".join(self.said))
 
     def everything(self) -> str:
-        """Waits until nobody holds its standard error open any more, and returns all that was said."""
+        """Waits until no process holds its standard error open any more, and returns all that was said."""
         while not self._silent:
             self._next(PATIENCE_S)
         return "\n".join(self.said)

@@ -8,7 +8,7 @@ import threading
 import time
 from types import TracebackType
 
-from processes import PATIENCE_S
+from cli.processes import PATIENCE_S
 
 from pancakes.errors import RemoteProtocolError
 from pancakes.wire.codec import Encoder

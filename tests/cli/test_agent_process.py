@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 
 import pytest
-from processes import READY, Rig, Running
+from cli.processes import READY, Rig, Running
 
 from pancakes.cli.agent_process import TWICE_S
 

@@ -1,6 +1,6 @@
 """`pancakes-agent` and a configuration that is not sound: every mistake at once, as sentences, exit code 4."""
 
-from processes import Rig
+from cli.processes import Rig
 
 BAD = """
 [device.load]

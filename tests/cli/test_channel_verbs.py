@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from live_output import LiveOutput
-from processes import Rig, Running
+from cli.live_output import LiveOutput
+from cli.processes import Rig, Running
 
 from pancakes.cli.verbs.throughput import size_of
 from pancakes.devices.types import Pose

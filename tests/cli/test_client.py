@@ -3,16 +3,35 @@
 from collections.abc import Callable
 
 import pytest
+from cli.processes import Rig, Running
 from msgspec import Struct
-from processes import Rig, Running
 
-from pancakes import packet
 from pancakes.client import Client
 from pancakes.client.door import Door
 from pancakes.client.following import Following
 from pancakes.control import Describe, Reschedule, Stop
 from pancakes.errors import Unreachable
+from pancakes.packet import packet_type
 
+SOIL = """
+from dataclasses import dataclass
+
+from pancakes.packet import packet_type
+from pancakes.task import Task, every
+
+
+@packet_type("test.soil")
+@dataclass(frozen=True)
+class Soil:
+    depth_m: float
+
+
+class Dig(Task):
+    @every(hz=50)
+    def tick(self, tick):
+        self.publish("system", Soil(1.0))
+"""
+SOIL_ENTRY_POINTS = "[pancakes.tasks]\nsoil.Dig = plugin_soil:Dig\n"
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 
 
@@ -37,21 +56,25 @@ def test_a_refusal_is_a_reply_with_its_reason(agent: Running):
     assert reply.reason == "a has no task or service 'lode', did you mean 'load'?"
 
 
-def test_who_follows_what_cannot_be_read_here_is_told_so_once(agent: Running, monkeypatch: pytest.MonkeyPatch):
-    class OfAnotherVersion(Struct, frozen=True):
-        temperature: str
+@packet_type("test.soil")
+class Soil(Struct, frozen=True):
+    """What the plug-in below publishes has the same type, and another field."""
 
-    monkeypatch.setitem(packet._CLASSES, "load", OfAnotherVersion)
+    temperature: str
+
+
+def test_a_follower_is_told_once_that_packets_cannot_be_read_here(rig: Rig, agent: Running):
+    rig.install("soil", SOIL_ENTRY_POINTS, SOIL)
+    rig.ready("b", '[task.Dig]\ntype = "soil.Dig"\n')
     said: list[str] = []
-    with Client(timeout_s=10.0) as client, Following(client, "system", agents=("a",), say=said.append) as following:
-        assert client.request("a", Reschedule("load", rate_hz=50.0)).ok
+    with Client(timeout_s=10.0) as client, Following(client, "system", agents=("b",), say=said.append) as following:
         end_s = client.now() + 10.0
         while not said and client.now() < end_s:
             assert following.next(client.now() + 0.1) is None
         following.next(client.now() + 0.5)
         assert following.away() == []
     (sentence,) = said
-    assert "cannot be read here" in sentence and "type 'load'" in sentence and "`temperature`" in sentence
+    assert "cannot be read here" in sentence and "type 'test.soil'" in sentence and "`temperature`" in sentence
 
 
 def test_an_agent_that_dies_is_not_waited_for(

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running
 
 TASKS = """
 [device.load]

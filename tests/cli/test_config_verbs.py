@@ -5,7 +5,7 @@ import tomllib
 
 import msgspec
 import pytest
-from processes import Rig
+from cli.processes import Rig
 
 from pancakes.life.restart import RestartSpec
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 from pancakes import __version__
 from pancakes.cli.verbs import machine_checks

@@ -5,7 +5,7 @@ import signal
 from collections.abc import Callable
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 QUICK = ("--timeout", "1")
 

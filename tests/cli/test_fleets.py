@@ -5,7 +5,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from processes import READY, Rig, Running
+from cli.processes import READY, Rig, Running
 
 from pancakes.client import Client, Where
 from pancakes.control import Describe

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 from pancakes.cli.verbs import service as service_verbs
 from pancakes.cli.verbs import task as task_verbs

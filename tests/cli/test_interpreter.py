@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from processes import Rig
+from cli.processes import Rig
 
 _SAY = "import gc, sys; print(sys.getswitchinterval(), *gc.get_threshold())"
 

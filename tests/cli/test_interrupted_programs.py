@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import PATIENCE_S, Rig
+from cli.processes import PATIENCE_S, Rig
 
 ENTRY = "pancakes.cli.console_scripts"
 PANCAKES = f"import sys; from {ENTRY} import pancakes; sys.exit(pancakes())"

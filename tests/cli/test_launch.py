@@ -12,7 +12,7 @@ from typing import Any
 
 import psutil
 import pytest
-from processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running
 
 FLEET = """
 schema = 1

@@ -6,7 +6,7 @@ import socket
 from pathlib import Path
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 WALK = """
 from pancakes.task import Task, every

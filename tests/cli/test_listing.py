@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 QUICK = ("--timeout", "1")

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from abuse import Abuse, Answered, Told, in_file
-from processes import Rig, Running
+from cli.abuse import Abuse, Answered, Told, in_file
+from cli.processes import Rig, Running
 
 from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
 
@@ -190,20 +190,30 @@ HERE = (" already", ", not running", "is stopped, so it cannot move", "no neighb
 """What an agent says of a task that it has, and that cannot do what is asked for."""
 
 
-def test_a_task_that_moves_under_fire_stays_one_task(rig: Rig, abuse: Abuse):
-    source = random.Random(11)
+def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
+    """Returns commands for one task, to both agents: each eighth moves it."""
     commands: list[tuple[str, Any]] = []
     for index in range(COMMANDS):
         agent, other = source.choice([("a", "b"), ("b", "a")])
         body = source.choice([Stop("one"), Start("one"), Restart("one"), Reschedule("one", 9.0), Describe("one")])
         commands.append((agent, Migrate("one", to=other) if index % 8 == 0 else body))
+    return commands
 
-    answered = abuse.replies(abuse.offer(commands))
 
+def test_a_task_that_moves_under_fire_stays_one_task(rig: Rig, abuse: Abuse):
+    source = random.Random(11)
+    answered: list[Answered] = []
+    moved = False
+    for _ in range(10):  # on a busy machine an agent may refuse all moves of a round
+        answered += abuse.replies(abuse.offer(stops_and_moves(source)))
+        moved = any(it.reply.ok for it in answered if isinstance(it.asked.body, Migrate))
+        if moved:
+            break
+
+    assert moved, "it never moved"
     refused = [it for it in answered if not it.reply.ok]
     for it in refused:
         assert any(reason in it.reply.reason for reason in (*ELSEWHERE, *HERE)), it
-    assert any(it.reply.ok for it in answered if isinstance(it.asked.body, Migrate)), "it never moved"
     assert any(reason in it.reply.reason for it in refused for reason in MOVING)
     # One of the two agents has it, and it runs there and nowhere else.
     assert sorted(abuse.ask(0, agent, Restart("one")).ok for agent in ("a", "b")) == [False, True]

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from live_output import LiveOutput, on_a_terminal
-from processes import Rig, Running
+from cli.live_output import LiveOutput, on_a_terminal
+from cli.processes import Rig, Running
 
 from pancakes.cli.verbs.log import Asks, Known, words_of
 

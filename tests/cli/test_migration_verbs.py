@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from cli.processes import Rig, Running
 from msgspec.structs import replace
-from processes import Rig, Running
 
 from pancakes.journal import FileJournal, JournalEntry
 from pancakes.migration.record import Epoch, Phase, Record
@@ -65,7 +65,7 @@ def pair(rig: Rig) -> tuple[Running, Running]:
     first = rig.ready("a", COUNT)
     second = rig.ready("b", agent=f'peers = ["{rig.address(first)}"]')
     first.hear("peer_up peer=b")
-    first.hear("counted n=5")
+    first.hear("counted n=")
     return first, second
 
 
@@ -106,10 +106,11 @@ def test_a_dry_run_tells_the_bids_and_moves_nothing(rig: Rig, pair: tuple[Runnin
 def test_a_table_is_for_people(rig: Rig, pair: tuple[Running, Running]):
     result = rig.pancakes("task", "migrate", "a/Count", "--dry-run")
 
-    story, head, _, row = (line.strip() for line in result.stdout.splitlines() if line.strip())
+    story, *table = (line.strip() for line in result.stdout.splitlines() if line.strip())
+    head, _, row = (line.split() for line in table)
     assert story.startswith("a/Count would move from a to b (cost tasks, 0.")
-    assert head.split() == ["neighbour", "answer", "cost", "terms", "fate", "reason"]
-    assert row.split() == ["b", "bid", "0", "active", "tasks", "0", "won"]
+    assert head == ["neighbour", "answer", "cost", "terms", "fate", "reason"]
+    assert row == ["b", "bid", "0", "active", "tasks", "0", "won"]
     assert "only" not in story
     assert "; only b was asked)" in rig.pancakes("task", "migrate", "a/Count", "--to", "b", "--dry-run").stdout
 

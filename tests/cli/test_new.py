@@ -26,10 +26,16 @@ def new(*arguments: str) -> Result:
     return CliRunner().invoke(pancakes, ["new", *arguments])
 
 
+class AsWritten(configparser.ConfigParser):
+    """Leaves capital letters in the names of options."""
+
+    def optionxform(self, optionstr: str) -> str:
+        return optionstr
+
+
 def installed(folder: Path, site: Path) -> dict[str, str]:
     """Installs a distribution as pip would leave it on the disk, without pip; returns an environment that has it."""
-    parser = configparser.ConfigParser(delimiters=("=",))
-    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser = AsWritten(delimiters=("=",))
     parser.read(folder / "setup.cfg")
     name, version = parser["metadata"]["name"], parser["metadata"]["version"]
     points = "".join(f"[{group}]\n{lines}\n" for group, lines in parser["options.entry_points"].items())
@@ -124,7 +130,7 @@ class TestWhatIsWritten:
 
 def test_every_template_has_a_purpose_and_every_purpose_a_template():
     paths = {file.path for kind in KINDS for file in files_of(kind, Names.of("package"))}
-    assert paths == set(distribution._PURPOSES)
+    assert paths == set(distribution.PURPOSES)
 
 
 def test_templates_are_installed_with_the_package():
@@ -218,7 +224,7 @@ def test_what_the_templates_name_themselves_is_no_name():
                 names.update(re.findall(r"^class (\w+)", file.text, re.MULTILINE))
                 names.update(re.findall(r"^([A-Z]\w+) = ", file.text, re.MULTILINE))
     classes = {name for name in names if name[0].isupper() and not name.isupper() and not name.startswith("Zz")}
-    assert classes == distribution._IMPORTED
+    assert classes == distribution.IMPORTED
 
 
 def test_a_folder_that_exists_is_left_alone(tmp_path):

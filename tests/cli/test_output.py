@@ -1,11 +1,11 @@
 """How the verbs print what they have found."""
 
 import json
+import sys
 
 import pytest
-from rich.console import Console
 
-from pancakes.cli.output import _table, show, show_json, show_sections
+from pancakes.cli.output import show, show_json, show_sections
 
 
 def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):
@@ -17,11 +17,16 @@ def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str
     assert json.loads(capsys.readouterr().out, parse_constant=refuse) == [{"radius_m": None, "levels": [None, 0.5]}]
 
 
-def test_nothing_is_cut_off_in_a_narrow_terminal():
-    console = Console(width=30)
-    with console.capture() as capture:
-        console.print(_table([{"agent": "gateway", "task": "BatteryWatchdog" * 2}], ("agent", "task")))
-    text = "".join(capture.get().split())
+def test_nothing_is_cut_off_in_a_narrow_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    for name, value in (("TERM", "dumb"), ("COLUMNS", "30"), ("LINES", "25")):
+        monkeypatch.setenv(name, value)
+    show([{"agent": "gateway", "task": "BatteryWatchdog" * 2}], ("agent", "task"), "table")
+    shown = capsys.readouterr().out
+    assert max(len(line) for line in shown.splitlines()) <= 30
+    text = "".join(shown.split())
 
     assert "…" not in text
     assert text.count("W") == 2

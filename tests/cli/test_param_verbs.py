@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running
 
 SOURCE = '''
 from dataclasses import dataclass, field

@@ -2,7 +2,7 @@
 
 import json
 
-from processes import Rig
+from cli.processes import Rig
 
 
 def test_every_plugin_is_listed_with_who_offers_it(rig: Rig):

@@ -6,7 +6,7 @@ import signal
 import time
 
 import pytest
-from processes import PATIENCE_S, Rig
+from cli.processes import PATIENCE_S, Rig
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 50\n'
 IDLE = """

@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from processes import Rig
+from cli.processes import Rig
 
 from pancakes.errors import PancakesError
 from pancakes.runtime_dir import RunningAgent, entries, register, runtime_dir

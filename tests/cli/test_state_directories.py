@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from processes import Rig
+from cli.processes import Rig
 
 COUNT = '[task.Count]\ntype = "count.Count"\ndurability = "each"\n'
 ENTRY_POINTS = "[pancakes.tasks]\ncount.Count = plugin_count:Count\n"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 
-from processes import PATIENCE_S, Rig
-from strangers import Strangers
+from cli.processes import PATIENCE_S, Rig
+from cli.strangers import Strangers
 
 from pancakes.client.door import Door
 from pancakes.clock import MonotonicClock

@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 import pytest
-from processes import Rig, Running
+from cli.processes import Rig, Running
 
 SOURCE = """
 from dataclasses import dataclass

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from live_output import LiveOutput, on_a_terminal
-from processes import Rig, Running
+from cli.live_output import LiveOutput, on_a_terminal
+from cli.processes import Rig, Running
 from rich.console import Console
 
 from pancakes.cli.verbs.top import picture

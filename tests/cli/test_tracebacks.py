@@ -4,7 +4,7 @@ import json
 import signal
 
 import pytest
-from processes import Rig
+from cli.processes import Rig
 
 FAILS = """
 from dataclasses import dataclass, field

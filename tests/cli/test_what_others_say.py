@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from processes import PATIENCE_S, Rig, Running
+from cli.processes import PATIENCE_S, Rig, Running
 
 from pancakes.wire.framing import frame
 from pancakes.wire.link_messages import HELLO_NUMBER, VERSION

@@ -99,6 +99,7 @@ def test_everything_that_a_file_can_say():
     scan, home = config.tasks["ScanTarget"], config.tasks["GoHome"]
     assert (scan.service, scan.start, scan.rate_hz, scan.durability) == ("client", True, None, "each")
     assert (scan.restart.policy, scan.restart.at_most, scan.restart.within_s) == ("transient", 5, 2.0)
+    assert scan.migrate is not None
     assert (scan.migrate.when, scan.migrate.field, scan.migrate.below, scan.migrate.above) == (
         "battery",
         "level",

@@ -265,7 +265,8 @@ class TestMigrationRules:
 
     def test_the_bounds_of_other_fields_are_theirs(self):
         text = HEAD + "[task.X]\ntype = 'x'\nmigrate = { when = 'temperature', field = 'celsius', above = 70 }\n"
-        assert parse(text, "a.toml").tasks["X"].migrate.above == 70
+        rule = parse(text, "a.toml").tasks["X"].migrate
+        assert rule is not None and rule.above == 70
 
 
 class TestSyntax:

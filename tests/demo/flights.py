@@ -115,9 +115,20 @@ def _moments(path: Path) -> Iterator[Moment]:
         rows = csv.reader(file)
         assert next(rows) == HEADER
         for t_s, name, x_m, y_m, theta_rad, v_mps, omega_radps, battery_v, driven_by in rows:
-            numbers = [float(cell) for cell in (x_m, y_m, theta_rad, v_mps, omega_radps)]
+            moment = Moment(
+                float(t_s),
+                name,
+                float(x_m),
+                float(y_m),
+                float(theta_rad),
+                float(v_mps),
+                float(omega_radps),
+                float(battery_v) if battery_v else None,
+                driven_by,
+            )
+            numbers = (moment.x_m, moment.y_m, moment.theta_rad, moment.v_mps, moment.omega_radps)
             assert all(math.isfinite(number) for number in numbers)
-            yield Moment(float(t_s), name, *numbers, float(battery_v) if battery_v else None, driven_by)
+            yield moment
 
 
 def fly(demo_name: str, seed: int, out: Path, faults: bool, sets: Sequence[str] = ()) -> Flight:

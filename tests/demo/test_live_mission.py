@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 
 import pytest
-from flights import SCAN, read_flight
-from live_demo import AGENTS, LiveDemo
+from demo.flights import SCAN, read_flight
+from demo.live_demo import AGENTS, LiveDemo
 
 WEAK_BATTERY = "world:task.World.settings.robots.agent1.battery.capacity_j=130"
 """Agent 1's battery falls below 65 % after some 25 s, so that the hand-over is soon."""

@@ -7,8 +7,8 @@ import time
 from pathlib import Path
 
 import pytest
-from flights import read_flight
-from live_demo import PATIENCE_S, LiveDemo
+from demo.flights import read_flight
+from demo.live_demo import PATIENCE_S, LiveDemo
 
 UNDER_WAY = "agent1: new centre"
 LIMIT_S = 2.0

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from flights import SCAN, Flight, fly
+from demo.flights import SCAN, Flight, fly
 
 KHEPERA_RADIUS_M, BUG_RADIUS_M, MOVER_RADIUS_M = 0.065, 0.06, 0.1
 KHEPERA_BASE_M, KHEPERA_WHEEL_MPS = 0.0885, 48_000 / 144.01 / 1000
@@ -114,9 +114,10 @@ def robots_did_what_robots_can(flight: Flight) -> None:
 def the_batteries_explain_the_events(flight: Flight) -> None:
     """The true voltage only falls; what the agents do at 90 % and 65 % happens where it is 90 % and 65 %."""
     for robot in ("agent1", "agent2"):
-        volts = [moment.battery_v for moment in flight.paths[robot]]
-        assert all(later <= earlier for earlier, later in pairwise(volts))  # type: ignore[operator]
-        assert all(EMPTY_V < volt <= FULL_V for volt in volts if volt is not None)
+        volts = [moment.battery_v for moment in flight.paths[robot] if moment.battery_v is not None]
+        assert len(volts) == len(flight.paths[robot])
+        assert all(later <= earlier for earlier, later in pairwise(volts))
+        assert all(EMPTY_V < volt <= FULL_V for volt in volts)
     for (event,), level in (
         (flight.told("saving_power", "agent1"), 0.90),
         (flight.told("migration_asked", "agent1"), 0.65),

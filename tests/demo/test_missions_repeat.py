@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from flights import Flight, read_flight
+from demo.flights import Flight, read_flight
 
 RESULTS = ("events.jsonl", "trajectory.csv", "summary.json")
 TASKS = {"", "ScanTarget", "GoHome"}

@@ -1,6 +1,6 @@
 """A mission in virtual time that is recorded is the same mission to the byte."""
 
-from flights import fly
+from demo.flights import fly
 
 from pancakes.plugins import Plugins
 from pancakes.recording.recording_reader import RecordingReader

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from terminal import Terminal
+from demo.terminal import Terminal
 
 LENGTH = ("--duration", "10", "--speed", "5")
 

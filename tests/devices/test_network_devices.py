@@ -1,6 +1,7 @@
 """Virtual devices: the hardware is another agent's, the packets come over the mesh."""
 
 import pytest
+from devices.driver_context import DriverContext
 
 from pancakes.control import Hold
 from pancakes.devices.network_devices import NetworkMotors, NetworkPose
@@ -10,46 +11,12 @@ from pancakes.packet import Packet, type_name
 from pancakes.settings import SettingsError, make_settings
 
 
-class Context:
-    """What a driver sees of its agent, with a clock that the test moves."""
-
-    agent = "agent1"
-    device = "pose"
-
-    def __init__(self):
-        self.time_s = 0.0
-        self.readings, self.lines, self.sent, self.later = [], [], [], []
-
-    def now(self):
-        return self.time_s
-
-    def deliver(self, body):
-        self.readings.append(body)
-
-    def send(self, channel, body, to):
-        self.sent.append((channel, body, to))
-
-    def after(self, delay_s, function):
-        self.later.append((self.time_s + delay_s, function))
-
-    def log(self, level, text):
-        self.lines.append((level, text))
-
-    def run_until(self, time_s):
-        while self.later and min(due for due, _ in self.later) <= time_s:
-            due = min(self.later, key=lambda call: call[0])
-            self.later.remove(due)
-            self.time_s = due[0]
-            due[1]()
-        self.time_s = time_s
-
-
 def packet(body, source="world/client/MotionCapture"):
     return Packet("system", type_name(body), source, "agent1/device/pose", 0.0, 1, body)
 
 
 def pose_device(**settings):
-    context = Context()
+    context = DriverContext()
     driver = NetworkPose(context, make_settings(NetworkPose.Settings, settings))
     driver.open()
     return driver, context
@@ -127,7 +94,7 @@ def test_virtual_devices_say_that_they_need_the_mesh():
 
 
 def test_virtual_motors_pass_commands_and_hold_on():
-    context = Context()
+    context = DriverContext()
     motors = NetworkMotors(context, make_settings(NetworkMotors.Settings, {"target": "agent2/device/motors"}))
     motors.open()
     motors.apply(Twist(0.1, 0.2), 0.5, "agent1/client/ScanTarget")

@@ -3,8 +3,10 @@
 import math
 
 import pytest
+from devices.driver_context import DriverContext
 
 from pancakes.devices import null
+from pancakes.devices.driver import Sensor
 from pancakes.devices.static import StaticPose
 from pancakes.devices.types import Pose, Twist
 from pancakes.settings import SettingsError, make_settings
@@ -21,7 +23,7 @@ from pancakes.settings import SettingsError, make_settings
     ],
 )
 def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
-    sensor = cls(None, cls.Settings())
+    sensor = cls(DriverContext(), cls.Settings())
     sensor.open()
     assert cls.type == device_type
     assert sensor.sample() is None
@@ -29,7 +31,7 @@ def test_a_null_sensor_has_its_type_and_never_a_reading(cls, device_type):
 
 
 def test_null_motors_take_every_command():
-    motors = null.NullMotors(None, null.NullMotors.Settings())
+    motors = null.NullMotors(DriverContext(), null.NullMotors.Settings())
     motors.open()
     motors.apply(Twist(0.1, 0.0), 0.5, "agent1/client/ScanTarget")
     motors.hold()
@@ -41,12 +43,13 @@ def test_a_null_device_of_ones_own_type_is_a_class_of_two_lines():
     class NullGas(null.NullSensor):
         type = "gas"
 
-    assert NullGas(None, NullGas.Settings()).sample() is None
+    gas: Sensor = NullGas(DriverContext(), NullGas.Settings())
+    assert gas.sample() is None
 
 
 def test_a_static_pose_is_where_it_was_said_to_be():
     settings = make_settings(StaticPose.Settings, {"x_m": 1.0, "y_m": -2.0, "theta_rad": 3 * math.pi})
-    assert StaticPose(None, settings).sample() == Pose(1.0, -2.0, pytest.approx(math.pi))
+    assert StaticPose(DriverContext(), settings).sample() == Pose(1.0, -2.0, pytest.approx(math.pi))
 
 
 def test_a_static_pose_must_be_said():

@@ -251,7 +251,12 @@ def test_a_journal_that_is_not_the_one_any_more_ends_the_store_within_a_second_a
 
     told: list[str] = []
     lost = threading.Event()
-    store = ThreadedStore(Replaced({}, "id"), lost=lambda reason: (told.append(reason), lost.set())[0])
+
+    def tell(reason: str) -> None:
+        told.append(reason)
+        lost.set()
+
+    store = ThreadedStore(Replaced({}, "id"), lost=tell)
 
     assert lost.wait(10)
     store.persist(entry(b"a"), lambda: told.append("written"), told.append)

@@ -1,5 +1,7 @@
 """One kind of record on disk: read at the start, seen in memory, written without waiting."""
 
+from collections.abc import Callable
+
 import pytest
 
 from pancakes import codecs
@@ -11,9 +13,9 @@ class Rig:
 
     def __init__(self, contents):
         self.journal = MemoryJournal(contents, "id")
-        self.pending = []
+        self.pending: list[Callable[[], object]] = []
         self.store = VirtualStore(self.journal, lambda delay_s, write: self.pending.append(write))
-        self.malformed = []
+        self.malformed: list[tuple[str, str]] = []
         self.table = RecordTable(
             Disk(self.journal, self.store, []),
             "number",

@@ -1,8 +1,14 @@
 """Components that need no kernel, for the tests of what gives them turns."""
 
+import threading
+from collections.abc import Callable
+from typing import Any
+
 from pancakes.kernel.component import Component
 from pancakes.kernel.counter import Counter
 from pancakes.kernel.stream import InformationStream
+
+PATIENCE_S = 10.0
 
 
 class NoKernel:
@@ -33,8 +39,9 @@ class Actor(Component):
     """Does in its turns what it is told."""
 
     def __init__(self, dispatcher, address):
-        super().__init__(NoKernel(), address)
-        self.slices_s = []
+        kernel: Any = NoKernel()
+        super().__init__(kernel, address)
+        self.slices_s: list[float] = []
         dispatcher.attach(self)
 
     def take_turn(self, slice_s):
@@ -47,6 +54,16 @@ class Actor(Component):
     def tick(self, tick):
         """Does one thing more, after this."""
         self.call(lambda: None)
+
+
+def holding(holds: threading.Event, gate: threading.Event) -> Callable[[], None]:
+    """Returns what says by one event that it runs, and then waits for the other."""
+
+    def hold() -> None:
+        holds.set()
+        gate.wait(PATIENCE_S)
+
+    return hold
 
 
 def put_back(mailbox):

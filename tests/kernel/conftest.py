@@ -1,20 +1,17 @@
 """A kernel on threads, and a pool whose watchdog looks when it is told to, for the tests of what runs on them."""
 
 import math
-import sys
 import threading
-from pathlib import Path
 
 import pytest
+from kernel.actors import Actor, holding
+from kernel.hooked_pool import HookedPool
+from kernel.virtual_rig import VirtualRig
 
 from pancakes.kernel.guest import Guest
 from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.pool import WATCH_S, PoolDispatcher
+from pancakes.kernel.pool import WATCH_S
 from pancakes.testing import no_thread_left
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from kernel.actors import Actor
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
@@ -30,8 +27,27 @@ def kernel():
         made.stop()
 
 
+@pytest.fixture
+def virtual():
+    return VirtualRig()
+
+
+@pytest.fixture
+def pools(monkeypatch):
+    """The pools of the kernels that the test makes from now on."""
+    made = []
+
+    class Listed(HookedPool):
+        def __init__(self, *args):
+            super().__init__(*args)
+            made.append(self)
+
+    monkeypatch.setattr("pancakes.kernel.kernel.PoolDispatcher", Listed)
+    return made
+
+
 class HandClock:
-    """Stands still until it is moved; who waits for it to move by itself fails."""
+    """Stands still until it is moved; what waits for it to move by itself fails."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -43,41 +59,25 @@ class HandClock:
         return self.now_s
 
 
-class Interposed:
-    """A lock before which something else happens, once."""
-
-    def __init__(self, lock, before):
-        self._lock = lock
-        self._before = before
-
-    def __enter__(self):
-        before, self._before = self._before, lambda: None
-        before()
-        self._lock.acquire()
-
-    def __exit__(self, *_):
-        self._lock.release()
-
-
 class Rig:
     """A pool whose watchdog looks when it is told to.
 
     Attributes:
-        named: whom the watchdog has named.
+        named: the components that the watchdog has named, and for how long each held its thread.
     """
 
     def __init__(self):
         self.clock = HandClock()
-        self.named = []
-        self.pool = PoolDispatcher("p", self.clock, lambda address, held_s: self.named.append((address, held_s)))
-        self.pool.look = lambda: 0
+        self.named: list[tuple[str, float]] = []
+        self.pool = HookedPool("p", self.clock, lambda address, held_s: self.named.append((address, held_s)))
+        self.pool.looks = lambda: 0
         self._actors = 0
         self._gates = []
 
     def look(self, later_s=0.0):
         """Lets the watchdog look, in this thread, after some time."""
         self.clock.now_s += later_s
-        return PoolDispatcher.look(self.pool)
+        return self.pool.look_now()
 
     def new_actor(self):
         """Returns one that has not had its first turn yet."""
@@ -93,18 +93,18 @@ class Rig:
         """Lets an actor do something, and waits until it has, though the watchdog does not look."""
         done = threading.Event()
         actor.do(done.set)
-        assert done.wait(PATIENCE_S), f"nobody gives {actor.address} its turn"
+        assert done.wait(PATIENCE_S), f"no thread gives {actor.address} its turn"
 
     def hold(self):
         """Holds a worker; returns what lets it go on."""
         gate, holds = threading.Event(), threading.Event()
         self._gates.append(gate)
-        self.actor().do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        self.actor().do(holding(holds, gate))
         assert holds.wait(PATIENCE_S)
         return gate
 
     def see_held(self):
-        """Lets the watchdog see everybody who is held."""
+        """Lets the watchdog see each thread that is held."""
         self.look()
         self.look(LATER_S)
 
@@ -131,7 +131,7 @@ class Rig:
 
         def visit():
             guest = self.visiting(relieve)
-            actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+            actor.do(holding(holds, gate))
             guest.work(math.inf)
             guest.leave()
 
@@ -141,22 +141,18 @@ class Rig:
         return gate, visitor
 
     def at_rest(self):
-        """Waits until nobody is at work; who has been counted wrongly stays so for ever."""
-        self.until(lambda: self.pool.at_rest, "a thread never rests")
+        """Waits until no thread is at work; one that was counted wrongly stays so for ever."""
+        self.until(lambda: self.pool.at_rest and self.pool.active == 0, "a thread never rests")
 
     @staticmethod
     def until(condition, complaint):
-        """Waits until something is so that nobody tells of."""
+        """Waits until a condition holds that no event tells of."""
         moment = threading.Event()
         for _ in range(int(PATIENCE_S * 1000)):
             if condition():
                 return
             moment.wait(0.001)
         raise AssertionError(complaint)
-
-    def before_lock(self, happens):
-        """Returns the pool's lock, before which something happens, once."""
-        return Interposed(self.pool._lock, happens)
 
     def end(self):
         for gate in self._gates:

@@ -18,7 +18,7 @@ from pancakes.kernel.kernel import Kernel
 OUTCOMES = "PYKKA_OUTCOMES"
 
 _KERNEL = Kernel("pykka")
-_outcomes = {}
+_outcomes: dict[str, str] = {}
 
 
 class ThreadingActor(Component):
@@ -29,7 +29,7 @@ class ThreadingActor(Component):
         self.exited = lambda component, error: pykka.ActorRegistry.unregister(component.actor_ref)
 
 
-pykka.ThreadingActor = ThreadingActor
+setattr(pykka, "ThreadingActor", ThreadingActor)  # noqa: B010 - for a type checker a class is no variable
 
 
 def pytest_collection_finish():

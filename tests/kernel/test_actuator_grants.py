@@ -1,7 +1,8 @@
-"""Who may have an actuator: one holder, and what is kept for a task that is about to arrive."""
+"""Actuators: one holder each, and what is kept for a task that is about to arrive."""
 
 import pytest
 
+from pancakes.kernel.component import Component
 from pancakes.kernel.registry import DeviceEntry, Registry
 
 CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
@@ -9,14 +10,14 @@ CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
 
 @pytest.fixture
 def registry():
-    made = Registry()
+    made: Registry[Component] = Registry()
     made.add_device(DeviceEntry("wheels", "motors", actuator=True))
     made.add_device(DeviceEntry("arm", "arm", actuator=True))
     made.add_device(DeviceEntry("eye", "ir"))
     return made
 
 
-def test_what_is_kept_obeys_nobody_and_goes_to_nobody_else(registry):
+def test_what_is_kept_obeys_no_task_and_goes_to_no_other(registry):
     assert registry.reserve(CIRCLE, ("motors", "ir")) == ""
     assert registry.holder("wheels") == ""
     assert registry.hold(HOME, ("motors",)) == f"wheels is kept for {CIRCLE}, which is about to start"

@@ -17,7 +17,7 @@ def test_packets_that_fail_and_never_come_again_are_forgotten_and_the_newest_are
     packets = [Packet(SYSTEM, "some", "a/client/Source", "", 0.0, number, None) for number in range(MOST_KNOWN + 1)]
     for packet in packets:
         letters.failed("a/client/Sink", queue, packet)
-        queue.take()  # whoever it came back to ended before it had it again
+        queue.take()  # its reader ended before the packet came again
     for _ in range(ATTEMPTS - 1):
         letters.failed("a/client/Sink", queue, packets[0])  # was forgotten: begins anew
         letters.failed("a/client/Sink", queue, packets[-1])

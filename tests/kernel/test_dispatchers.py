@@ -1,4 +1,4 @@
-"""The dispatchers: who runs where, and that nobody stops the rest."""
+"""The dispatchers: where each component runs, and that none stops the rest."""
 
 import math
 import random
@@ -99,10 +99,10 @@ def test_handlers_that_wait_do_not_stop_the_rest_and_are_named(kernel):
     assert all(echo.reached.is_set() for echo in stuck)
 
 
-def test_who_starts_and_ends_the_services_is_not_told_to_be_written_otherwise(kernel):
+def test_the_root_is_not_named_for_holding_a_thread(pools, kernel):
     probe = kernel.spawn(Probe, "a/test/Probe", channels=("log",))
-    kernel._hogged("a/kernel", 0.1)
-    kernel._hogged("a/client/T", 0.1)
+    pools[0].name_held("a/kernel", 0.1)
+    pools[0].name_held("a/client/T", 0.1)
     assert probe.wait(lambda: probe.packets(LogLine), PATIENCE_S)
     assert ["a/client/T has held" in packet.body.text for packet in probe.packets(LogLine)] == [True]
 
@@ -118,7 +118,12 @@ def test_an_actor_that_fails_ends_alone(kernel, bad):
     failing = ready(kernel.spawn(bad, "a/client/Bad"))
     ended = threading.Event()
     errors = []
-    failing.exited = lambda component, error: (errors.append(error), ended.set())
+
+    def exited(component, error):
+        errors.append(error)
+        ended.set()
+
+    failing.exited = exited
     pinned = ready(kernel.spawn(Pinned, "a/client/Pinned"))
     echo = ready(kernel.spawn(Echo, "a/client/Echo"))
     source = kernel.spawn(Echo, "a/client/Source")
@@ -168,7 +173,7 @@ def test_packets_to_an_actor_keep_their_order_however_many_threads_publish(kerne
 
 
 def order_of_work(seed):
-    """Who of twenty actors is served in which order."""
+    """Returns the order in which twenty actors get their turns."""
     dispatcher = VirtualDispatcher(seed)
     kernel = Kernel("a", virtual=dispatcher)
     served = []
@@ -181,7 +186,7 @@ def order_of_work(seed):
     for number in range(20):
         kernel.spawn(Served, f"a/client/{number}")
     dispatcher.settle()
-    kernel.say(LogLine("info", "on log, which nobody hears"))
+    kernel.say(LogLine("info", "on log, which has no reader"))
     kernel.spawn(Component, "a/client/Source").publish("system", LogLine("info", "go"))
     dispatcher.settle()
     return served
@@ -193,7 +198,7 @@ def test_in_virtual_time_a_seed_draws_the_order():
     assert len({tuple(order_of_work(seed)) for seed in range(20)}) == 20
 
 
-def test_virtual_time_moves_only_when_nobody_has_anything_to_do():
+def test_virtual_time_moves_only_when_no_component_has_anything_to_do():
     dispatcher = VirtualDispatcher(1)
     times = []
 
@@ -218,7 +223,7 @@ def test_a_call_for_a_time_that_has_passed_comes_now():
     dispatcher.run_until(5.0)
     times = []
     dispatcher.call_at(1.0, lambda: times.append(dispatcher.clock.now()))
-    dispatcher.call_at(2.0, lambda: times.append("never")).cancel()
+    dispatcher.call_at(2.0, lambda: times.append(2.0)).cancel()
     dispatcher.run_until(6.0)
     assert times == [5.0]
 
@@ -235,7 +240,8 @@ def test_a_call_for_the_end_of_all_time_never_comes():
 
 def test_calls_come_in_the_order_of_their_times_and_those_of_one_time_as_they_were_asked_for():
     dispatcher, source = VirtualDispatcher(1), random.Random(7)
-    asked, came = [], []
+    asked: list[tuple[float, int, bool]] = []
+    came: list[tuple[float, int]] = []
 
     def ask(depth):
         # Some far away, most so soon that they need no heap, many for one and the same time.

@@ -74,7 +74,7 @@ def test_without_a_gateway_what_would_leave_is_counted(rig):
 
 
 def test_a_tap_sees_what_leaves_from_then_on_until_it_is_removed(rig):
-    seen = []
+    seen: list[Packet] = []
     rig.publish(0)
     rig.stream.tap_outgoing(seen.append)
     for n in (1, 2):
@@ -87,7 +87,7 @@ def test_a_tap_sees_what_leaves_from_then_on_until_it_is_removed(rig):
 
 @pytest.mark.parametrize("error", [MailboxFull("it is slow"), LocalProtocolError("too large")])
 def test_a_publisher_that_may_not_send_is_told_so_and_no_tap_sees_the_packet(rig, error):
-    seen = []
+    seen: list[Packet] = []
     rig.stream.tap_outgoing(seen.append)
     rig.error = error
     with pytest.raises(type(error)):
@@ -109,7 +109,7 @@ def test_on_a_channel_that_was_closed_nothing_leaves(rig):
 
 
 def test_a_stream_that_is_silenced_lets_nothing_out(rig):
-    seen = []
+    seen: list[Packet] = []
     rig.stream.tap_outgoing(seen.append)
     rig.stream.silence()
     rig.publish(0)

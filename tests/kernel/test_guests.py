@@ -2,8 +2,10 @@
 
 import math
 import threading
+from typing import Any
 
 import pytest
+from kernel.hooked_pool import HookedPool
 
 from pancakes.clock import MonotonicClock
 from pancakes.events import LogLine
@@ -44,7 +46,7 @@ class Hearing(Component):
 class Ticked(Component):
     """Is ticked, and is held by its first tick where it has a gate."""
 
-    gate = None
+    gate: threading.Event | None = None
 
     def __init__(self, *args):
         super().__init__(*args)
@@ -85,7 +87,7 @@ def arrived(guest):
 def test_a_guest_gives_the_turns_that_it_has_caused_in_its_own_thread(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
-    kernel.log("info", "nobody reads this")
+    kernel.log("info", "without a reader")
     source = Component(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "one"))
     assert hearing.heard == [], "its turn comes when the guest says so"
@@ -95,9 +97,9 @@ def test_a_guest_gives_the_turns_that_it_has_caused_in_its_own_thread(kernel):
     guest.leave()
 
 
-def test_what_a_guest_does_not_come_to_a_worker_does(kernel):
+def test_what_a_guest_does_not_come_to_a_worker_does(pools, kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
-    kernel._shared.look = lambda: 0  # at once, not because the watchdog looks
+    pools[0].looks = lambda: 0  # at once, not because the watchdog looks
     guest = arrived(kernel.guest(lambda: None))
     Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     guest.leave()
@@ -114,7 +116,7 @@ def test_there_is_one_at_work_at_a_time(kernel):
 
 
 def test_a_turn_s_end_is_the_turn_s_end_in_a_guest_too(kernel):
-    done = []
+    done: list[Any] = []
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     hearing.deferred = lambda: done.append(list(hearing.heard))
     guest = arrived(kernel.guest(lambda: None))
@@ -136,8 +138,12 @@ def test_a_guest_that_is_held_is_relieved_once_and_the_others_go_on():
         stuck.gate = gate
         source = Component(kernel, "a/client/Source")
 
+        def relieve():
+            relieved.append(True)
+            news.set()
+
         def visit():
-            guest = arrived(kernel.guest(lambda: (relieved.append(threading.current_thread()), news.set())))
+            guest = arrived(kernel.guest(relieve))
             source.publish("system", LogLine("info", "one"))
             guest.work(math.inf)
             relieved.append(guest.stays)
@@ -145,19 +151,21 @@ def test_a_guest_that_is_held_is_relieved_once_and_the_others_go_on():
 
         visitor = threading.Thread(target=visit)
         visitor.start()
-        assert news.wait(PATIENCE_S), "nobody took the duties of a guest over that is held"
+        assert news.wait(PATIENCE_S), "no thread took the duties of a guest over that is held"
         assert free.news.wait(PATIENCE_S), "a guest that is held has stopped another"
         gate.set()
         visitor.join(PATIENCE_S)
-        assert len(relieved) == 2 and relieved[1] is False
+        assert relieved == [True, False]
         for component in (free, stuck):
             component.actor_ref.stop(timeout=PATIENCE_S)
         kernel.stop()
 
 
-def test_a_handler_that_holds_the_timer_s_thread_stops_nobody_s_ticks(kernel, caplog):
+def test_a_handler_that_holds_the_timer_s_thread_stops_no_ticks(kernel, caplog):
     class Held(Ticked):
         gate = threading.Event()
+
+    gate = Held.gate
 
     held = kernel.spawn(Held, "a/client/Held")
     others = [kernel.spawn(Ticked, f"a/client/T{number}") for number in range(5)]
@@ -166,7 +174,7 @@ def test_a_handler_that_holds_the_timer_s_thread_stops_nobody_s_ticks(kernel, ca
         for other in others:
             other.wait(len(other.deadlines) + 20)
     finally:
-        Held.gate.set()
+        gate.set()
     held.wait(3)
     for ticked in (held, *others):
         deadlines = list(ticked.deadlines)
@@ -178,9 +186,9 @@ def test_a_handler_that_holds_the_timer_s_thread_stops_nobody_s_ticks(kernel, ca
     assert caplog.records == [], "the thread that was held has disturbed the one that took over"
 
 
-def test_the_watchdog_rests_while_nobody_works_and_wakes_when_somebody_does():
+def test_the_watchdog_rests_while_no_thread_works_and_wakes_when_one_does():
     class Counting(MonotonicClock):
-        """Counts who asks for the time."""
+        """Counts how often it is asked for the time."""
 
         def __init__(self):
             self.asked = threading.Semaphore(0)
@@ -198,7 +206,7 @@ def test_the_watchdog_rests_while_nobody_works_and_wakes_when_somebody_does():
             assert looked < 1000, "the watchdog never rests"
         guest = Guest(pool, lambda: None)
         assert guest.arrive()
-        assert clock.asked.acquire(timeout=PATIENCE_S), "nobody watches the guest"
+        assert clock.asked.acquire(timeout=PATIENCE_S), "the watchdog does not watch the guest"
         guest.leave()
         pool.stop()
 
@@ -219,22 +227,20 @@ def held_visit(kernel, hearing, before_turn=lambda: None):
     return visitor
 
 
-def test_a_guest_that_comes_back_just_now_is_not_relieved(kernel):
+def test_a_guest_that_comes_back_just_now_is_not_relieved(pools, kernel):
     """Else two threads would run its loop."""
     relieved = []
     back, tried = threading.Event(), threading.Event()
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     hearing.gate = threading.Event()
-    pool = kernel._shared
-    hold = pool._hold
 
-    def too_late(shift):
+    def too_late(hold):
         hearing.gate.set()
         assert back.wait(PATIENCE_S)
-        hold(shift)
+        hold()
         tried.set()
 
-    pool._hold = too_late
+    pools[0].around_hold = too_late
     guest = arrived(kernel.guest(lambda: relieved.append("relieved")))
     Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
     guest.work(math.inf)
@@ -249,7 +255,7 @@ def test_a_worker_gives_the_turns_that_a_guest_has_no_time_for(kernel):
     hearing = ready(kernel.spawn(Hearing, "a/client/H"))
     guest = arrived(kernel.guest(lambda: None))
     Component(kernel, "a/client/Source").publish("system", LogLine("info", "one"))
-    assert hearing.news.wait(PATIENCE_S), "a guest that gives no turns keeps everybody from theirs"
+    assert hearing.news.wait(PATIENCE_S), "a guest that gives no turns keeps all components from theirs"
     guest.leave()
 
 
@@ -267,7 +273,12 @@ def test_a_kernel_stops_while_a_handler_holds_the_timer_s_thread():
         kernel = Kernel("a")
         kernel.spawn(Stuck, "a/client/Stuck")
         assert held.wait(PATIENCE_S)
-        stopping = threading.Thread(target=lambda: (kernel.stop(), stopped.set()))
+
+        def stop():
+            kernel.stop()
+            stopped.set()
+
+        stopping = threading.Thread(target=stop)
         stopping.start()
         try:
             assert stopped.wait(PATIENCE_S / 2), "the stop waits for the handler"
@@ -276,7 +287,7 @@ def test_a_kernel_stops_while_a_handler_holds_the_timer_s_thread():
             stopping.join(PATIENCE_S)
 
 
-def test_ticks_outlive_a_fault_in_whoever_is_told_of_an_end(kernel):
+def test_ticks_outlive_a_fault_in_what_is_told_of_an_end(kernel):
     ended = threading.Event()
 
     class Failing(Component):
@@ -296,10 +307,10 @@ def test_ticks_outlive_a_fault_in_whoever_is_told_of_an_end(kernel):
 
 
 @pytest.mark.parametrize(("quick", "slow"), [(0, 1), (10, 1)])
-def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(kernel, quick, slow):
-    """Those who run elsewhere than in the pool would have to wait for all of them."""
+def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(pools, kernel, quick, slow):
+    """Components that run elsewhere than in the pool would have to wait for all of them."""
     ticked = []
-    fired = []
+    fired: list[Component] = []
     both = threading.Event()
 
     class Slow(Component):
@@ -316,7 +327,7 @@ def test_turns_that_take_long_keep_no_tick_of_the_same_time_waiting(kernel, quic
         def tick(self, tick):
             pass
 
-    kernel._shared.look = lambda: 0  # however slow the machine, nobody else takes over
+    pools[0].looks = lambda: 0  # however slow the machine, no other thread takes over
     for number in range(quick):
         kernel.spawn(Quick, f"a/client/Quick{number}")
     tasks = [kernel.spawn(Slow, f"a/client/Slow{number}") for number in range(10)]
@@ -339,13 +350,13 @@ def test_the_watchdog_does_not_rest_while_a_handler_holds_a_worker(kernel):
 
 def test_a_pool_ends_while_its_watchdog_rests():
     with no_thread_left():
-        pool = PoolDispatcher("p", MonotonicClock())
+        pool = HookedPool("p", MonotonicClock())
         moment = threading.Event()
         for _ in range(2000):
-            if pool._dozing:
+            if pool.dozing:
                 break
             moment.wait(0.001)
-        assert pool._dozing
+        assert pool.dozing
         stopping = threading.Thread(target=pool.stop, daemon=True)
         stopping.start()
         stopping.join(PATIENCE_S)

@@ -99,7 +99,7 @@ def test_small_bodies_are_bounded_by_their_number_alone(types: tuple[str, ...]):
     assert waiting.heavy_bytes == 0
 
 
-def test_from_another_agent_who_has_room_gets_it_and_the_loss_of_who_has_none_is_counted():
+def test_a_packet_from_another_agent_reaches_readers_with_room_and_each_loss_is_counted():
     stream, full = stream_with(reliable(1))
     other = opened()
     stream.subscribe("a/client/Other", other, Subscription("system", "heavy.blob", queue(9)))

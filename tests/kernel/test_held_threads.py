@@ -1,8 +1,11 @@
-"""Whoever a handler holds is not reckoned with: the others work on, and a guest's loop goes on in another thread."""
+"""The pool does not count on a thread that a handler holds: others work on, and another thread runs a guest's loop."""
 
 import threading
 
+from kernel.actors import holding
+
 from pancakes.kernel import pool as pool_module
+from pancakes.kernel.guest import Guest
 from pancakes.kernel.pool import WATCH_S
 from pancakes.kernel.shift import Shift
 
@@ -10,7 +13,7 @@ PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
 
 
-def test_beside_a_held_worker_nobody_waits_for_the_watchdog(rig):
+def test_beside_a_held_worker_no_component_waits_for_the_watchdog(rig):
     """Else all others would be given their turns at its pace: fifty times a second, as long as the handler takes."""
     other = rig.actor()
     gates = [rig.hold()]
@@ -39,18 +42,18 @@ def test_beside_a_held_guest_others_work_at_once_and_it_is_relieved_once(rig):
     rig.at_rest()
 
 
-def test_beside_a_guest_that_is_held_between_its_turns_nobody_waits_for_the_watchdog(rig):
+def test_beside_a_guest_that_is_held_between_its_turns_no_component_waits_for_the_watchdog(rig):
     relieved = []
     other = rig.actor()
     guest = rig.visiting(lambda: relieved.append(1))
     rig.see_held()
     rig.does(other)
-    rig.until(lambda: rig.pool._active == 0, "the worker never rests")
+    rig.until(lambda: rig.pool.active == 0, "the worker never rests")
     assert rig.turn(guest)
     rig.look()
     rig.does(other)
     guest.leave()
-    assert relieved == [], "nobody else may be in the middle of its loop"
+    assert relieved == [], "no other thread may be in the middle of its loop"
     rig.at_rest()
 
 
@@ -83,7 +86,7 @@ class TwiceHeld:
             assert self.seen.wait(PATIENCE_S)
             # Not by way of `ready`, which would have a worker do it.
             assert actor.actor_inbox.token.acquire(blocking=False)
-            actor.do(lambda: (self.holds.set(), self.gate.wait(PATIENCE_S)))
+            actor.do(holding(self.holds, self.gate))
             rig.pool.work.append(actor.actor_inbox)
             rig.turn(guest)
             guest.leave()
@@ -101,7 +104,7 @@ def test_a_guest_that_is_first_held_between_turns_and_then_in_one_is_relieved(ri
     relieved = []
     guest = TwiceHeld(rig, lambda: relieved.append(1))
     rig.see_held()
-    assert rig.pool._active == 0
+    assert rig.pool.active == 0
     guest.seen.set()
     assert guest.holds.wait(PATIENCE_S)
     rig.see_held()
@@ -113,55 +116,45 @@ def test_a_guest_that_is_first_held_between_turns_and_then_in_one_is_relieved(ri
 def test_a_guest_that_is_not_reckoned_with_comes_back_though_the_watchdog_sees_another_turn(rig):
     guest = TwiceHeld(rig)
     rig.see_held()
-    hold = rig.pool._hold
 
-    def too_late(shift):
+    def too_late(hold):
         guest.seen.set()
         assert guest.holds.wait(PATIENCE_S)
-        hold(shift)
+        hold()
 
-    rig.pool._hold = too_late
+    rig.pool.around_hold = too_late
     rig.look()
-    assert rig.pool._active == 0
+    assert rig.pool.active == 0
     guest.end()
     rig.at_rest()
 
 
-def test_nobody_waits_for_a_worker_that_was_called_and_does_not_come(rig):
+def test_no_component_waits_for_a_worker_that_was_called_and_does_not_come(rig):
     """The machine may have no core for it."""
-
-    class Slow:
-        """A bell that the worker does not hear yet."""
-
-        def release(self):
-            pass
-
     actor = rig.actor()
     rig.at_rest()
-    worker = rig.pool._idle[-1]
-    bell, worker.wake = worker.wake, Slow()
+    hear = rig.pool.deafen_idle_worker()
     done = threading.Event()
     actor.do(done.set)
     rig.look()
-    assert rig.pool._active == 1
+    assert rig.pool.active == 1
     rig.look(LATER_S)
-    assert done.wait(PATIENCE_S), "nobody else has come"
-    worker.wake = bell
-    bell.release()
+    assert done.wait(PATIENCE_S), "no other worker has come"
+    hear()
     rig.at_rest()
 
 
 def test_a_worker_whose_turn_has_ended_is_reckoned_with_in_its_next(rig, monkeypatch):
     """Else another would be at work beside it as long as it finds work."""
-    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)  # nobody else comes to what waits
+    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)  # no other worker comes to what waits
     waiting, first = rig.actor(), rig.hold()
     rig.see_held()
     gate, holds = threading.Event(), threading.Event()
-    waiting.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
-    assert rig.pool._active == 0
+    waiting.do(holding(holds, gate))
+    assert rig.pool.active == 0
     first.set()
     assert holds.wait(PATIENCE_S)
-    counted = rig.pool._active
+    counted = rig.pool.active
     gate.set()
     assert counted == 1
     rig.at_rest()
@@ -169,15 +162,14 @@ def test_a_worker_whose_turn_has_ended_is_reckoned_with_in_its_next(rig, monkeyp
 
 def test_a_worker_that_has_come_back_just_now_is_reckoned_with(rig):
     gate = rig.hold()
-    hold = rig.pool._hold
 
-    def too_late(shift):
+    def too_late(hold):
         gate.set()
-        rig.until(lambda: rig.pool._idle, "the worker does not come back")
-        hold(shift)
+        rig.until(lambda: rig.pool.idle, "the worker does not come back")
+        hold()
 
     rig.look()
-    rig.pool._hold = too_late
+    rig.pool.around_hold = too_late
     rig.look(LATER_S)
     rig.at_rest()
 
@@ -192,22 +184,22 @@ def test_a_guest_that_has_got_on_just_now_leaves_after_its_next_turn_at_the_late
     def visit():
         guest = rig.visiting(lambda: relieved.append(1))
         for number, actor in enumerate(actors):
-            actor.do(lambda number=number: (holds[number].set(), gates[number].wait(PATIENCE_S)))
+            actor.do(holding(holds[number], gates[number]))
         stays.append(rig.turn(guest))
         guest.leave()
 
-    def too_late(shift):
+    def too_late(hold):
         gates[0].set()
         assert holds[1].wait(PATIENCE_S)
-        hold(shift)
+        hold()
 
     visitor = threading.Thread(target=visit)
     visitor.start()
     assert holds[0].wait(PATIENCE_S)
     rig.look()
-    hold, rig.pool._hold = rig.pool._hold, too_late
+    rig.pool.around_hold = too_late
     rig.look(LATER_S)
-    assert relieved == [1] and rig.pool._active == 0
+    assert relieved == [1] and rig.pool.active == 0
     gates[1].set()
     visitor.join(PATIENCE_S)
     assert stays == [False]
@@ -235,12 +227,17 @@ def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
     relieved, stays = [], []
     gate, holds, back = threading.Event(), threading.Event(), threading.Event()
     actor = rig.actor()
-    guest = rig.guest()
-    guest._shift = shift = Seen(lambda: relieved.append(1))
+
+    class Watched(Guest):
+        def __init__(self):
+            super().__init__(rig.pool, lambda: relieved.append(1))
+            self.shift = self._shift = Seen(lambda: relieved.append(1))
+
+    guest = Watched()
 
     def visit():
         rig.until(guest.arrive, "the pool is never at rest")
-        actor.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        actor.do(holding(holds, gate))
         stays.append(rig.turn(guest))
         back.set()
         guest.leave()
@@ -248,7 +245,7 @@ def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
     def ends_its_turn():
         Seen.hook = staticmethod(lambda: None)
         gate.set()
-        rig.until(lambda: shift.mailbox is None, "its turn does not end")
+        rig.until(lambda: guest.shift.mailbox is None, "its turn does not end")
         back.wait(0.05)  # as long as a guest needs that looks too early; one that does not waits for the watchdog
 
     visitor = threading.Thread(target=visit)
@@ -256,8 +253,12 @@ def test_a_guest_whose_turn_ends_while_it_is_relieved_goes(rig):
     assert holds.wait(PATIENCE_S)
     rig.look()
     rig.clock.now_s += LATER_S
-    hold = rig.pool._hold
-    rig.pool._hold = lambda it: (setattr(Seen, "hook", staticmethod(ends_its_turn)), hold(it))
+
+    def while_it_is_held(hold):
+        Seen.hook = staticmethod(ends_its_turn)
+        hold()
+
+    rig.pool.around_hold = while_it_is_held
     rig.look()
     visitor.join(PATIENCE_S)
     assert stays == [not relieved], "two threads are in one loop, or none is"

@@ -1,6 +1,7 @@
 """The mailbox: bounded, in the order of each channel, kept between a task and its successor."""
 
 from collections import deque
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -172,7 +173,7 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
     """The model is a plain list: the oldest of the same bound falls out; all else stays in order."""
     mailbox = opened()
     waiting = bounded(mailbox, "system", bounds)
-    model = deque()
+    model: deque[tuple[int, Any]] = deque()
     dropped = 0
     for seq, step in enumerate(steps):
         what, _, name = step.partition(" ")
@@ -188,7 +189,7 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
         else:
             bound = name if name in bounds else None
             if bound not in bounds:
-                continue  # nobody listens to this type, so the stream never puts it here
+                continue  # this type has no subscriber, so the stream never puts it here
             same = [entry for entry in model if entry[1] == bound]
             full = len(same) >= bounds[bound].limit
             assert waiting.refuses(packet(seq, name), 0) == (bounds[bound].reliable and full)

@@ -1,8 +1,9 @@
-"""The pool, interleaving by interleaving: who comes just then, and how much of everything there may be."""
+"""The pool, interleaving by interleaving: what comes just then, and how many threads there may be."""
 
 import threading
 
 import pytest
+from kernel.actors import holding
 
 from pancakes.kernel import pool as pool_module
 from pancakes.kernel.pool import SLICE_S, STOP_S, WATCH_S
@@ -14,27 +15,27 @@ LATER_S = 1.1 * WATCH_S
 # Second looks
 
 
-def test_of_two_guests_that_find_nobody_at_work_one_is_let_in(rig):
+def test_of_two_guests_that_find_no_thread_at_work_one_is_let_in(rig):
     rig.at_rest()
     first, second = rig.guest(), rig.guest()
-    rig.pool._lock = rig.before_lock(lambda: first.arrive())
+    rig.pool.before_lock(first.arrive)
     assert not second.arrive()
     first.leave()
     rig.at_rest()
 
 
-def test_of_two_that_find_nobody_at_work_one_calls_a_worker(rig):
+def test_of_two_actors_that_find_no_thread_at_work_one_calls_a_worker(rig):
     first, second = rig.actor(), rig.actor()
     gate, holds, done = threading.Event(), threading.Event(), threading.Event()
     rig.at_rest()
 
     def comes_first():
-        first.do(lambda: (holds.set(), gate.wait(PATIENCE_S)))
+        first.do(holding(holds, gate))
         assert holds.wait(PATIENCE_S)
 
-    rig.pool._lock = rig.before_lock(comes_first)
+    rig.pool.before_lock(comes_first)
     second.do(done.set)
-    assert rig.pool._active == 1, "two workers wake each other for what one can do"
+    assert rig.pool.active == 1, "two workers wake each other for what one can do"
     gate.set()
     assert done.wait(PATIENCE_S)
     rig.at_rest()
@@ -42,7 +43,7 @@ def test_of_two_that_find_nobody_at_work_one_calls_a_worker(rig):
 
 def test_a_pool_that_stops_just_now_lets_no_guest_in(rig):
     rig.at_rest()
-    rig.pool._lock = rig.before_lock(rig.end)
+    rig.pool.before_lock(rig.end)
     assert not rig.guest().arrive()
 
 
@@ -50,12 +51,8 @@ def test_what_comes_while_a_worker_is_about_to_lie_down_it_does(rig):
     actor, other = rig.actor(), rig.actor()
     rig.at_rest()
     done = threading.Event()
-    # It is at work still, so nobody else is called.
-    rig.pool.retire = lambda worker: (
-        setattr(rig.pool, "_lock", rig.before_lock(lambda: other.do(done.set))),
-        delattr(rig.pool, "retire"),
-        rig.pool.retire(worker),
-    )[-1]
+    # It is at work still, so no other worker is called.
+    rig.pool.before_retire = lambda: rig.pool.before_lock(lambda: other.do(done.set))
     actor.do(lambda: None)
     assert done.wait(PATIENCE_S), "a worker lay down while there was work"
 
@@ -64,7 +61,7 @@ def test_what_comes_while_a_guest_is_about_to_leave_a_worker_does(rig):
     actor = rig.actor()
     guest = rig.visiting()
     done = threading.Event()
-    rig.pool._lock = rig.before_lock(lambda: actor.do(done.set))
+    rig.pool.before_lock(lambda: actor.do(done.set))
     guest.leave()
     assert done.wait(PATIENCE_S), "a guest has left while there was work"
 
@@ -91,7 +88,7 @@ def test_a_guest_gives_no_turns_after_its_time(rig):
     guest.leave()
 
 
-def test_nobody_has_more_than_a_slice_of_a_thread_at_a_time(rig):
+def test_no_actor_has_more_than_a_slice_of_a_thread_at_a_time(rig):
     actor = rig.actor()
     guest = rig.visiting()
     actor.do(lambda: None)
@@ -108,14 +105,14 @@ def test_a_guest_without_work_does_not_wait_for_any(rig):
     guest.leave()
 
 
-def test_who_readies_somebody_while_there_is_one_at_work_does_nothing_else(rig):
+def test_an_actor_is_readied_without_the_lock_while_a_thread_is_at_work(rig):
     """Under the lock all of them would wait for each other."""
     actor = rig.actor()
     guest = rig.visiting()
-    lock, rig.pool._lock = rig.pool._lock, None
     done = []
+    rig.pool.before_lock(lambda: pytest.fail("it takes the lock"))
     actor.do(lambda: done.append(1))
-    rig.pool._lock = lock
+    rig.pool.before_lock(lambda: None)
     assert rig.turn(guest) and done == [1]
     guest.leave()
 
@@ -124,7 +121,7 @@ def test_a_pool_that_has_stopped_begins_nothing(rig):
     actor = rig.actor()
     rig.end()
     actor.do(lambda: pytest.fail("it has stopped"))
-    assert rig.pool._workers == [] and rig.pool._active == 0
+    assert (rig.pool.workers, rig.pool.active) == (0, 0)
     rig.end()
     rig.end()
 
@@ -140,9 +137,9 @@ def test_there_are_no_more_workers_than_there_may_be(rig, monkeypatch):
     done = threading.Event()
     waiting.do(done.set)
     rig.look(LATER_S)
-    assert len(rig.pool._workers) == 3 and not done.is_set()
+    assert rig.pool.workers == 3 and not done.is_set()
     gates[0].set()
-    assert done.wait(PATIENCE_S), "nobody has come to what waited"
+    assert done.wait(PATIENCE_S), "no worker has come to what waited"
 
 
 def test_there_are_no_more_guests_than_there_may_be(rig, monkeypatch):
@@ -154,7 +151,7 @@ def test_there_are_no_more_guests_than_there_may_be(rig, monkeypatch):
         rig.see_held()
     last = rig.guest()
     rig.does(actor)
-    rig.until(lambda: rig.pool._active == 0, "the worker never rests")
+    rig.until(lambda: rig.pool.active == 0, "the worker never rests")
     assert not last.arrive()
     guests.pop().leave()
     assert last.arrive()
@@ -168,23 +165,27 @@ def test_workers_that_were_lent_end_when_they_are_not_needed(rig):
     for _ in range(4):
         rig.see_held()
         gates.append(rig.hold())
-    assert len(rig.pool._workers) >= 5
+    assert rig.pool.workers >= 5
     for gate in gates:
         gate.set()
-    rig.until(lambda: len(rig.pool._workers) == 2, "they all stay")
+    rig.until(lambda: rig.pool.workers == 2, "they all stay")
     rig.at_rest()
 
 
-def test_a_stop_waits_for_all_held_workers_together_no_longer_than_for_one(rig):
-    class Held:
-        """A worker that does not end."""
+def test_a_stop_waits_for_all_held_workers_together_no_longer_than_for_one(rig, monkeypatch):
+    waited = []
+    join = threading.Thread.join
 
-        def join(self, timeout):
+    def joined(thread, timeout=None):
+        if timeout is None:
+            join(thread)
+        else:
             waited.append(timeout)
             rig.clock.now_s += timeout
 
-    waited = []
-    workers, rig.pool._workers = rig.pool._workers, [Held(), Held(), Held()]
-    rig.end()
-    rig.pool._workers = workers
+    monkeypatch.setattr(threading.Thread, "join", joined)
+    for _ in range(3):
+        rig.hold()
+        rig.see_held()
+    rig.pool.stop()
     assert waited == [pytest.approx(STOP_S), 0.0, 0.0]

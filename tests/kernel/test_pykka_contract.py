@@ -1,7 +1,7 @@
 """What Pancakes relies on inside of pykka: when a new version changes it, these tests say so, not a robot.
 
 `Component` replaces pykka's loop by turns, and keeps pykka's messages. So it overrides or calls methods that pykka
-does not promise to anybody.
+does not promise.
 """
 
 import inspect
@@ -9,14 +9,14 @@ import threading
 
 import pykka
 import pytest
-from pykka._envelope import Envelope
-from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr, _ActorStop
+from pykka.messages import ProxyCall, ProxyGetAttr, ProxySetAttr
 
 from pancakes.clock import MissionClock, MonotonicClock
 from pancakes.hosting.bidding import TaskMigrator
 from pancakes.hosting.client import ClientService
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.pykka_actor import ActorStop, Envelope
 from pancakes.kernel.timer import Timer
 from pancakes.plugins import Plugins
 from pancakes.service import Service
@@ -71,14 +71,14 @@ def test_an_envelope_is_a_message_and_a_future():
 
 
 def test_messages_are_told_apart_by_these_classes():
-    assert inspect.isclass(_ActorStop)
+    assert inspect.isclass(ActorStop)
     assert list(inspect.signature(ProxyCall).parameters) == ["attr_path", "args", "kwargs"]
     assert list(inspect.signature(ProxyGetAttr).parameters) == ["attr_path"]
     assert list(inspect.signature(ProxySetAttr).parameters) == ["attr_path", "value"]
 
 
 def test_a_future_takes_an_error_as_we_give_it():
-    future = pykka.ThreadingFuture()
+    future: pykka.Future[None] = pykka.ThreadingFuture()
     future.set_exception((ValueError, ValueError("as told"), None))
     with pytest.raises(ValueError, match="as told"):
         future.get(timeout=0)
@@ -91,7 +91,10 @@ def test_handling_a_stop_calls_stop_of_the_actor_itself():
         def _stop(self):
             calls.append("stop")
 
-    Stopped()._handle_receive(_ActorStop())
+        def take(self, message):
+            self._handle_receive(message)
+
+    Stopped().take(ActorStop())
     assert calls == ["stop"]
 
 

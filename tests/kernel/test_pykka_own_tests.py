@@ -13,12 +13,9 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from kernel.pykka_releases import ROOT, allowed, pip, unpacked_sdist
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent))
-
-from kernel.pykka_releases import ROOT, allowed, pip, unpacked_sdist  # noqa: E402
-
 PATIENCE_S = 100.0
 OUTCOMES = "PYKKA_OUTCOMES"
 DIFFERENCES = tomllib.loads((HERE / "pykka_differences.toml").read_text())

@@ -61,7 +61,7 @@ def actor(dispatcher):
 
 def test_a_turn_that_has_done_everything_is_followed_by_none(dispatcher, actor):
     assert not given(dispatcher, actor)
-    assert actor.actor_inbox.token.acquire(blocking=False), "nobody could give it another turn"
+    assert actor.actor_inbox.token.acquire(blocking=False), "no thread could give it another turn"
 
 
 def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher, actor):
@@ -70,7 +70,7 @@ def test_what_a_turn_has_left_of_its_packets_is_for_another_turn(dispatcher, act
     actor.subscribe("system", "line", lambda packet: waiting.put(packet))
     assert not given(dispatcher, actor)
     waiting.put(packet())
-    assert given(dispatcher, actor), "nobody will come to what waits, until something else comes"
+    assert given(dispatcher, actor), "what waits is not handled until something else comes"
     mailbox.paused = True
     assert not given(dispatcher, actor), "it stands still"
 
@@ -123,9 +123,16 @@ def test_what_a_turn_puts_off_is_done_at_its_end_also_what_that_puts_off(dispatc
     given(dispatcher, actor)
     done = []
     actor.after_turn = lambda: done.append("after the turn")
-    actor.do(
-        lambda: (defer(lambda: (done.append("put off"), defer(lambda: done.append("again")))), done.append("turn"))
-    )
+
+    def put_off():
+        done.append("put off")
+        defer(lambda: done.append("again"))
+
+    def turn():
+        defer(put_off)
+        done.append("turn")
+
+    actor.do(turn)
     assert not given(dispatcher, actor)
     assert done == ["turn", "after the turn", "put off", "again"]
     defer(lambda: done.append("at once"))
@@ -135,7 +142,15 @@ def test_what_a_turn_puts_off_is_done_at_its_end_also_what_that_puts_off(dispatc
 def test_what_was_put_off_and_fails_is_told_of_and_the_rest_is_done(dispatcher, actor):
     given(dispatcher, actor)
     done = []
-    actor.do(lambda: (defer(lambda: 1 / 0), defer(lambda: done.append(1))))
+
+    def fail():
+        raise ZeroDivisionError("division by zero")
+
+    def turn():
+        defer(fail)
+        defer(lambda: done.append(1))
+
+    actor.do(turn)
     assert not given(dispatcher, actor)
     assert done == [1]
     assert actor.kernel.said == ["what a turn of a/client/A had put off failed: ZeroDivisionError: division by zero"]
@@ -150,7 +165,7 @@ def test_a_turn_whose_end_fails_is_told_of_and_others_are_given(dispatcher, acto
     assert dispatcher.due == [actor.actor_inbox]
 
 
-def test_the_turn_of_an_actor_that_is_no_more_is_nobody_s(dispatcher, actor):
+def test_an_actor_that_is_no_more_gets_no_turn(dispatcher, actor):
     actor.do(lambda: pytest.fail("it has ended"))
     actor.actor_inbox.component = None
     assert not given(dispatcher, actor)
@@ -172,14 +187,14 @@ def test_a_token_that_two_want_is_one_s(dispatcher):
 
 
 class Emptied(deque):
-    """Seems to have something in it, and somebody else takes it out first."""
+    """Seems to have something in it, and another thread takes it out first."""
 
     def popleft(self):
         self.clear()
         raise IndexError("pop from an empty deque")
 
 
-def test_two_threads_may_clear_what_nobody_will_handle():
+def test_two_threads_may_clear_what_no_actor_will_handle():
     mailbox = Mailbox()
     mailbox.control = Emptied(["a message"])
     mailbox.clear_control()
@@ -194,7 +209,7 @@ def test_a_queue_in_which_much_comes_is_listed_once():
     assert mailbox.waiting == [waiting]
 
 
-def test_who_subscribes_again_as_before_keeps_the_queue():
+def test_a_reader_that_subscribes_again_as_before_keeps_the_queue():
     """What a publisher is about to put there would overtake what was moved out of it."""
     mailbox = Mailbox()
     first = bounded(mailbox, "system", {"line": queue(8)})
@@ -204,7 +219,7 @@ def test_who_subscribes_again_as_before_keeps_the_queue():
 # The stream
 
 
-def test_whoever_makes_up_one_destination_after_the_other_does_not_fill_the_memory(monkeypatch):
+def test_a_sender_that_makes_up_one_destination_after_the_other_does_not_fill_the_memory(monkeypatch):
     gc.collect()
     before = sum(isinstance(it, Route) for it in gc.get_objects())
     monkeypatch.setattr(stream_module, "MOST_ROUTES", 4)

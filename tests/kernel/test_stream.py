@@ -1,4 +1,4 @@
-"""The information stream: who gets what is published, and what happens to what nobody can take."""
+"""The information stream: which readers get a packet, and what happens to one that no reader can take."""
 
 import random
 import threading
@@ -43,7 +43,7 @@ def test_the_five_channels_of_the_paper_are_there_and_cannot_be_removed():
             stream.close(name)
 
 
-def test_a_packet_reaches_those_who_read_its_type_on_its_channel():
+def test_a_packet_reaches_the_readers_of_its_type_on_its_channel():
     stream = InformationStream("a")
     poses = Reader(stream, "a/client/Poses", ("system", "pose"))
     everything = Reader(stream, "a/client/All", ("system", None))
@@ -93,7 +93,7 @@ def test_a_destination_here_means_the_component_or_all_that_is_under_it():
     assert (one.got(), two.got(), other.got()) == ([1, 2, 3], [2, 3], [3])
 
 
-def test_what_is_addressed_to_nobody_is_counted():
+def test_a_packet_to_an_address_without_a_reader_is_counted():
     stream = InformationStream("a")
     assert stream.publish(packet(to="a/client/Nobody")) == 0
     assert stream.undelivered == 1
@@ -109,12 +109,12 @@ def test_a_reader_of_addressed_packets_hears_nothing_else():
     assert reader.got() == [4, 5]
 
 
-def test_what_is_bound_for_elsewhere_goes_to_the_gateway_and_to_nobody_here():
+def test_a_packet_bound_for_elsewhere_goes_to_the_gateway_and_to_no_reader_here():
     stream = InformationStream("a")
     here = Reader(stream, "a/client/T", ("system", "pose"))
     stream.publish(packet(to="b"))
     assert stream.undelivered == 1  # there is no way out yet
-    sent = []
+    sent: list[Packet] = []
     stream.gateway = sent.append
     stream.publish(packet(to="b/client/T", seq=2))
     stream.publish(packet(to="*", seq=3))
@@ -135,8 +135,8 @@ def test_what_comes_from_elsewhere_is_published_on_its_own_channel():
     assert reader.got() == [1, 2, 3]
 
 
-def test_where_a_reliable_reader_has_no_room_nobody_gets_the_packet():
-    """So the publisher may try again, and nobody has it twice."""
+def test_where_a_reliable_reader_has_no_room_no_reader_gets_the_packet():
+    """So the publisher may try again, and no reader has it twice."""
     stream = InformationStream("a")
     first = Reader(stream, "a/client/First", ("system", "pose"))
     full = Reader(stream, "a/client/Full", ("system", "pose"), keep=reliable(1))
@@ -154,7 +154,7 @@ def test_where_a_reliable_reader_has_no_room_nobody_gets_the_packet():
 
 def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
     stream = InformationStream("a")
-    heard = []
+    heard: list[Packet] = []
     stream.tap("system", heard.append)
     stream.publish(packet(seq=1))
     stream.publish(packet(seq=2, to="a/client/T"))
@@ -170,7 +170,7 @@ def test_a_tap_hears_what_is_published_here_until_it_is_taken_off():
 
 def test_a_tap_hears_the_types_that_it_wants_and_no_others():
     stream = InformationStream("a")
-    heard = []
+    heard: list[Packet] = []
     tap = heard.append
     stream.tap("system", tap, ("pose", "twist"))
     for seq, kind in enumerate(("pose", "load", "twist", "pose")):
@@ -226,7 +226,7 @@ def test_many_threads_publish_while_readers_come_and_go():
 
 
 class StreamModel(RuleBasedStateMachine):
-    """Any order of subscribing, leaving, opening, closing and publishing, against a table of who wants what."""
+    """Any order of subscribing, leaving, opening, closing and publishing, against a table of what each reader wants."""
 
     channels = Bundle("channels")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from kernel.actors import put_back
@@ -17,7 +18,7 @@ from pancakes.weight import LIGHT_BYTES
 
 
 class Dispatch:
-    """Counts who is told that something waits."""
+    """Counts how often a reader is told that something waits."""
 
     def __init__(self):
         self.readied = []
@@ -92,7 +93,7 @@ def test_a_destination_is_kept_to():
 
 def test_a_tap_hears_each_of_them():
     stream = InformationStream("a")
-    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), []
+    reader, heard = Reader(stream, "a/client/T", pose=queue(9)), list[Packet]()
     stream.tap("system", heard.append)
     for run in (packets(1, 2), packets(3, 4)):
         stream.inject_all(run, nobody)
@@ -136,21 +137,22 @@ def test_what_came_together_weighs_what_it_took_on_the_wire(size, heavy):
     assert reader.got() == [1, 2, 3] and reader.queue.heavy_bytes == 0
 
 
-def test_who_begins_to_listen_while_somebody_has_no_room_costs_the_others_nothing():
-    """What came from another agent does not come again, so whoever has room is to get it."""
+def test_a_reader_that_subscribes_while_another_has_no_room_costs_the_others_nothing():
+    """What came from another agent does not come again, so each reader with room is to get it."""
     stream, refused = InformationStream("a"), []
     full = Reader(stream, "a/client/Full", pose=reliable(1))
     other = Reader(stream, "a/client/Other", pose=queue(9))
 
     class Component:
-        """Whoever is named in the refusal, which is said just before the others get the packet."""
+        """The reader that the refusal names, which is said just before the others get the packet."""
 
         @property
         def address(self):
             Reader(stream, "a/client/New", ir=queue(9))
             return "a/client/Full"
 
-    full.mailbox.component = Component()
+    component: Any = Component()
+    full.mailbox.component = component
     stream.inject_all(packets(1, 2), lambda packet, error: refused.append(packet.seq))
     assert refused == [2] and full.got() == [1] and full.queue.dropped() == 1
     assert other.got() == [1, 2]

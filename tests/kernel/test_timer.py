@@ -54,7 +54,7 @@ def test_ten_a_second_is_ten_a_second():
     assert ticker.missed == 0
 
 
-def test_a_mission_that_is_held_ticks_nobody_until_it_begins():
+def test_a_mission_that_is_held_ticks_no_target_until_it_begins():
     rig, ticker = VirtualRig(held=True), Ticker()
     rig.timer.every(ticker, 0.5)
     rig.run_until(100.0)
@@ -159,8 +159,14 @@ def test_what_one_thread_of_the_timer_has_left_the_next_does_at_once():
     """Though nothing else is due for a long time."""
     with no_thread_left():
         host = MonotonicClock()
-        timer, ticker = Timer("a", MissionClock(host), host), Ticker()
-        timer._due.append(Due(iter([ticker]), 1.0, 0))
+        ticker = Ticker()
+
+        class Successor(Timer):
+            def __init__(self):
+                super().__init__("a", MissionClock(host), host)
+                self._due.append(Due(iter([ticker]), 1.0, 0))
+
+        timer = Successor()
         timer.launch()
         ticker.wait(1)
         timer.halt()
@@ -172,24 +178,32 @@ def test_a_call_that_fails_ends_no_other(caplog):
         timer = Timer("a", MissionClock(host), host)
         timer.launch()
         done = threading.Event()
-        timer.after_host(0.0, lambda: 1 / 0)
+
+        def fail():
+            raise ZeroDivisionError
+
+        timer.after_host(0.0, fail)
         timer.after_host(0.001, done.set)
         assert done.wait(10.0), "the timer's thread has ended"
         timer.halt()
     assert [record.message for record in caplog.records] == ["a call of the timer failed"], "once, not again and again"
 
 
-def test_a_message_just_before_something_is_due_lets_nobody_wait():
+def test_a_message_just_before_something_is_due_delays_nothing():
     """With a `queue.SimpleQueue` as its inbox the timer stood still then, until it was told something else."""
     with no_thread_left():
         host = VirtualClock()
-        timer = Timer("a", MissionClock(host), host)
-        timer._host_schedule.at(1e-9, lambda: None)
         told, served = threading.Semaphore(0), threading.Semaphore(0)
-        timer._serve = lambda guest: served.release()
+
+        class Served(Timer):
+            def _serve(self, guest):
+                served.release()
+
+        timer = Served("a", MissionClock(host), host)
+        timer.after_host(1e-9, lambda: None)
         timer.launch()
         for _ in range(3000):
-            timer._tell(told.release)
+            timer.actor_inbox.put(told.release)
             assert told.acquire(timeout=10.0)
             while served.acquire(blocking=False):
                 pass

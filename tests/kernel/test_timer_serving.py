@@ -1,6 +1,7 @@
 """How the timer serves what is due as a guest of the pool: one visit at a time, on a clock that a test moves."""
 
 import threading
+from collections.abc import Callable
 
 import pytest
 
@@ -13,7 +14,7 @@ PATIENCE_S = 10.0
 
 
 class Clock:
-    """Stands still until it is moved; counts how often it is asked, for who would ask for ever."""
+    """Stands still until it is moved; counts how often it is asked, to end a loop that asks for ever."""
 
     def __init__(self):
         self.now_s = 100.0
@@ -31,9 +32,12 @@ class Visitor:
     Attributes:
         turns: what is done in the turns that wait; a turn that returns False holds the guest until it is relieved.
         works_until_s: how long it was to give the turns that wait, each time.
+        takes_s: how far the clock moves each time that it gives turns.
     """
 
-    def __init__(self):
+    def __init__(self, clock):
+        self.clock = clock
+        self.takes_s = 0.0
         self.stays = True
         self.turns = []
         self.left = 0
@@ -49,6 +53,7 @@ class Visitor:
 
     def work(self, until_s):
         self.works_until_s.append(until_s)
+        self.clock.now_s += self.takes_s
         while self.turns and self.turn():
             pass
 
@@ -68,6 +73,32 @@ class Ticked:
         self._tick()
 
 
+class ServedByHand(Timer):
+    """Serves what is due when the test says so.
+
+    Attributes:
+        looking: called each time that it looks what is due next.
+    """
+
+    def __init__(self, name, mission, host):
+        super().__init__(name, mission, host)
+        self.looking: Callable[[], object] = lambda: None
+
+    def hear(self):
+        """Does what it was told."""
+        while not self.actor_inbox.empty():
+            self.actor_inbox.get()()
+
+    def serve(self, guest):
+        """Does what it was told, and then serves what is due."""
+        self.hear()
+        self._serve(guest)
+
+    def _next_host_s(self):
+        self.looking()
+        return super()._next_host_s()
+
+
 @pytest.fixture
 def clock():
     return Clock()
@@ -75,20 +106,21 @@ def clock():
 
 @pytest.fixture
 def timer(clock):
-    return Timer("a", MissionClock(clock), clock)
+    return ServedByHand("a", MissionClock(clock), clock)
 
 
 def tick(timer, clock, targets, period_s=0.01):
     """Lets all be ticked from now on, and the first of the ticks be due."""
     for target in targets:
-        timer._mission_schedule.every(target, period_s, timer._mission.now())
+        timer.every(target, period_s)
+    timer.hear()
     clock.now_s += period_s
 
 
 def test_a_visit_ends_when_all_is_done_and_nothing_is_due(timer, clock):
-    ticked, guest = Ticked(), Visitor()
+    ticked, guest = Ticked(), Visitor(clock)
     tick(timer, clock, [ticked])
-    timer._serve(guest)
+    timer.serve(guest)
     assert len(ticked.deadlines) == 1 and guest.left == 1
 
 
@@ -99,55 +131,55 @@ def test_a_visit_ends_even_where_something_is_due_all_the_time(timer, clock):
         clock.now_s += 0.0011
         assert len(ticked.deadlines) < 50, "the visit never ends"
 
-    ticked, guest = Ticked(slow), Visitor()
+    ticked, guest = Ticked(slow), Visitor(clock)
     tick(timer, clock, [ticked], 0.001)
     begun_s = clock.now_s
-    timer._serve(guest)
+    timer.serve(guest)
     assert clock.now_s - begun_s < 2 * GUEST_S and guest.left == 1
 
 
 @pytest.mark.parametrize("period_s", [0.001, 1.0])
 def test_turns_keep_nothing_waiting_that_is_due_next_and_have_their_time(timer, clock, period_s):
-    guest = Visitor()
+    guest = Visitor(clock)
     tick(timer, clock, [Ticked()], period_s)
     begun_s = clock.now_s
-    timer._serve(guest)
+    timer.serve(guest)
     after_a_tick, at_the_end = guest.works_until_s
     assert after_a_tick == pytest.approx(begun_s + min(period_s, ONE_BY_ONE_S))
     assert at_the_end == pytest.approx(begun_s + min(period_s, GUEST_S))
 
 
 def test_a_visit_in_which_a_call_fails_ends_as_any(timer, clock):
-    guest = Visitor()
-    timer._host_schedule.at(clock.now_s, lambda: 1 / 0)
+    guest = Visitor(clock)
+    timer.after_host(0.0, lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        timer._serve(guest)
+        timer.serve(guest)
     assert guest.left == 1
 
 
-def test_who_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clock):
+def test_a_guest_that_is_relieved_in_a_turn_leaves_everything_to_its_successor(timer, clock):
     """The successor serves the same schedules already."""
-    first, second, guest = Ticked(), Ticked(), Visitor()
+    first, second, guest = Ticked(), Ticked(), Visitor(clock)
     guest.turns = [lambda: False, lambda: pytest.fail("a relieved guest gives another turn")]
     tick(timer, clock, [first, second])
-    next_s, asked = timer._next_host_s, []
-    timer._next_host_s = lambda: asked.append(guest.stays) or next_s()
-    timer._serve(guest)
+    asked: list[bool] = []
+    timer.looking = lambda: asked.append(guest.stays)
+    timer.serve(guest)
     assert all(asked), "it looks into what its successor changes"
     assert guest.left == 1 and (len(first.deadlines), len(second.deadlines)) == (1, 0)
-    successor = Visitor()
-    timer._serve(successor)
+    successor = Visitor(clock)
+    timer.serve(successor)
     assert (len(first.deadlines), len(second.deadlines)) == (1, 1)
 
 
-def test_who_is_relieved_while_it_gives_the_turns_that_wait_goes_too(timer, clock):
-    guest = Visitor()
-    timer._host_schedule.at(clock.now_s, lambda: guest.turns.append(lambda: bool(clock.now_s) and False))
-    # Something is due again at once: whoever stays would go on.
-    guest.work = lambda until_s: (setattr(clock, "now_s", clock.now_s + 0.001), guest.turn())
+def test_a_guest_that_is_relieved_while_it_gives_the_turns_that_wait_goes_too(timer, clock):
+    guest = Visitor(clock)
+    timer.after_host(0.0, lambda: guest.turns.append(lambda: bool(clock.now_s) and False))
+    # Something is due again at once: a guest that stays would go on.
+    guest.takes_s = 0.001
     later = []
-    timer._host_schedule.at(clock.now_s + 0.0005, lambda: later.append(1))
-    timer._serve(guest)
+    timer.after_host(0.0005, lambda: later.append(1))
+    timer.serve(guest)
     assert later == [] and guest.left == 1
 
 

@@ -15,6 +15,7 @@ from pancakes.kernel.handlers import every, on
 from pancakes.kernel.keep import queue, reliable
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.task_timer import TaskTimer
+from pancakes.packet import Packet
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 20.0
@@ -83,9 +84,13 @@ def test_nothing_is_lost_doubled_or_out_of_order_however_threads_interleave(unru
             for count in range(1, PACKETS + 1):
                 source.publish("system", LogLine("info", str(count)))
 
+        def take_over():
+            threads.append(threading.Thread(target=visit))
+            threads[-1].start()
+
         def visit():
             """A guest like the network's thread, with as many successors as it takes."""
-            guest = kernel.guest(lambda: threads.append(threading.Thread(target=visit)) or threads[-1].start())
+            guest = kernel.guest(take_over)
             while guest.stays and counts:
                 here = guest.arrive()
                 guest_source.publish("system", LogLine("info", str(counts.pop())))
@@ -154,7 +159,7 @@ def test_a_tick_that_comes_while_the_one_before_is_taken_comes_once():
 
 
 @pytest.mark.parametrize("with_guest", [True, False], ids=["with a guest", "with workers only"])
-def test_nobody_is_forgotten_though_no_watchdog_looks(unruly, with_guest):
+def test_no_packet_is_forgotten_though_no_watchdog_looks(unruly, pools, with_guest):
     """A worker that lies down, or a guest that leaves, just when something comes."""
 
     class Echo(Component):
@@ -168,7 +173,7 @@ def test_nobody_is_forgotten_though_no_watchdog_looks(unruly, with_guest):
 
     with no_thread_left():
         kernel = Kernel("a")
-        kernel._shared.look = lambda: 0
+        pools[0].looks = lambda: 0
         echo = kernel.spawn(Echo, "a/client/Echo")
         echo.actor_ref.proxy().heard.get(timeout=PATIENCE_S)
         source = Component(kernel, "a/client/Source")
@@ -244,14 +249,14 @@ def minded(kernel, idea, *texts, second="system"):
 
 
 @pytest.mark.parametrize("second", ["system", "ctrl"])
-def test_who_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
+def test_an_actor_that_stops_in_the_middle_of_its_packets_gets_no_more_of_them(kernel, second):
     component = minded(kernel, lambda it, packet: it.stop(), second=second)
     assert component.heard == ["one"]
     assert [it.body.text for it in iter(component.actor_inbox.queues[second].take, None)] == ["two"]
 
 
 @pytest.mark.parametrize("second", ["system", "ctrl"])
-def test_who_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel, second):
+def test_an_actor_that_stands_still_in_the_middle_of_its_packets_gets_the_others_later(kernel, second):
     component = minded(kernel, lambda it, packet: it.pause(), second=second)
     assert component.heard == ["one"]
     resumed = threading.Event()
@@ -270,7 +275,7 @@ def test_a_call_that_fails_between_two_packets_brings_neither_back(kernel, secon
 
 
 def test_what_is_published_again_and_again_has_its_cause_as_the_first_time_and_none_after_the_turn(kernel):
-    published = []
+    published: list[Packet] = []
 
     def idea(it, packet):
         it.fence = "a fence"
@@ -278,7 +283,12 @@ def test_what_is_published_again_and_again_has_its_cause_as_the_first_time_and_n
 
     component = minded(kernel, idea, "one")
     said = threading.Event()
-    component.call(lambda: (published.append(component.publish("log", LogLine("info", "said"))), said.set()))
+
+    def publish():
+        published.append(component.publish("log", LogLine("info", "said")))
+        said.set()
+
+    component.call(publish)
     assert said.wait(PATIENCE_S)
     first, second, after = published
     assert first.cause == second.cause == ("a/client/Source", 1)
@@ -299,14 +309,14 @@ def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_succe
     mailbox = component.actor_inbox
     component.actor_ref.stop(timeout=PATIENCE_S)
     source = Component(kernel, "a/client/Source")
-    source.publish("system", LogLine("info", "while nobody is there"))
+    source.publish("system", LogLine("info", "between the two"))
     component.drain()
     mailbox.list_all()
     source.publish("system", LogLine("info", "for the successor"))
     assert mailbox.waiting == [mailbox.queues["system"]]
 
 
-def test_a_stream_that_was_silenced_reaches_nobody_who_published_before_either(kernel):
+def test_a_stream_that_was_silenced_takes_nothing_from_earlier_publishers_either(kernel):
     component = minded(kernel, lambda it, packet: None)
     source = Component(kernel, "a/client/Other")
     for text in ("three", "four"):

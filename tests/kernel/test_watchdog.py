@@ -1,17 +1,16 @@
-"""The pool's watchdog: whom it names, when it rests, and what it does where there are no threads."""
+"""The pool's watchdog: what it names, when it rests, and what it does where there are no threads."""
 
 import threading
 
 import pytest
 
-from pancakes.kernel import pool as pool_module
 from pancakes.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S
 
 
-def test_whoever_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
+def test_a_component_that_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
     gate = rig.hold()
     rig.look()
     rig.look(0.5 * HOGGED_S)
@@ -30,7 +29,7 @@ def test_whoever_holds_a_thread_for_long_is_named_once_for_each_turn(rig):
     gate.set()
 
 
-def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
+def test_a_component_that_has_ended_is_not_named(rig):
     """What is told of its end may hold it still."""
     gate, holds = threading.Event(), threading.Event()
     actor = rig.actor()
@@ -45,12 +44,12 @@ def test_nobody_is_named_where_the_component_has_ended_that_holds_a_thread(rig):
     rig.see_held()
     for _ in range(5):
         rig.look(LATER_S)
-    assert rig.named == [] and rig.pool._active == 0
+    assert rig.named == [] and rig.pool.active == 0
     gate.set()
     rig.at_rest()
 
 
-def test_nobody_is_named_because_the_whole_machine_stood_still(rig):
+def test_no_component_is_named_because_the_whole_machine_stood_still(rig):
     """The watchdog itself came late then, and knows of no more than what it would have seen by its own periods."""
     gate = rig.hold()
     rig.look()
@@ -65,26 +64,30 @@ def no_thread(*_):
     raise RuntimeError("can't start new thread")
 
 
-def test_where_no_thread_can_be_started_nobody_fails_and_work_is_done_later(rig, monkeypatch, caplog):
+def test_where_no_thread_can_be_started_no_component_fails_and_work_is_done_later(rig, monkeypatch, caplog):
     with monkeypatch.context() as patch:
-        patch.setattr(pool_module._Worker, "start", no_thread)
+        patch.setattr(threading.Thread, "start", no_thread)
         done = threading.Event()
         actor = rig.new_actor()
         actor.do(done.set)
         rig.look()
         assert len(caplog.records) == 1 and "gets none: can't start new thread" in caplog.text
-        assert rig.pool._active == 0 and rig.pool._workers == []
-        assert not rig.pool._may_doze(), "nobody will look again"
+        assert rig.pool.active == 0 and rig.pool.workers == 0
+        assert not rig.pool.may_doze(), "the watchdog will not look again"
     rig.look()
     assert done.wait(PATIENCE_S)
     rig.at_rest()
+    gates = []
+    while rig.pool.idle:
+        gates.append(rig.hold())
+        rig.see_held()
     with monkeypatch.context() as patch:
-        patch.setattr(pool_module._Worker, "start", no_thread)
-        rig.pool._idle, rig.pool._workers, kept = [], [], (rig.pool._idle, rig.pool._workers)
+        patch.setattr(threading.Thread, "start", no_thread)
         actor.do(lambda: None)
         assert len(caplog.records) == 2, "it is told each time that it begins"
-        rig.pool._idle, rig.pool._workers = kept
     rig.look()
+    for gate in gates:
+        gate.set()
     rig.at_rest()
 
 
@@ -111,15 +114,14 @@ def test_a_watchdog_that_fails_looks_again_and_does_not_rest(rig, caplog):
 
     def look():
         looked.release()
-        raise ValueError("a fault in whoever is told")
+        raise ValueError("a fault in what it calls")
 
     rig.at_rest()
-    rig.pool.look = look
-    with rig.pool._lock:
-        rig.pool._watch_again()
+    rig.pool.looks = look
+    rig.pool.wake_watchdog()
     for _ in range(2 * DOZE_LOOKS):
         assert looked.acquire(timeout=PATIENCE_S), "the watchdog has ended"
-    rig.pool.look = lambda: 0
+    rig.pool.looks = lambda: 0
     assert "the watchdog of the pool of p failed" in caplog.text
 
 
@@ -130,48 +132,43 @@ def test_a_watchdog_that_sees_visits_only_sees_that_something_is_done(rig):
     assert rig.look() == rig.look()
 
 
-def test_a_watchdog_does_not_rest_while_somebody_is_here(rig):
+def test_a_watchdog_does_not_rest_while_a_thread_is_here(rig):
     rig.at_rest()
-    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     gate = rig.hold()
-    assert not rig.pool._dozing, "nobody watches the worker"
+    assert not rig.pool.dozing, "the watchdog does not watch the worker"
     gate.set()
     rig.at_rest()
-    rig.until(lambda: rig.pool._dozing, "the watchdog never rests")
+    rig.until(lambda: rig.pool.dozing, "the watchdog never rests")
     guest = rig.visiting()
-    assert not rig.pool._dozing, "nobody watches the guest"
-    assert not rig.pool._may_doze()
+    assert not rig.pool.dozing, "the watchdog does not watch the guest"
+    assert not rig.pool.may_doze()
     rig.see_held()
-    assert not rig.pool._may_doze(), "a guest that is held is still to be watched"
+    assert not rig.pool.may_doze(), "a guest that is held is still to be watched"
     guest.leave()
     gate = rig.hold()
     rig.see_held()
-    assert not rig.pool._may_doze(), "a worker that is held is still to be named"
+    assert not rig.pool.may_doze(), "a worker that is held is still to be named"
     gate.set()
 
 
 def test_a_pool_stops_while_its_watchdog_is_being_woken(rig):
     """Its alarm rings already."""
     rig.at_rest()
-    may_doze = rig.pool._may_doze
     stopping = threading.Thread(target=rig.end)
 
-    def hooked():
-        dozes = may_doze()
+    def seen(dozes):
         if dozes:
             assert guest.arrive()
             stopping.start()
-            rig.until(lambda: rig.pool._stopping, "nobody stops")
-            with rig.pool._lock:
-                pass
-        return dozes
+            rig.until(lambda: rig.pool.stopping, "the pool does not stop")
+            rig.pool.pass_lock()
 
     guest = rig.guest()
-    rig.pool._may_doze = hooked
-    with rig.pool._lock:
-        rig.pool._watch_again()
-    rig.until(lambda: rig.pool._stopping, "the watchdog never rests")
+    rig.pool.seen_dozing = seen
+    rig.pool.wake_watchdog()
+    rig.until(lambda: rig.pool.stopping, "the watchdog never rests")
     stopping.join(PATIENCE_S)
-    assert not stopping.is_alive() and not rig.pool._watchdog.is_alive()
+    assert not stopping.is_alive() and not rig.pool.watched
     rig.end = lambda: None
     guest.leave()

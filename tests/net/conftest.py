@@ -6,6 +6,7 @@ import heapq
 import random
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -54,7 +55,43 @@ class Timeline:
         self.clock.advance_to(time_s)
 
 
-class TcpRig:
+class TransportRig(ABC):
+    """Transports and what stands on them: ears, agents, bare peers."""
+
+    virtual: bool
+    listen_at: str
+    clock: Clock
+
+    @abstractmethod
+    def transport(self, name: str) -> Transport:
+        """Returns a transport for an agent."""
+
+    def ear(self) -> Ear:
+        return Ear(self)
+
+    def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
+        return Agent(self, name, *arguments, **more)
+
+    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link."""
+        peer = BarePeer(self.clock.now, name, **more)
+        self.transport(name).dial(to.mesh.listen, peer)
+        return peer
+
+    @abstractmethod
+    def note(self) -> None:
+        """To be called when something has happened that a test may wait for."""
+
+    @abstractmethod
+    def until(self, condition: Callable[[], Any]) -> None:
+        """Waits until something is so."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes the transports."""
+
+
+class TcpRig(TransportRig):
     """Transports over TCP on loopback; waits in real time."""
 
     virtual = False
@@ -71,36 +108,23 @@ class TcpRig:
         return made
 
     def note(self) -> None:
-        """To be called when something has happened that a test may wait for."""
         with self.changed:
             self.changed.notify_all()
 
     def until(self, condition: Callable[[], Any]) -> None:
-        # `wait_for` looks again at each note; the short slices are for conditions about which nobody notes.
+        # `wait_for` looks again at each note; the short slices are for conditions that no note tells of.
         deadline_s = time.monotonic() + PATIENCE_S
         with self.changed:
             while not condition():
                 assert time.monotonic() < deadline_s, "what the test waits for did not happen"
                 self.changed.wait(0.01)
 
-    def ear(self) -> Ear:
-        return Ear(self)
-
-    def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
-        return Agent(self, name, *arguments, **more)
-
-    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
-        """Returns a peer of an agent that is nothing but a link."""
-        peer = BarePeer(self.clock.now, name, **more)
-        self.transport(name).dial(to.mesh.listen, peer)
-        return peer
-
     def close(self) -> None:
         for transport in self._transports:
             transport.close()
 
 
-class MemoryRig:
+class MemoryRig(TransportRig):
     """Transports in memory; virtual time runs until what a test waits for has happened."""
 
     virtual = True
@@ -121,18 +145,6 @@ class MemoryRig:
         deadline_s = self.clock.now() + 60.0
         while not condition():
             assert self.clock.now() < deadline_s and self.timeline.step(), "what the test waits for did not happen"
-
-    def ear(self) -> Ear:
-        return Ear(self)
-
-    def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
-        return Agent(self, name, *arguments, **more)
-
-    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
-        """Returns a peer of an agent that is nothing but a link."""
-        peer = BarePeer(self.clock.now, name, **more)
-        self.transport(name).dial(to.mesh.listen, peer)
-        return peer
 
     def close(self) -> None:
         pass
@@ -202,7 +214,7 @@ class BarePeer:
 class Ear:
     """A handler that writes down what it is told."""
 
-    def __init__(self, rig: TcpRig | MemoryRig) -> None:
+    def __init__(self, rig: TransportRig) -> None:
         self._rig = rig
         self.connection: Connection | None = None
         self.data = bytearray()
@@ -232,7 +244,7 @@ class Ear:
 
 
 @pytest.fixture(params=["tcp", "memory"])
-def rig(request: pytest.FixtureRequest) -> Iterator[TcpRig | MemoryRig]:
+def rig(request: pytest.FixtureRequest) -> Iterator[TransportRig]:
     made = TcpRig() if request.param == "tcp" else MemoryRig()
     yield made
     made.close()
@@ -257,7 +269,7 @@ def tcp_rig() -> Iterator[TcpRig]:
 
 @pytest.fixture
 def ear(rig: Any) -> Callable[[], Ear]:
-    return rig.ear  # type: ignore[no-any-return]
+    return rig.ear
 
 
 class Agent:
@@ -265,7 +277,7 @@ class Agent:
 
     def __init__(
         self,
-        rig: TcpRig | MemoryRig,
+        rig: TransportRig,
         name: str,
         peers: Sequence[str] = (),
         *,
@@ -327,7 +339,7 @@ class Agent:
 
 @pytest.fixture
 def agent(rig: Any) -> Callable[..., Agent]:
-    return rig.agent  # type: ignore[no-any-return]
+    return rig.agent
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
 
 
 def taken(near: socket.socket) -> int:
-    """Sends as much as both kernels take of it while nobody reads."""
+    """Sends as much as both kernels take of it while the other end does not read."""
     near.setblocking(False)
     total = 0
     try:

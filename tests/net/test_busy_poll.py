@@ -36,7 +36,7 @@ class Sockets:
         self.timeouts.append(timeout_s)
         end_s = math.inf if timeout_s is None else self.now_s + max(timeout_s, LOOK_S)
         self.now_s = min(end_s, max(self.now_s, self.ready_s))
-        assert self.now_s < math.inf, "nobody would ever wake"
+        assert self.now_s < math.inf, "the thread would sleep for ever"
         if self.ready_s > self.now_s:
             return []
         self.ready_s = math.inf
@@ -128,7 +128,7 @@ def test_the_configuration_says_how_long_it_stays_awake(table: dict[str, float],
 def test_a_configuration_made_in_code_is_checked_before_the_thread_begins(
     tmp_path: Path, key: str, value: object
 ) -> None:
-    """Nobody has read it from a file; with infinity the thread would stay awake for ever after one dialogue."""
+    """It comes from no file that was checked; with infinity the thread would stay awake for ever after one dialogue."""
     network = ServiceConfig("network", "network", settings={key: value})
     config = msgspec.structs.replace(config_of("a", state_dir=str(tmp_path)), services={"network": network})
     with no_thread_left(), pytest.raises(PancakesError, match=f"bad settings for NetworkService: {key}: "):
@@ -144,7 +144,7 @@ def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:
 
 def test_it_gives_way_each_time_that_nothing_is_ready(sockets: Sockets, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr("pancakes.net.busy_poll._give_way", lambda: given.append(sockets.now_s))
+    monkeypatch.setattr("pancakes.net.busy_poll.give_way", lambda: given.append(sockets.now_s))
     waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     assert not given

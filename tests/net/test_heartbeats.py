@@ -12,7 +12,7 @@ NEWS = Packet("chat", "words", "a/client/test", "b", 0.0, 1, "news")
 
 
 def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
-    """Whoever expects to hear something sooner asks, and the other answers."""
+    """The end that expects to hear something sooner asks, and the other answers."""
     a = memory_rig.agent("a", times=LinkTimes(heartbeat_s=0.5))
     b = memory_rig.agent("b", [a.mesh.listen], times=LinkTimes(heartbeat_s=20.0))
     c = memory_rig.agent("c", [a.mesh.listen], times=LinkTimes(heartbeat_s=0.5))

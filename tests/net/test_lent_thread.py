@@ -1,4 +1,4 @@
-"""The network's thread gives turns itself while nobody else does, and another takes over where a turn holds it."""
+"""The network's thread gives turns itself while no other thread does, and another takes over where a turn holds it."""
 
 from __future__ import annotations
 

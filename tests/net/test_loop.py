@@ -6,6 +6,7 @@ import math
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -189,7 +190,7 @@ def test_it_waits_for_a_time_that_is_further_ahead_than_the_system_can_wait(rig:
     """A peer that says it sleeps for some years, and there is nothing else to do."""
     rig.loop.call_later(1e9, lambda: rig.done.say("too early"))
     for name in ("a", "b"):
-        rig.within(lambda name=name: rig.add(name))  # type: ignore[misc]
+        rig.within(partial(rig.add, name))
     assert sorted(rig.done.first(2)) == ["read a", "read b"]
 
 

@@ -21,7 +21,12 @@ def arrivals(rig, ear):
     """Writes down when bytes come in."""
     times = []
     keep = ear.received
-    ear.received = lambda data: (times.append(round(rig.clock.now(), 6)), keep(data))
+
+    def received(data: bytes) -> None:
+        times.append(round(rig.clock.now(), 6))
+        keep(data)
+
+    ear.received = received
     return times
 
 

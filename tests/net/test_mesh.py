@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 import numpy
 import pytest
+from net.meetings import pair, raw_hello
 
 from pancakes.devices.types import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
@@ -15,36 +17,10 @@ from pancakes.packet import NEIGHBOURS, Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.wire.link import LinkTimes
-from pancakes.wire.link_messages import VERSION, Hello
-from pancakes.wire.runs import RowEncoder, head_of, run_of
-
-
-def pair(rig, agent, **more):
-    a = agent("a", **more)
-    b = agent("b", [a.mesh.listen])
-    rig.until(lambda: a.knows("b") and b.knows("a"))
-    return a, b
 
 
 def bodies(who):
     return [packet.body for packet in who.packets]
-
-
-def message_of(packet):
-    head = head_of(packet)
-    return run_of(head, [RowEncoder(head).encode(packet)])
-
-
-def raw_hello(name="intruder", **more):
-    values = {
-        "version": VERSION,
-        "fleet": "default",
-        "role": "agent",
-        "journal": f"journal of {name}",
-        "boot": 1,
-        **more,
-    }
-    return frame([Encoder().link_message(Hello(name=name, **values))])
 
 
 def test_two_agents_meet_and_exchange_packets_in_order(rig, agent):
@@ -112,10 +88,10 @@ def test_only_agents_are_neighbours_and_clients_are_not_spread(rig, agent):
     assert a.mesh.neighbours() == ["b"]
     assert world.mesh.neighbours() == ["a", "b"]
     assert a.say(NEIGHBOURS, "hello") == 1
-    # The client found the others through a and dialled them; nobody was told where it listens itself.
+    # The client found the others through a and dialled them; no agent was told where it listens itself.
     for other in (a, b, world):
         assert terminal.mesh.listen not in [it["address"] for it in other.mesh.describe()["addresses"]]
-    assert a.say("terminal", "an answer to the one who asked") == 1
+    assert a.say("terminal", "an answer to the asker") == 1
     rig.until(lambda: terminal.packets)
 
 
@@ -127,7 +103,7 @@ def test_when_both_dial_one_link_stays_that_of_the_lower_name(memory_rig):
     assert a.downs == [] and b.downs == []
     (peer,) = a.mesh.describe()["peers"]
     assert peer["remote"] == "tcp://b:1", "a dialled it"
-    assert len(memory_rig.network._pipes) == 1
+    assert len(memory_rig.network.pipes) == 1
 
 
 def test_both_dialling_over_real_sockets_ends_in_one_link(tcp_rig):
@@ -190,7 +166,7 @@ def test_a_link_whose_other_end_has_gone_unseen_gives_way_to_a_new_one(memory_ri
     a = memory_rig.agent("a", listen="tcp://a:1")
     b = memory_rig.agent("b", ["tcp://a:1"], listen="tcp://b:1")
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
-    (pipe,) = memory_rig.network._pipes
+    (pipe,) = memory_rig.network.pipes
     pipe.cut = True
     pipe.ends[0].finish_later("only b sees the break")
     memory_rig.until(lambda: b.downs)
@@ -338,7 +314,7 @@ def test_counters_and_round_trips_can_be_read(rig, agent):
 
 
 def test_packets_of_one_turn_leave_together(memory_rig):
-    turn_ends = []
+    turn_ends: list[Callable[[], None]] = []
     a = memory_rig.agent("a", defer=turn_ends.append)
     b = memory_rig.agent("b", [a.mesh.listen])
     memory_rig.until(lambda: a.knows("b"))

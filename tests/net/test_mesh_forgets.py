@@ -11,7 +11,7 @@ from pancakes.packet import NEIGHBOURS
 
 def test_a_session_that_has_ended_is_kept_by_nobody_whoever_was_sent_something(memory_rig):
     a = memory_rig.agent("a")
-    gone = []
+    gone: list[weakref.ref[Session]] = []
     of_others = {id(it): it for it in gc.get_objects() if isinstance(it, Session)}
     for boot in (1, 2, 3):
         b = memory_rig.agent("b", [a.mesh.listen], boot=boot)

@@ -4,38 +4,14 @@ from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
+from net.meetings import message_of, pair, raw_hello
 
 from pancakes.devices.types import Pose
 from pancakes.net.mesh import MAX_HANDSHAKES
 from pancakes.packet import Packet
 from pancakes.wire.codec import Encoder
 from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
-from pancakes.wire.link_messages import VERSION, Hello, Welcome
-from pancakes.wire.runs import RowEncoder, head_of, run_of
-
-
-def pair(rig, agent, **more):
-    a = agent("a", **more)
-    b = agent("b", [a.mesh.listen])
-    rig.until(lambda: a.knows("b") and b.knows("a"))
-    return a, b
-
-
-def message_of(packet):
-    head = head_of(packet)
-    return run_of(head, [RowEncoder(head).encode(packet)])
-
-
-def raw_hello(name="intruder", **more):
-    values = {
-        "version": VERSION,
-        "fleet": "default",
-        "role": "agent",
-        "journal": f"journal of {name}",
-        "boot": 1,
-        **more,
-    }
-    return frame([Encoder().link_message(Hello(name=name, **values))])
+from pancakes.wire.link_messages import Welcome
 
 
 def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
@@ -66,7 +42,7 @@ def test_two_agents_of_one_name_refuse_each_other(rig, agent):
     first = agent("a")
     second = agent("a", [first.mesh.listen], journal="another journal")
     rig.until(lambda: second.refusals or first.refusals)
-    assert second.refusals and not first.refusals, "the one who dials is the newcomer"
+    assert second.refusals and not first.refusals, "the agent that dials is the newcomer"
     assert first.mesh.connected() == second.mesh.connected() == []
 
 

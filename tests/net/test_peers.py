@@ -1,4 +1,4 @@
-"""Membership: who is dialled, when, and which connection stays."""
+"""Membership: which agents are dialled, when, and which connection stays."""
 
 from __future__ import annotations
 
@@ -340,7 +340,7 @@ def test_a_mesh_has_its_bounds():
 
 def full_of_clients(quiet_s):
     """An agent with all the clients that it takes, each on a machine of its own."""
-    quiet = {}
+    quiet: dict[int, float] = {}
     it = Peers(hello("a"), (), random.Random(1), LinkTimes(), 0.0, lambda link, now_s: quiet[link])
     for number in range(MAX_CLIENTS):
         link = it.new_link()

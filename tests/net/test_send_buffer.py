@@ -213,7 +213,7 @@ def test_what_two_links_with_one_peer_drop_at_once_is_all_counted():
     class Dropped(dict):
         """Lets the other thread count while one is at it."""
 
-        def get(self, channel, default):
+        def get(self, channel, default=None):
             count = super().get(channel, default)
             if other.ident is None:
                 other.start()

@@ -20,12 +20,18 @@ from pancakes.net.sending import MOST_WAYS, Sending, Way
 from pancakes.net.session import BATCH_BYTES
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.runs import messages_from_payload, packets_of, run_of
+from pancakes.wire.runs import PacketRun, messages_from_payload, packets_of, run_of
 
 
 @packet_type("sending test level")
 class Level(msgspec.Struct, frozen=True):
     level: float
+
+
+def packets_in(whole: bytes) -> list[Packet]:
+    """Returns the packets in a frame."""
+    runs = [it for it in messages_from_payload(whole[4:]) if isinstance(it, PacketRun)]
+    return [packet for run in runs for packet in packets_of(run)[0]]
 
 
 class Peer:
@@ -40,8 +46,7 @@ class Peer:
 
     def send(self, trains):
         whole = frame([train.message() for train in trains])
-        messages = messages_from_payload(whole[4:])
-        self.sent.append([packet for run in messages for packet in packets_of(run)[0]])
+        self.sent.append(packets_in(whole))
         self.retries += sum(train.retries for train in trains)
 
     def offer(self, channel, key, message):
@@ -54,7 +59,7 @@ class Peer:
     def taken(self):
         """What it was offered."""
         frames = [frame([run_of(it.head, [it.data])]) for it in self.offered]
-        return [packet for it in frames for run in messages_from_payload(it[4:]) for packet in packets_of(run)[0]]
+        return [packet for it in frames for packet in packets_in(it)]
 
     def got(self):
         return [packet for batch in self.sent for packet in batch]
@@ -149,7 +154,7 @@ def test_what_a_slow_peer_is_offered_goes_behind_what_was_published_before(sendi
     peers["b"].full = True
     with pytest.raises(PeerBusy):
         sending.send(packet(3))
-    assert sending.send(packet(4, NEIGHBOURS)) == 1, "to neighbours it is not given, and nobody is told"
+    assert sending.send(packet(4, NEIGHBOURS)) == 1, "to neighbours it is not given, and the sender is not told"
     turn.end()
     assert len(peers["b"].got()) == 1
 
@@ -176,7 +181,10 @@ def test_a_packet_that_fits_no_frame_is_refused_though_others_like_it_went_befor
     assert [it.seq for it in (*peers["b"].got(), *peers["b"].taken)] == [1, 3]
 
 
-@pytest.mark.parametrize(("body", "arrives"), [(Level(numpy.float64(0.5)), 0.5), (Level(object()), None)])
+NO_NUMBER: Any = object()
+
+
+@pytest.mark.parametrize(("body", "arrives"), [(Level(numpy.float64(0.5)), 0.5), (Level(NO_NUMBER), None)])
 def test_a_body_that_does_not_keep_to_its_class_is_looked_at_though_others_like_it_went_before(
     sending, turn, peers, body, arrives
 ):
@@ -241,13 +249,13 @@ def test_ways_are_forgotten_where_there_are_too_many(sending, turn, peers):
 
 def test_no_way_is_made_of_links_that_are_being_replaced():
     """A thread that publishes finds the old link just before another thread takes it away."""
-    peers, older, newer, turn = {}, Peer(), Peer(), Turn()
+    peers, older, newer, turn = dict[str, Any](), Peer(), Peer(), Turn()
     sending = made(turn, peers)
 
     class Links(dict):
-        """Lets the other thread begin while somebody looks for his way, and no sooner."""
+        """Lets the other thread begin while a sender looks for its way, and no sooner."""
 
-        def get(self, name):
+        def get(self, name, default=None):
             other.start()
             return older
 

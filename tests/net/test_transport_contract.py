@@ -59,7 +59,7 @@ def test_what_is_no_address_cannot_be_listened_at(rig, ear, address):
 def test_a_dial_that_fails_is_told_once(rig, ear, nobody):
     address = "nonsense"
     if nobody:
-        # A port that was just given back: nobody else is likely to have taken it.
+        # A port that was just given back: no other program is likely to have taken it.
         closed = rig.transport("c")
         address = closed.listen(rig.listen_at, lambda: ear())
         closed.close()
@@ -139,13 +139,13 @@ def test_callbacks_never_run_inside_of_a_call(rig, ear):
     """Else a caller that holds a lock would meet itself."""
     here, there = joined(rig, ear)
     order: list[str] = []
-    here.closed = lambda reason: order.append("closed")  # type: ignore[method-assign]
+    here.closed = lambda reason: order.append("closed")
 
     def close() -> None:
         here.connection.close()
         order.append("call returned")
 
-    here.received = lambda data: close()  # type: ignore[method-assign]
+    here.received = lambda data: close()
     there.connection.send(b"close it from the transport's own thread")
     rig.until(lambda: "closed" in order)
     assert order == ["call returned", "closed"]
@@ -156,7 +156,7 @@ def test_a_connection_says_when_it_has_room_again(tcp_rig):
     here, there = tcp_rig.ear(), tcp_rig.ear()
     gate = threading.Event()
     swallow = there.received
-    there.received = lambda data: (gate.wait(10), swallow(data))  # type: ignore[method-assign]
+    there.received = lambda data: (gate.wait(10), swallow(data))
     a, b = tcp_rig.transport("a"), tcp_rig.transport("b")
     a.dial(b.listen(tcp_rig.listen_at, lambda: there), here)
     tcp_rig.until(lambda: here.connection and there.connection)

@@ -4,6 +4,7 @@ import errno
 import io
 import os
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -76,6 +77,7 @@ def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
     with (tmp_path / "r.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
+        assert summary is not None
         late = [
             message.log_time for _, _, message in reader.iter_messages(topics="/a/system/pose", starting_at=490 * S)
         ]
@@ -83,6 +85,7 @@ def test_a_file_tells_any_reader_what_is_in_it_and_where(tmp_path):
     assert late == [number * S for number in range(490, 500) if number % 3]
     assert about["agent"] == "a"
     told = summary.statistics
+    assert told is not None
     assert (told.message_count, told.message_start_time, told.message_end_time) == (500, 0, 499 * S)
     assert sorted(told.channel_message_counts.values()) == [167, 333]
     assert told.chunk_count == len(summary.chunk_indexes) > 3
@@ -98,7 +101,9 @@ def test_a_file_without_a_packet_is_whole_too(tmp_path):
     found, reader = read(tmp_path / "r.mcap")
     assert (found, reader.notes()) == ([], [])
     with (tmp_path / "r.mcap").open("rb") as file:
-        assert make_reader(file).get_summary().statistics.message_count == 0
+        summary = make_reader(file).get_summary()
+    assert summary is not None and summary.statistics is not None
+    assert summary.statistics.message_count == 0
 
 
 def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
@@ -106,6 +111,7 @@ def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
     with (tmp_path / "r.mcap").open("rb") as file:
         found = [(schema, channel, message) for schema, channel, message in make_reader(file).iter_messages()]
     schema, channel, message = found[1]
+    assert schema is not None
     assert (schema.name, schema.encoding, channel.topic) == ("pancakes.pose", "jsonschema", "/a/system/pose")
     assert message.log_time == S
     assert schema_for("pose")["properties"]["body"]["properties"]["x_m"]["type"] == "number"
@@ -113,7 +119,7 @@ def test_any_mcap_reader_finds_topics_schemas_and_times(tmp_path):
 
 def test_a_body_that_no_packet_may_hold_is_refused_and_the_file_is_as_it_was(tmp_path):
     writer = RecordingWriter(tmp_path / "r.mcap", {})
-    around = {"itself": 1}
+    around: dict[str, Any] = {}
     around["itself"] = around
     writer.write(pose(0))
     for number, body in ((1, object()), (2, around)):
@@ -202,7 +208,7 @@ def test_a_repair_on_a_full_disk_leaves_the_file_as_it_was_and_can_be_done_later
 
         written_bytes = 0
 
-        def add_message(self, channel_id, log_time, data, publish_time, sequence):
+        def add_message(self, channel_id, log_time, data, publish_time, sequence=0):
             self.written_bytes += len(data)
             if self.written_bytes > full_after_bytes:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -408,7 +414,12 @@ def test_where_much_is_written_nobody_waits_before_it_is_brought_to_the_disk(tmp
         monkeypatch.setattr("pancakes.recording.parts.SYNC_BYTES", 20_000)
     parts = make_parts(tmp_path / "r.mcap", split_mib)
     synced = []
-    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced.append(parts) or "")
+
+    def sync(parts: RecordingParts) -> str:
+        synced.append(parts)
+        return ""
+
+    monkeypatch.setattr(RecordingParts, "sync", sync)
     monkeypatch.setattr(RecordingWriter, "sync", lambda writer: None)
     for number in range(200):  # of 300 bytes each
         parts.write(pose(number))

@@ -19,7 +19,7 @@ class Tick100(Task):
 
 
 def counted(values):
-    counts = {}
+    counts: dict[int, int] = {}
     for value in values:
         counts[bucket_of(value)] = counts.get(bucket_of(value), 0) + 1
     return counts
@@ -48,9 +48,11 @@ def test_what_is_not_late_is_not_and_nothing_has_no_percentiles():
 
 def test_each_tick_is_counted_once():
     heard = Latenesses()
+    with FleetInTest() as fleet:
+        timer = fleet.start("a", tasks={"Tick100": Tick100}).task("Tick100").timers["tick"]
     for lateness_s in (0.0, 0.001, 0.001):
-        heard.heard(("timer", lateness_s))
-    assert heard.take() == {"timer": {0: 1, bucket_of(0.001): 2}}
+        heard.heard((timer, lateness_s))
+    assert heard.take() == {timer: {0: 1, bucket_of(0.001): 2}}
     assert heard.take() == {}
 
 

@@ -5,19 +5,21 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from decimal import Decimal
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 import pytest
 from recording.files import pose, read, written
 
-import pancakes.packet
 from pancakes.devices.types import Motion, Pose
 from pancakes.errors import LocalProtocolError
 from pancakes.packet import packet_type
 from pancakes.recording.message import data_of, packet_from_data
 from pancakes.recording.recording_reader import RecordingReader
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 
 @packet_type("test.scan")
@@ -64,6 +66,7 @@ class Told:
     way: Way = Way.LEFT
 
 
+@packet_type("test.own_code")
 @dataclass(frozen=True, eq=False)
 class OwnCode:
     """Has code of its own that goes wrong where two are compared."""
@@ -75,21 +78,13 @@ class OwnCode:
         return np.array([True, True])  # whose truth is no boolean
 
 
+@packet_type("test.for_checks_only")
 @dataclass(frozen=True)
 class ForChecksOnly:
     """Names a type that is imported for checks only."""
 
     value: int
-    what: "NotImported | None" = None  # noqa: F821
-
-
-@pytest.fixture(autouse=True)
-def types_that_go_wrong(monkeypatch):
-    """Registers what goes wrong for these tests alone: others look at all types that there are."""
-    monkeypatch.setattr(pancakes.packet, "_CLASSES", dict(pancakes.packet._CLASSES))
-    monkeypatch.setattr(pancakes.packet, "_NAMES", dict(pancakes.packet._NAMES))
-    packet_type("test.own_code")(OwnCode)
-    packet_type("test.for_checks_only")(ForChecksOnly)
+    what: "Fraction | None" = None
 
 
 def test_what_json_cannot_hold_comes_out_exactly_all_the_same(tmp_path):
@@ -164,4 +159,4 @@ def test_a_class_that_names_what_is_not_imported_costs_only_its_own_packets(tmp_
     written(tmp_path / "r.mcap", [pose(1), pose(2, kind="test.for_checks_only", body=body), pose(3)])
     reader = RecordingReader(tmp_path / "r.mcap")
     assert [entry.packet.seq for entry in reader.entries()] == [2, 4]
-    assert "name 'NotImported' is not defined" in reader.notes()[0]
+    assert "name 'Fraction' is not defined" in reader.notes()[0]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from recording.files import made_files
@@ -183,9 +184,14 @@ def test_a_recording_follows_one_task_over_agents(fleet, tmp_path):
 
 
 def test_at_any_moment_all_but_the_last_second_is_in_the_file_of_who_is_killed_then(fleet, tmp_path, monkeypatch):
-    synced_s = []
-    monkeypatch.setattr(RecordingParts, "sync", lambda parts: synced_s.append(agent.kernel.host.now()) or "")
     agent = fleet.start("a", tasks={"Count": Count})
+    synced_s = []
+
+    def sync(parts: RecordingParts) -> str:
+        synced_s.append(agent.kernel.host.now())
+        return ""
+
+    monkeypatch.setattr(RecordingParts, "sync", sync)
     begun_s = agent.kernel.mission.now()
     record(agent, tmp_path / "r.mcap")
     missing_s = []
@@ -255,7 +261,8 @@ def test_a_disk_too_slow_for_large_packets_costs_packets_and_not_the_memory(flee
 def test_a_pose_that_is_none_costs_a_warning_and_not_the_recording(fleet, tmp_path):
     agent = fleet.start("a", tasks={"Count": Count})
     record(agent, tmp_path / "r.mcap")
-    for theta_rad in (object(), "north", None):
+    wrong: tuple[Any, ...] = (object(), "north", None)
+    for theta_rad in wrong:
         agent.task("Count").publish("system", Pose(0.0, 0.0, theta_rad))
     fleet.run_for(1.0)
     assert agent.ask(Describe(RECORDER)).result["state"] == "running"

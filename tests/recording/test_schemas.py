@@ -162,6 +162,7 @@ def test_a_file_says_that_its_messages_and_schemas_are_json(shown, tmp_path):
     writer.close()
     with (tmp_path / "r.mcap").open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
     assert {schema.encoding for schema in summary.schemas.values()} == {"jsonschema"}
     assert {channel.message_encoding for channel in summary.channels.values()} == {"json"}
     assert {channel.topic for channel in summary.channels.values()} == {

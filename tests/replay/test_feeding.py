@@ -93,7 +93,7 @@ def test_a_second_of_the_mission_then_is_a_second_of_the_mission_now(recorded_sp
 
 
 def test_an_agent_that_is_slow_is_waited_for_and_that_is_said_once():
-    client, said = Client(slow_s=2.0), []
+    client, said = Client(slow_s=2.0), list[str]()
     feeder(client, said).feed(entries(10), int(50e9), speed=1.0, recorded_speed=1.0)
     times = [packet.stamp for _, packet in client.door.sent]
     assert len(times) == 10

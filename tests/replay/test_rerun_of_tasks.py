@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from recording.files import made_files
-from runs_again import recorded, run_again
+from replay.runs_again import recorded, run_again
 
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
 from pancakes.devices.types import Load, Pose, Temperature
@@ -14,10 +14,11 @@ from pancakes.errors import PancakesError
 from pancakes.packet import task_address
 from pancakes.recording.recorded_packet import RecordingError
 from pancakes.recording.recording_reader import RecordingReader
+from pancakes.replay.comparison import StreamKey
 from pancakes.replay.rerun import class_of
 from pancakes.replay.stays import choose_stays, find_stays
 from pancakes.task import Task, every, on
-from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 from pancakes.testing.configuration import registered
 
 
@@ -162,7 +163,7 @@ def test_a_task_that_ran_before_the_recording_begins_with_its_state_then(fleet, 
     wrong = [it.packet.type for it in again.comparison.differences]
     assert set(wrong) == {"temperature"}
     assert {it.fields[0].field for it in again.comparison.differences} == {"celsius"}
-    assert again.comparison.streams["ctrl", "load", ""].equal == 2
+    assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 2
 
 
 def test_tasks_that_start_with_their_agent_are_seen_to_start(fleet, tmp_path):
@@ -173,7 +174,7 @@ def test_tasks_that_start_with_their_agent_are_seen_to_start(fleet, tmp_path):
         again = run_again(tmp_path, name, cls)
         assert again.stay.whole
         assert again.comparison.differences == []
-        assert again.comparison.streams["ctrl", "load", ""].equal == 2
+        assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 2
 
 
 def test_a_restarted_task_begins_with_what_it_carried_whatever_became_of_that(fleet, tmp_path):
@@ -187,6 +188,7 @@ def test_a_restarted_task_begins_with_what_it_carried_whatever_became_of_that(fl
         fleet.run_for(0.1)
     assert run_again(tmp_path, "Track", Track, number=1).comparison.differences == []
     again = run_again(tmp_path, "Track", Track, number=2)
+    assert again.stay.task.began is not None
     began = again.stay.task.began["state"]
     assert (began["total"], len(began["seen"])) == (3.0, 2)
     numbers = [packet.seq for packet in again.outcome.outputs]
@@ -280,7 +282,7 @@ def test_packets_to_a_task_wherever_it_is_are_inputs_too_each_once(fleet, tmp_pa
         {"a": a, "b": b}[writer].agent.kernel.spawn(Writes, f"{writer}/test/Writes")
         fleet.run_for(3.0)
     again = run_again(tmp_path, "Hears", Hears)
-    assert again.comparison.streams["system", "temperature", ""].equal >= 10
+    assert again.comparison.streams[StreamKey("system", "temperature", "")].equal >= 10
     assert again.comparison.differences == []
 
 
@@ -301,7 +303,7 @@ def test_a_recording_of_one_task_alone_is_enough(fleet, tmp_path):
     for agent in "ab":
         again = run_again(tmp_path, "Hears", Hears, agent=agent)
         assert again.stay.whole
-        assert again.comparison.streams["system", "temperature", ""].equal >= 6
+        assert again.comparison.streams[StreamKey("system", "temperature", "")].equal >= 6
         assert again.comparison.differences == []
 
 
@@ -375,7 +377,7 @@ def test_two_recordings_of_one_run_are_two_stays_and_nothing_is_missed_between_t
         say(agent, 3.0)
     for number in (1, 2):
         again = run_again(tmp_path, "Track", Track, number=number)
-        assert again.comparison.streams["ctrl", "load", ""].equal == 1
+        assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 1
         assert set(again.kinds) <= {"different"}  # the random numbers
 
 
@@ -398,23 +400,25 @@ def test_a_state_that_fits_no_more_and_a_class_that_is_gone_are_sentences(fleet,
         class_of(stay, registered({}))
 
 
+def wait_for(agent: AgentInTest, cls: type, count: int) -> None:
+    agent.wait_until(lambda: len(agent.probe.packets(cls)) >= count)
+
+
 def test_on_threads_a_task_agrees_with_itself_as_well(tmp_path):
     with threaded_agent("a", tasks={"Track": {"type": Track, "start": False}}) as agent:
         with recorded(tmp_path, agent):
             agent.ask(Start("Track"))
             for number in range(1, 6):
                 agent.publish("system", Pose(float(number), 0.0, 0.0))
-                heard = number
-                agent.wait_until(lambda heard=heard: len(agent.probe.packets(Load)) >= heard)
-                ticks = len(agent.probe.packets(Temperature))
-                agent.wait_until(lambda ticks=ticks: len(agent.probe.packets(Temperature)) > ticks)
+                wait_for(agent, Load, number)
+                wait_for(agent, Temperature, len(agent.probe.packets(Temperature)) + 1)
             agent.ask(Stop("Track"))
     again = run_again(tmp_path, "Track", Track, live=True)
-    assert again.comparison.streams["ctrl", "load", ""].equal == 5
-    assert again.comparison.streams["system", "temperature", ""].recorded >= 5
+    assert again.comparison.streams[StreamKey("ctrl", "load", "")].equal == 5
+    assert again.comparison.streams[StreamKey("system", "temperature", "")].recorded >= 5
     assert again.comparison.differences == []
     changed = run_again(tmp_path, "Track", Other, live=True)
-    assert changed.comparison.streams["ctrl", "load", ""].different == 5
+    assert changed.comparison.streams[StreamKey("ctrl", "load", "")].different == 5
 
 
 def test_a_task_of_a_recording_that_went_on_after_a_kill_is_run_again_life_by_life(tmp_path, monkeypatch):

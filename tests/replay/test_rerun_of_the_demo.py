@@ -5,9 +5,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from runs_again import run_again
+from replay.runs_again import run_again
 
 from pancakes.plugins import Plugins
+from pancakes.replay.comparison import StreamKey
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,7 +29,7 @@ def mission(tmp_path_factory):
 def test_as_it_is_every_task_of_the_robot_agrees_with_the_recording(mission):
     again = run_again(mission, "ScanTarget", scan_target.ScanTarget)
     assert again.comparison.differences == []
-    assert again.comparison.streams["ctrl", "motors", ""].equal > 150
+    assert again.comparison.streams[StreamKey("ctrl", "motors", "")].equal > 150
     from pancakes_encirclement.motion_detection import MotionDetection
     from pancakes_encirclement.pose_sharing import PoseSharing
 
@@ -36,12 +37,14 @@ def test_as_it_is_every_task_of_the_robot_agrees_with_the_recording(mission):
     assert run_again(mission, "MotionDetection", MotionDetection).comparison.differences == []
 
 
-def test_one_changed_line_shows_where_it_begins_to_matter(mission, monkeypatch):
-    def slower(self, position, centre):
-        return 0.5 * self.settings.speed_mps  # what it drives with on the circle, and only there
+def test_one_changed_line_shows_where_it_begins_to_matter(mission):
+    from pancakes_encirclement.scan_target import ScanTarget
 
-    monkeypatch.setattr(scan_target.ScanTarget, "_speed", slower)
-    again = run_again(mission, "ScanTarget", scan_target.ScanTarget)
+    class Slower(ScanTarget):
+        def _speed(self, position, centre):
+            return 0.5 * self.settings.speed_mps  # what it drives with on the circle, and only there
+
+    again = run_again(mission, "ScanTarget", Slower)
     (arrived,) = [
         packet for packet in again.script.outputs if packet.type == "event" and packet.body.kind == "on_circle"
     ]
@@ -49,13 +52,13 @@ def test_one_changed_line_shows_where_it_begins_to_matter(mission, monkeypatch):
     assert first.packet.stamp == pytest.approx(arrived.stamp)
     assert {field.field: (field.recorded, field.now) for field in first.fields}["v_mps"] == (0.1, 0.05)
     assert again.kinds == ["different"] * len(again.kinds)
-    counts = again.comparison.streams["ctrl", "motors", ""]
+    counts = again.comparison.streams[StreamKey("ctrl", "motors", "")]
     assert counts.equal > 100
     assert counts.different == len(again.kinds) > 20
 
 
 def test_another_radius_shows_from_the_first_command_on(mission):
     again = run_again(mission, "ScanTarget", scan_target.ScanTarget, radius_m=0.8)
-    counts = again.comparison.streams["ctrl", "motors", ""]
+    counts = again.comparison.streams[StreamKey("ctrl", "motors", "")]
     assert (counts.equal, counts.different) == (0, counts.recorded)
     assert again.comparison.differences[0].fields[0].field == "omega_radps"

@@ -1,6 +1,7 @@
 """What a task got and when it handled it, as far as a recording tells."""
 
 import pytest
+from msgspec.structs import replace
 
 from pancakes.devices.types import Load, Pose
 from pancakes.events import Event
@@ -140,7 +141,8 @@ def test_a_mission_that_was_held_counts_from_when_it_began():
     late = [pose(4.0, 3, stamp=1.0), pose(5.0, 4, source="b/client/Talk", stamp=99.0)]
     entries = [described(0.01), *early, *late]
     (stay,) = choose_stays(find_stays(entries), "Me")
-    stay.task.began["mission_s"] = 0.0
+    assert stay.task.began is not None
+    stay.task = replace(stay.task, began={**stay.task.began, "mission_s": 0.0})
     assert given(read_script(entries, stay, Me, 1.0)) == [(0.0, 1), (0.0, 2), (1.0, 3), (2.0, 4)]
 
 

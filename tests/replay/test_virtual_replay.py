@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import pytest
-from runs_again import recorded
+from replay.runs_again import recorded
 
 from pancakes.config import parse
 from pancakes.devices.driver import Sensor
@@ -75,6 +75,7 @@ def replayed(walk, out, scale=1.0, **selection):
     with VirtualReplay([parse(CONFIG, "a.toml")], out, plugins) as fleet:
         chosen = Selection(fleet.start(), **selection)
         tally = tally_of(chosen, RecordingReader(walk).entries())
+        assert tally.first_ns is not None
         fleet.feed(chosen, RecordingReader(walk).entries(), tally.first_ns, scale)
         return fleet.tally
 

@@ -124,7 +124,7 @@ def test_a_report_has_a_page_figures_and_each_picture_as_png_and_svg(recording, 
     for name in PICTURES:
         assert (tmp_path / "out" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
         root = ElementTree.parse(tmp_path / "out" / f"{name}.svg").getroot()
-        assert float(root.get("width").removesuffix("pt")) <= 72 * 7.2
+        assert float(root.attrib["width"].removesuffix("pt")) <= 72 * 7.2
     assert made.notes == ()
     figures = json.loads((tmp_path / "out" / "report.json").read_text())
     assert figures["moves"][0]["answers"][1]["reason"] == "<lacks> motors"

@@ -5,7 +5,7 @@ import re
 
 import msgspec
 import pytest
-from commanded import command
+from report.commanded import command
 
 from pancakes.recording.mission_time import MissionTime
 from pancakes.report.picked import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands

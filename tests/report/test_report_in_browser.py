@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commanded import command
+from report.commanded import command
 
 from pancakes.report.findings import Findings
 from pancakes.report.report_page import make_page

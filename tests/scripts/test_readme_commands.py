@@ -12,6 +12,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
+LIMIT_S = 2.0
+"""The limit of one statement where a test waits for it to pass; bash must start in less on any machine."""
+
 TEXT = """\
 A command, and what it prints:
 
@@ -89,11 +92,11 @@ def test_commands_run_in_one_shell_in_the_copy_and_all_failures_are_named(readme
 
 
 def test_a_command_that_takes_too_long_is_ended_with_all_it_started(readme, tmp_path):
-    failures = run(readme, tmp_path, "sleep 1001 &", "echo $! > pid", "sleep 1000", limit_s=0.3)
-    assert failures == ["README.md:3: took longer than 0.3 s: sleep 1000"]
+    failures = run(readme, tmp_path, "sleep 1001 &", "echo $! > pid", "sleep 1000", limit_s=LIMIT_S)
+    assert failures == [f"README.md:3: took longer than {LIMIT_S:g} s: sleep 1000"]
     pid = (tmp_path / "copy" / "pid").read_text().strip()
     listed = subprocess.run(["ps", "-o", "stat=", "-p", pid], capture_output=True, text=True)
-    assert listed.stdout.strip() in ("", "Z")
+    assert listed.stdout[:1] in ("", "Z"), "it runs on"
 
 
 PRINTS = """\

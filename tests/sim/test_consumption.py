@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,7 @@ from pancakes.sim.battery import BatteryModel, BatterySettings
 from pancakes.testing import FleetInTest
 
 
-def battery(**settings: float) -> BatteryModel:
+def battery(**settings: Any) -> BatteryModel:
     return BatteryModel(BatterySettings(**{"capacity_j": 100.0, "idle_w": 0.0, **settings}), full_v=8.4, empty_v=6.6)
 
 

@@ -2,8 +2,10 @@
 
 import random
 import threading
+from typing import Any
 
 import pytest
+from devices.driver_context import DriverContext
 
 from pancakes.clock import MonotonicClock
 from pancakes.devices.types import Battery, Pose, Twist
@@ -49,35 +51,11 @@ class Rig:
         return [request for request in self.requests if isinstance(request, kind)]
 
 
-class Context:
-    """What a driver sees of its agent."""
+class Context(DriverContext):
+    """What a driver on the rig's network sees of its agent."""
 
     def __init__(self, rig, agent="agent1", device="motors", shared=None):
-        self.agent = agent
-        self.device = device
-        self.transport = rig.network.transport(agent)
-        self.readings = []
-        self.lines = []
-        self.packets = 0
-        self.awake = True
-        self._shared = {} if shared is None else shared
-
-    def deliver(self, body):
-        self.readings.append(body)
-
-    def log(self, level, text):
-        self.lines.append((level, text))
-
-    def mission_packets_sent(self):
-        return self.packets
-
-    def network_awake(self):
-        return self.awake
-
-    def shared(self, key, make):
-        if key not in self._shared:
-            self._shared[key] = make()
-        return self._shared[key]
+        super().__init__(agent, device, rig.network.transport(agent), shared)
 
 
 @pytest.fixture
@@ -166,7 +144,7 @@ def test_the_battery_tells_how_many_packets_were_sent_and_whether_the_radio_list
 
 def test_the_drivers_of_an_agent_share_one_connection(rig):
     rig.open_world()
-    shared = {}
+    shared: dict[str, Any] = {}
     for cls, device in ((SimulatedPose, "pose"), (SimulatedInfrared, "ir")):
         opened(cls, Context(rig, device=device, shared=shared))
     rig.run(1.0)
@@ -276,7 +254,7 @@ def test_garbage_closes_that_connection_and_no_other(rig):
 
 @pytest.mark.parametrize("cut", [1, 3, 7])
 def test_requests_are_read_however_the_network_cuts_them(cut):
-    requests = [
+    requests: list[bus.Request] = [
         bus.Attach("a", "motors", "motors", "khepera3"),
         bus.Drive("a", "motors", 0.1, 0.2, 0.5, "x"),
         bus.Halt("a", "m"),
@@ -315,16 +293,12 @@ def test_it_works_over_tcp_as_well():
     try:
         address = BusServer(world, lambda function: function(), serve, lambda *line: None).listen("tcp://127.0.0.1:0")
 
-        class TcpContext(Context):
-            def __init__(self):
-                self.agent, self.device, self.transport = "agent1", "pose", agent
-                self.readings, self.lines, self._shared = [], [], {}
-
+        class Answered(DriverContext):
             def deliver(self, body):
                 super().deliver(body)
                 answered.set()
 
-        context = TcpContext()
+        context = Answered(transport=agent)
         sensor = SimulatedPose(context, SimulatedPose.Settings(address))
         sensor.open()
         assert served.wait(10.0), "the attachment did not arrive"
@@ -345,6 +319,7 @@ def test_an_address_in_use_is_said(rig):
 def test_a_reading_arrives_as_what_it_was_and_one_that_does_not_fit_its_type_is_refused():
     def arrived(kind, value):
         (answer,) = bus.ReplyReader().feed(bus.encode(bus.Reading("device", kind, value)))
+        assert isinstance(answer, bus.RawReading)
         return answer.body()
 
     assert arrived("pose", Pose(1.0, 2.0, 0.5)) == Pose(1.0, 2.0, 0.5)

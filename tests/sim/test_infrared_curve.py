@@ -6,6 +6,7 @@ import pytest
 
 from pancakes.sim.khepera import KHEPERA_III
 
+assert KHEPERA_III.ir is not None
 CURVE = KHEPERA_III.ir.curve
 
 

@@ -1,4 +1,4 @@
-"""Somebody walks through the arena, and nobody is ever run into, though no robot looks where it goes."""
+"""A mover walks through the arena, and never runs into a robot, though no robot looks where it goes."""
 
 import math
 import random
@@ -24,7 +24,7 @@ def walk(settings, seed, robots_at, duration_s, sensor_radius_m=0.06):
         time_s = step * DECIDE_EVERY_S
         robots = robots_at(time_s)
         distance_m = settings.radius_m + ROBOT_RADIUS_M + settings.clearance_m
-        obstacles = [Obstacle(*robot, distance_m) for robot in robots]
+        obstacles = [Obstacle(x, y, vx, vy, distance_m) for x, y, vx, vy in robots]
         vx_mps, vy_mps = mover.decide(time_s, x_m, y_m, obstacles, [sensor])
         assert math.hypot(vx_mps, vy_mps) <= settings.max_speed_mps + 1e-9
         x_m += vx_mps * DECIDE_EVERY_S
@@ -93,7 +93,7 @@ def test_it_walks_to_its_waypoints_in_turn_and_begins_when_it_is_told():
     settings = MoverSettings(0.0, 0.0, waypoints=((1.0, 0.0), (1.0, 1.0)), starts_s=5.0, max_pause_s=0.0)
     mover = Mover(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(1))
     x_m = y_m = 0.0
-    reached = []
+    reached: list[tuple[float, float]] = []
     for step in range(400):
         vx_mps, vy_mps = mover.decide(step * 0.1, x_m, y_m, [], [])
         if step < 50:

@@ -9,6 +9,7 @@ import pytest
 from pancakes.sim.arena import Arena
 from pancakes.sim.khepera import KHEPERA_III
 from pancakes.sim.rays import Fan
+from pancakes.sim.robot import IrRing, SonarRing
 
 HALF_M = (2.0, 1.5)
 INSET_M = 0.05
@@ -45,7 +46,7 @@ def pymunk_ranges(disc, others, ring, rays, max_range_m):
 def test_a_ring_sees_what_pymunk_sees(kind, seed):
     source = random.Random(seed)
     arena = Arena(2 * HALF_M[0], 2 * HALF_M[1])
-    places = []
+    places: list[tuple[float, float]] = []
     while len(places) < 30:
         x_m, y_m = source.uniform(-1.9, 1.9), source.uniform(-1.4, 1.4)
         if all(math.hypot(x_m - other_x, y_m - other_y) > 0.14 for other_x, other_y in places):
@@ -54,8 +55,10 @@ def test_a_ring_sees_what_pymunk_sees(kind, seed):
         arena.add(f"robot{number}", x_m, y_m, source.uniform(-4.0, 4.0), 0.065, 0.69)
         for number, (x_m, y_m) in enumerate(places)
     ]
+    ring: IrRing | SonarRing | None
     ring, rays = (KHEPERA_III.ir, 3) if kind == "ir" else (KHEPERA_III.sonar, 5)
-    max_range_m = ring.curve.farthest_m if kind == "ir" else ring.max_range_m
+    assert ring is not None
+    max_range_m = ring.curve.farthest_m if isinstance(ring, IrRing) else ring.max_range_m
     fan = Fan(ring.sensors, ring.cone_rad, rays, max_range_m)
     for disc in discs:
         others = [other for other in discs if other is not disc]

@@ -26,6 +26,7 @@ def test_an_unknown_model_gets_a_suggestion():
 
 def test_the_khepera_has_nine_infrared_sensors_where_the_real_one_has_them():
     ring = KHEPERA_III.ir
+    assert ring is not None
     assert sorted(degrees(ring)) == [-128, -75, -42, -13, 13, 42, 75, 128, 180]
     places = {round(math.degrees(s.bearing_rad)): (s.x_m, s.y_m) for s in ring.sensors}
     assert places[128] == (-0.038, 0.048)
@@ -37,14 +38,16 @@ def test_the_khepera_has_nine_infrared_sensors_where_the_real_one_has_them():
 
 
 def test_the_khepera_has_five_sonars_that_reach_four_metres():
-    assert degrees(KHEPERA_III.sonar) == [90, 45, 0, -45, -90]
-    assert KHEPERA_III.sonar.max_range_m == 4.0
+    ring = KHEPERA_III.sonar
+    assert ring is not None and degrees(ring) == [90, 45, 0, -45, -90]
+    assert ring.max_range_m == 4.0
     assert (KHEPERA_III.full_v, KHEPERA_III.empty_v) == (8.4, 6.6)
 
 
 def test_the_pioneer_has_sonars_all_round_and_no_infrared():
     assert PIONEER_3DX.ir is None
-    assert degrees(PIONEER_3DX.sonar)[:8] == [90, 50, 30, 10, -10, -30, -50, -90]
-    assert len(PIONEER_3DX.sonar.sensors) == 16
-    for sensor in PIONEER_3DX.sonar.sensors:
+    ring = PIONEER_3DX.sonar
+    assert ring is not None and degrees(ring)[:8] == [90, 50, 30, 10, -10, -30, -50, -90]
+    assert len(ring.sensors) == 16
+    for sensor in ring.sensors:
         assert math.hypot(sensor.x_m, sensor.y_m) == pytest.approx(PIONEER_3DX.radius_m)

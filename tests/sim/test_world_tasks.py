@@ -3,6 +3,7 @@
 import math
 import random
 import statistics
+from typing import Any
 
 import pytest
 
@@ -10,6 +11,8 @@ from pancakes.events import Event
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.virtual import VirtualDispatcher
 from pancakes.net.memory import MemoryNetwork
+from pancakes.net.transport import Connection
+from pancakes.packet import Packet
 from pancakes.settings import SettingsError, make_settings
 from pancakes.sim import bus
 from pancakes.sim.motion_capture import MotionCapture, measured
@@ -55,7 +58,7 @@ class WorldAgent:
         self.network = MemoryNetwork(self.dispatcher.call_at, self.dispatcher.clock.now, random.Random(1))
         self.kernel = Kernel("world", seed=seed, hold=hold, virtual=self.dispatcher)
         self.kernel.transport = self.network.transport("world")
-        self.sent = []
+        self.sent: list[Packet] = []
         self.kernel.stream.gateway = self.sent.append
         self.watcher = self.kernel.spawn(Watcher, "world/client/Watcher")
         self.dispatcher.settle()
@@ -75,7 +78,8 @@ class Robot:
     """The other end of the hardware bus: keeps a body driving."""
 
     def __init__(self, agent):
-        self.replies, self.connection = [], None
+        self.replies: list[Any] = []
+        self.connection: Connection | None = None
         self._reader = bus.ReplyReader()
         agent.network.transport("agent1").dial(BUS, self)
 
@@ -89,6 +93,7 @@ class Robot:
         self.connection = None
 
     def send(self, request):
+        assert self.connection is not None
         self.connection.send(bus.encode(request))
 
 

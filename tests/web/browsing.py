@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from processes import Rig
+from cli.processes import Rig
 
 PATIENCE_MS = 30_000
 PHONE = {"width": 360, "height": 740}

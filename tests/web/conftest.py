@@ -1,19 +1,14 @@
-"""Lets the tests of the page import what lies beside them, and starts agents for them."""
+"""Agents and a browser for the tests of the page."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-for directory in (Path(__file__).parent, Path(__file__).parents[1] / "cli"):
-    sys.path.insert(0, str(directory))
-
-from browsing import WALK, WALKING, opened, view  # noqa: E402
-from processes import Rig  # noqa: E402
+from cli.processes import Rig
+from web.browsing import WALK, WALKING, opened, view
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from told import agent, describe, packet, record, task, world
+from web.told import agent, describe, packet, record, task, world
 
 from pancakes.client.looks import Looks
 from pancakes.devices.types import Battery, Infrared, Motion, Pose

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from browsing import chip, drag, expect, middle
+from web.browsing import chip, drag, expect, middle
 
 
 def test_a_task_is_dragged_onto_another_agent_after_a_dry_run(acting: Any):

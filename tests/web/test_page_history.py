@@ -4,7 +4,7 @@ import json
 from typing import Any
 
 import pytest
-from told import packet, record, world
+from web.told import packet, record, world
 
 from pancakes.devices.types import Infrared
 from pancakes.web.feed import Feed

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import PHONE, WALK, WALKING, chip, drag, expect, opened, view
-from processes import Rig
+from cli.processes import Rig
+from web.browsing import PHONE, WALK, WALKING, chip, drag, expect, opened, view
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "encirclement"
 

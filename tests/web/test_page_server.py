@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import pytest
-from told import world
+from web.told import world
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
@@ -359,7 +359,7 @@ def test_another_mission_is_shown_to_pages_that_are_open(server: PageServer):
         connection.recv(PATIENCE_S)
         other = Feed(lambda: 0.0)
         other.model.board.set("arena", [9.0, 9.0])
-        server.show(Shown(other, lambda agent: None))
+        server.show(Shown(other, lambda *question: None))
         news: dict[str, Any] = {}
         while "arena" not in news.get("set", {}):
             news = json.loads(connection.recv(PATIENCE_S))

@@ -8,7 +8,7 @@ import urllib.request
 from pathlib import Path
 from typing import Any
 
-from processes import Rig
+from cli.processes import Rig
 from websockets.sync.client import connect
 from websockets.typing import Origin
 

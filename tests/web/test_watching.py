@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from processes import Rig
+from cli.processes import Rig
 
 from pancakes.config import parse
 from pancakes.control import Reschedule, Stop

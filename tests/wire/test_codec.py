@@ -21,7 +21,7 @@ from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
 from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
 from pancakes.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
-from pancakes.wire.runs import RowEncoder, head_of, messages_from_payload, packets_of, run_of
+from pancakes.wire.runs import PacketRun, RowEncoder, head_of, messages_from_payload, packets_of, run_of
 
 
 class Colour(enum.Enum):
@@ -51,6 +51,7 @@ def there_and_back(it):
     (row,) = rows_from_payload(frame([Encoder().packet(it)])[4:])
     head = head_of(it)
     (run,) = messages_from_payload(frame([run_of(head, [RowEncoder(head).encode(it)])])[4:])
+    assert isinstance(run, PacketRun)
     packets, unfit = packets_of(run)
     for it in unfit:
         raise RemoteProtocolError(it.reason)
@@ -111,13 +112,17 @@ def test_numbers_of_numpy_become_numbers():
     assert there_and_back(packet(body)).body == [0.5, 3, True, 1.5]
 
 
+class Number(enum.IntEnum):
+    ONE = 1
+
+
 class Place(NamedTuple):
     x_m: float
     y_m: float
 
 
 def test_named_tuples_enums_of_ints_and_the_like_become_plain():
-    body = [Place(1.0, 2.0), enum.IntEnum("Number", ["ONE"]).ONE, bytearray(b"b"), OrderedDict(a=1)]
+    body = [Place(1.0, 2.0), Number.ONE, bytearray(b"b"), OrderedDict(a=1)]
     assert there_and_back(packet(body)).body == [[1.0, 2.0], 1, b"b", {"a": 1}]
 
 
@@ -303,7 +308,7 @@ def test_any_other_key_is_an_error_that_names_it(key):
 
 
 def test_a_body_that_is_too_deep_is_named_by_the_beginning_of_the_way_there():
-    body = None
+    body: Any = None
     for _ in range(40):
         body = {"long_name": body}
     where = ("its body" + ".long_name" * 40)[:80]

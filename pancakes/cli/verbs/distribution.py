@@ -30,7 +30,7 @@ _PLACEHOLDER: Final = re.compile(r"\{\{(\w+)\}\}")
 _RESERVED: Final = frozenset(
     ("build", "configs", "conftest", "dist", "pancakes", "pancakes_agents", "reading", "setup", "test", "tests")
 )
-_IMPORTED: Final = frozenset(
+IMPORTED: Final = frozenset(
     ("Annotated", "Chatter", "Configure", "HardWork", "Load", "Meta", "Migrate", "Packet", "PancakesError", "Path")
     + (
         "Reschedule",
@@ -47,7 +47,7 @@ _IMPORTED: Final = frozenset(
     )
 )
 """What the templates import or define under names of their own."""
-_PURPOSES: Final = {
+PURPOSES: Final = {
     "README.md": "how to install, test and run it",
     "setup.cfg": "its name, what it needs, its entry points",
     "pyproject.toml": "how it is built",
@@ -116,7 +116,7 @@ class Names:
             raise ValueError(f"Python has a module {self.package!r} of its own: choose another name")
         if self.package in (*_RESERVED, *CORE_CHANNELS, *DEFAULT_SERVICES):
             raise ValueError(f"{self.package!r} means something else to Pancakes or to its tools: choose another name")
-        if self.cls in _IMPORTED:
+        if self.cls in IMPORTED:
             raise ValueError(f"Pancakes has a class {self.cls} of its own: choose another name than {self.package!r}")
 
     def taken(self, kind: str) -> str:
@@ -159,8 +159,8 @@ def files_of(kind: str, names: Names) -> list[File]:
     made = []
     for name, template in _templates(kind):
         text = _PLACEHOLDER.sub(lambda found: values[found[1]], template.read_text(encoding="utf-8"))
-        made.append((name, File(name.replace("package", names.package), _PURPOSES[name], text)))
-    order = list(_PURPOSES)
+        made.append((name, File(name.replace("package", names.package), PURPOSES[name], text)))
+    order = list(PURPOSES)
     return [file for _, file in sorted(made, key=lambda pair: order.index(pair[0]))]
 
 

@@ -1,0 +1,102 @@
+"""The timers of an actor, the calls that it puts off, and its random numbers."""
+
+import math
+import random
+
+import pytest
+from kernel.actors import put_back
+from kernel.virtual_rig import Diary, VirtualRig
+
+from pancakes.kernel.component import Component
+from pancakes.kernel.handlers import Tick, every
+from pancakes.kernel.kernel import Kernel
+from pancakes.kernel.virtual import VirtualDispatcher
+
+
+class Metronome(Component):
+    """Notes its ticks."""
+
+    def __init__(self, *args, **others):
+        super().__init__(*args, **others)
+        self.ticks = []
+
+    @every(hz=10)
+    def tick(self, tick):
+        self.ticks.append(tick)
+
+    @every(hz=0)
+    def other(self, tick):
+        self.ticks.append(("other", tick.time_s))
+
+
+def test_a_time_driven_method_is_called_at_its_rate_with_its_deadline(virtual):
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    virtual.run_until(1.0)
+    assert metronome.ticks == [Tick(pytest.approx(k / 10), 0, 0.0) for k in range(1, 11)]
+
+
+def test_a_new_rate_holds_from_the_next_tick(virtual):
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    virtual.run_until(1.0)
+    metronome.ticks.clear()
+    metronome.call(lambda: metronome.reschedule(2.0))
+    virtual.run_until(3.0)
+    assert [tick.time_s for tick in metronome.ticks] == [1.5, 2.0, 2.5, 3.0]
+    metronome.call(lambda: metronome.reschedule(0.0))
+    metronome.call(lambda: metronome.reschedule(1.0, "other"))
+    metronome.ticks.clear()
+    virtual.run_until(5.5)
+    assert metronome.ticks == [("other", 4.0), ("other", 5.0)]
+
+
+def test_a_rate_that_is_none_is_refused(virtual):
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    for rate_hz in (-1.0, math.nan, math.inf, 1e300):
+        with pytest.raises(ValueError, match="a rate must lie between 0 and 10,000 ticks a second"):
+            metronome.reschedule(rate_hz)
+    with pytest.raises(ValueError, match="a/client/M has no timer 'tack', only tick, other"):
+        metronome.reschedule(1.0, "tack")
+    with pytest.raises(ValueError, match="a/client/Source is not time-driven"):
+        virtual.source.reschedule(1.0)
+
+
+def test_ticks_do_not_pile_up_before_an_actor_that_is_late(virtual):
+    """It gets one tick, for the newest deadline, that says how many it missed."""
+    metronome = virtual.spawn(Metronome, "a/client/M")
+    timer = metronome.timers["tick"]
+    assert metronome.actor_inbox.token.acquire(blocking=False)  # its dispatcher is busy elsewhere
+    virtual.run_until(0.55)
+    put_back(metronome.actor_inbox)
+    metronome.call(lambda: None)
+    virtual.settle()
+    assert metronome.ticks == [Tick(pytest.approx(0.5), 4, pytest.approx(0.05))]
+    assert timer.missed_total == 4
+    assert timer.lateness_max_s == pytest.approx(0.05)
+
+
+def test_what_was_put_off_comes_in_the_actor_and_never_after_its_end(virtual):
+    diary = virtual.spawn(Diary, "a/client/Diary")
+    diary.after(1.0, lambda: diary.diary.append("after"))
+    diary.after_host(2.0, lambda: diary.diary.append("after host"))
+    diary.after(3.0, lambda: diary.diary.append("never")).cancel()
+    diary.after(5.0, lambda: diary.diary.append("too late"))
+    virtual.run_until(4.0)
+    diary.stop()
+    virtual.run_until(9.0)
+    assert diary.diary == ["start", "after", "after host", "stop"]
+
+
+def test_a_test_may_give_an_actor_random_numbers_of_its_own_choice():
+    component = VirtualRig().spawn(Component, "x")
+    component.random = random.Random(7)
+    assert component.random.random() == random.Random(7).random()
+
+
+def test_random_numbers_are_each_actors_own_and_repeat_with_the_seed():
+    def drawn(seed, address):
+        return VirtualRig(seed=seed).spawn(Component, address).random.random()
+
+    assert drawn(1, "a/client/T") == drawn(1, "a/client/T")
+    assert drawn(1, "a/client/T") != drawn(1, "a/client/U")
+    kernels = [Kernel("a", seed=seed, virtual=VirtualDispatcher(0)) for seed in (1, 2)]
+    assert len({kernel.random_for("x").random() for kernel in kernels}) == 2

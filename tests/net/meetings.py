@@ -1,0 +1,30 @@
+"""Two agents that meet, and what a stranger sends."""
+
+from pancakes.wire.codec import Encoder
+from pancakes.wire.framing import frame
+from pancakes.wire.link_messages import VERSION, Hello
+from pancakes.wire.runs import RowEncoder, head_of, run_of
+
+
+def pair(rig, agent, **more):
+    a = agent("a", **more)
+    b = agent("b", [a.mesh.listen])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    return a, b
+
+
+def message_of(packet):
+    head = head_of(packet)
+    return run_of(head, [RowEncoder(head).encode(packet)])
+
+
+def raw_hello(name="intruder", **more):
+    values = {
+        "version": VERSION,
+        "fleet": "default",
+        "role": "agent",
+        "journal": f"journal of {name}",
+        "boot": 1,
+        **more,
+    }
+    return frame([Encoder().link_message(Hello(name=name, **values))])
