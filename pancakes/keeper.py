@@ -28,14 +28,14 @@ LOOK_S = 1.0
 """How often, in host time, what was refused is tried again, for want of a device, say."""
 
 
-class Place(Protocol):
+class Living(Protocol):
     """Where something lives; it outlives the actors that fill it."""
 
     life: Life
 
 
-P = TypeVar("P", bound=Place)
-P_contra = TypeVar("P_contra", bound=Place, contravariant=True)
+P = TypeVar("P", bound=Living)
+P_contra = TypeVar("P_contra", bound=Living, contravariant=True)
 
 
 class LifeRim(Protocol[P_contra]):

@@ -12,10 +12,10 @@ from pancakes.arrays import alike
 from pancakes.errors import PancakesError
 from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.courier_messages import SendUnsent
-from pancakes.hosting.host import Host
 from pancakes.hosting.host_state import HostState
 from pancakes.hosting.hosting_effect import AskRoom
 from pancakes.hosting.hosting_event import NoPlace, PlaceFree, Room
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.machine import unborn
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
@@ -48,7 +48,7 @@ class Arrivals:
         state: says whether this agent can take a task.
     """
 
-    def __init__(self, host: Host, catalogue: Catalogue, records: Records, state: HostState) -> None:
+    def __init__(self, host: HostingService, catalogue: Catalogue, records: Records, state: HostState) -> None:
         self._host = host
         self._catalogue = catalogue
         self._records = records

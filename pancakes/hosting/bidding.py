@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
@@ -43,9 +43,6 @@ from pancakes.migration.times import Times
 from pancakes.net.mesh import Mesh
 from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
 from pancakes.task import Task
-
-if TYPE_CHECKING:
-    pass
 
 ADDRESS = "network/TaskMigrator"
 KEEP = reliable(1024)

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Final
 
 from pancakes.errors import PancakesError
-from pancakes.hosting.checkpoints import plain_of, written_of
-from pancakes.hosting.host import Host
+from pancakes.hosting.checkpoints import last_checkpoint, plain_of
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.place import Place
 from pancakes.kernel.tell import tell
 from pancakes.life.life import State
@@ -34,7 +34,7 @@ class Checkpointing:
         late: the places of tasks whose checkpoint had to wait for the disk.
     """
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: HostingService) -> None:
         self._host = host
         self.late: dict[TaskId, Place] = {}
 
@@ -96,7 +96,7 @@ class Checkpointing:
         except (PancakesError, TypeError, OverflowError, MemoryError) as error:
             self._host.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
-        place.written = written_of(task, carried, plain)
-        consumed = place.post.consumed(carried.heard) if place.post is not None else ()
+        place.written = last_checkpoint(task, carried, plain)
+        consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         record = standing.record
         self._host.feed_place(place, Checkpoint(record.epoch, record.incarnation, snapshot, consumed))

@@ -13,7 +13,7 @@ from pancakes.task import Nothing, Task
 from pancakes.task_messages import Carried
 
 
-class Written(msgspec.Struct, frozen=True):
+class LastCheckpoint(msgspec.Struct, frozen=True):
     """What was written down of a task last.
 
     Attributes:
@@ -29,7 +29,7 @@ class Written(msgspec.Struct, frozen=True):
         return self.made_of is not None and task.still_carries(*self.made_of)
 
 
-def written_of(task: Task, carried: Carried, plain: bytes) -> Written:
+def last_checkpoint(task: Task, carried: Carried, plain: bytes) -> LastCheckpoint:
     """Returns what is remembered of a checkpoint.
 
     Args:
@@ -37,7 +37,7 @@ def written_of(task: Task, carried: Carried, plain: bytes) -> Written:
         carried: what it carries.
         plain: the same, encoded.
     """
-    return Written(plain, (carried.settings, carried.periods_s) if type(task).State is Nothing else None)
+    return LastCheckpoint(plain, (carried.settings, carried.periods_s) if type(task).State is Nothing else None)
 
 
 def plain_of(carried: Carried) -> bytes:

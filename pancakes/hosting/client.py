@@ -45,7 +45,7 @@ from pancakes.hosting.hosting_event import (
     TakeUp,
 )
 from pancakes.hosting.machine import step, unborn
-from pancakes.hosting.moves import Moves
+from pancakes.hosting.mover import Mover
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records
@@ -146,10 +146,10 @@ class ClientService(Service):
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
-        self._moves = Moves(self)
+        self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
-        self._decisions = Decisions(self, records, self._moves)
+        self._decisions = Decisions(self, records, self._mover)
 
     @property
     def component(self) -> Component:
@@ -174,7 +174,7 @@ class ClientService(Service):
             if record.service == self.name:
                 place = self.places.add(record)
                 self._note(place)
-                self._moves.found(record)
+                self._mover.found(record)
                 specs += self._arrivals.found(place)
         return specs
 
@@ -185,7 +185,7 @@ class ClientService(Service):
             if place.slot is None:
                 self.feed_place(place, TakeUp())
         self._checkpointing.begin()
-        self._moves.begin()
+        self._mover.begin()
 
     def wants(self, slot: Slot) -> bool:
         record = self.places.at[slot.name].standing.record
@@ -269,9 +269,9 @@ class ClientService(Service):
             case Ack():
                 self._deliveries.on_disk(place, effect.packet)
             case AttemptFailed():
-                self._moves.attempt_failed(place, effect)
+                self._mover.attempt_failed(place, effect)
             case HandedOver():
-                self._moves.handed_over(place, effect)
+                self._mover.handed_over(place, effect)
             case OpenPlace():
                 self._arrivals.open(place, effect.start)
             case Unreserve():
@@ -280,7 +280,7 @@ class ClientService(Service):
                 if place.adoption is not None:
                     self._decisions.started(place, place.adoption, effect.reason)
                 if place.follows is not None:
-                    self._moves.followed(place, place.follows)
+                    self._mover.followed(place, place.follows)
             case Lasts():
                 if place.forgetting:
                     self._decisions.written(place, effect.why_not)
@@ -354,7 +354,7 @@ class ClientService(Service):
 
     def task_running(self, slot: Slot) -> None:
         self._deliveries.again(self.places.at[slot.name])
-        self._moves.watch(slot)
+        self._mover.watch(slot)
 
     def write_rest(self, slot: Slot) -> None:
         carried = slot.carried
@@ -406,13 +406,13 @@ class ClientService(Service):
             case PeerDown():
                 self._carrier.drop(message.peer)
             case BidAwarded():
-                self._moves.awarded(message)
+                self._mover.awarded(message)
             case Accounted():
-                self._moves.accounted(message)
+                self._mover.accounted(message)
             case MoveOver():
-                self._moves.over(message)
+                self._mover.over(message)
             case MigratorBegan():
-                self._moves.migrator_began()
+                self._mover.migrator_began()
             case _:
                 return super().on_receive(message)
         return None
@@ -455,7 +455,7 @@ class ClientService(Service):
         if slot is not None:
             self._refuse_elsewhere(body, slot)
         if isinstance(body, Migrate) and slot is not None:
-            self._moves.ask(slot, body, request)
+            self._mover.ask(slot, body, request)
         else:
             super().carry_out_command(body, slot, request)
 

@@ -6,9 +6,9 @@ from pancakes.control import Adopt, Forget
 from pancakes.errors import ControlRefused
 from pancakes.hosting import adoption
 from pancakes.hosting.bidding_messages import AttemptOver
-from pancakes.hosting.host import Host
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.lost import Lost
-from pancakes.hosting.moves import Moves
+from pancakes.hosting.mover import Mover
 from pancakes.hosting.place import Adoption, Place
 from pancakes.hosting.records import Records
 from pancakes.migration.event import Adopt as RunHere
@@ -23,13 +23,13 @@ class Decisions:
     Args:
         host: the service.
         records: knows of tasks whose records were lost.
-        moves: the moves of its tasks.
+        mover: looks after their moves.
     """
 
-    def __init__(self, host: Host, records: Records, moves: Moves) -> None:
+    def __init__(self, host: HostingService, records: Records, mover: Mover) -> None:
         self._host = host
         self._records = records
-        self._moves = moves
+        self._mover = mover
 
     def concern(self, name: str) -> bool:
         """Returns whether there is something to decide about a task of this name. Any thread."""
@@ -103,7 +103,7 @@ class Decisions:
         reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
         self._tell_asked("adopt", task_id, request)
         host.log("warning", reason)
-        place.adoption = Adoption(request, peer, reason, self._moves.sequel_of(place.standing.record).ledger)
+        place.adoption = Adoption(request, peer, reason, self._mover.sequel_of(place.standing.record).ledger)
         host.look_after(place, request)
         host.feed_place(place, event)
 

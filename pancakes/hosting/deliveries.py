@@ -5,9 +5,9 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from pancakes.hosting.courier_messages import CameFor, Say
-from pancakes.hosting.host import Host
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.place import Place
-from pancakes.hosting.post import Post
+from pancakes.hosting.task_letters import TaskLetters
 from pancakes.kernel.letters import ATTEMPTS
 from pancakes.kernel.tell import tell
 from pancakes.life.life import State
@@ -33,7 +33,7 @@ class Deliveries:
         host: the service.
     """
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: HostingService) -> None:
         self._host = host
 
     def arrived(self, came: CameFor) -> None:
@@ -59,62 +59,62 @@ class Deliveries:
         slot = place.slot
         if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
             return
-        place.post = post = place.post or Post()
+        place.letters = letters = place.letters or TaskLetters()
         key = (letter.stream, letter.seq)
-        if packet is None and key not in post.failures:
-            post.note_failures(letter, ATTEMPTS)
+        if packet is None and key not in letters.failures:
+            letters.note_failures(letter, ATTEMPTS)
             reason = f"{slot.address} cannot read packet #{letter.seq} of {letter.stream}"
             self._host.kernel.letters.bury(reason)
         addressed = None
-        if packet is not None and post.failures.get(key, 0) < ATTEMPTS:
+        if packet is not None and letters.failures.get(key, 0) < ATTEMPTS:
             # To its handlers it is as any other packet that names them.
             addressed = replace(packet, destination=slot.address)
         # It comes again and again while the task computes or waits, and would fill the memory.
-        if post.give(slot.task, letter, packet):
+        if letters.give(slot.task, letter, packet):
             tell(slot.task, Give(letter, addressed))
 
     def given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
         place = self._host.places.find(TaskId.parse(letter.task_id))
-        post = place.post if place is not None else None
-        if place is None or post is None:
+        letters = place.letters if place is not None else None
+        if place is None or letters is None:
             return  # the task was given away meanwhile
         assert isinstance(task, Task)
-        packet = post.looked_at(task, letter)
+        packet = letters.looked_at(task, letter)
         if told.outcome is LetterOutcome.FAILED:
             # It is not acknowledged, so it comes again when the task has been restarted.
-            failures = post.failures.get((letter.stream, letter.seq), 0) + 1
-            post.note_failures(letter, failures)
+            failures = letters.failures.get((letter.stream, letter.seq), 0) + 1
+            letters.note_failures(letter, failures)
             if failures == ATTEMPTS and packet is not None:
                 self._host.kernel.letters.bury(
                     f"{task.address} failed {failures} times on {packet.type!r} #{packet.seq} from {packet.source}"
                 )
         elif told.outcome is LetterOutcome.TAKEN:
-            self._took(place, post, task, letter, packet)
+            self._took(place, letters, task, letter, packet)
 
-    def _took(self, place: Place, post: Post, task: Task, letter: Letter, packet: Packet | None) -> None:
+    def _took(self, place: Place, letters: TaskLetters, task: Task, letter: Letter, packet: Packet | None) -> None:
         slot = place.slot
         if slot is None or slot.task is not task:
             return  # the actor that took it has ended; its sender, which has not been told so, sends it again
-        post.took(letter)
+        letters.took(letter)
         if slot.spec.durability == "each":
             return
-        if post.keep(letter, packet):
+        if letters.keep(letter, packet):
             self._acknowledge(place, PacketId(letter.stream, letter.seq), letter.sender)
-        elif not post.asked:
-            post.asked = True
+        elif not letters.asked:
+            letters.asked = True
             tell(task, Look())
 
     def again(self, place: Place) -> None:
         """Gives a task that has begun anew what was acknowledged and is not in its checkpoint; all else comes after."""
-        if place.post is not None:
-            for letter, packet in list(place.post.kept.values()):
+        if place.letters is not None:
+            for letter, packet in list(place.letters.kept.values()):
                 self._deliver(place, letter, packet)
 
     def on_disk(self, place: Place, packet: PacketId) -> None:
         """A letter, and all before it in its stream, have had their effect for good."""
-        sender = place.post.on_disk(packet) if place.post is not None else ""
+        sender = place.letters.on_disk(packet) if place.letters is not None else ""
         if sender:
             self._acknowledge(place, packet, sender)
 

@@ -6,9 +6,9 @@ from functools import partial
 
 from pancakes.closing import STUCK_S
 from pancakes.errors import PancakesError
-from pancakes.hosting.host import Host
 from pancakes.hosting.hosting_effect import TakeDown
 from pancakes.hosting.hosting_event import PlaceFree, StillOverdue, StoodStill
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.place import Place
 from pancakes.kernel.tell import tell
 from pancakes.migration.effect import Freeze
@@ -26,7 +26,7 @@ class Departures:
         host: the service.
     """
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: HostingService) -> None:
         self._host = host
 
     def freeze(self, slot: Slot, place: Place, effect: Freeze) -> None:
@@ -69,7 +69,7 @@ class Departures:
         """Forgets what is owed for a task, and kept for it."""
         self._host.kernel.registry.unreserve(join(self._host.address, place.task_id.name))
         # What it was, down to the last byte of its state, is elsewhere now.
-        place.came_from, place.post, place.written, place.ask_again_s = "", None, None, 0.0
+        place.came_from, place.letters, place.written, place.ask_again_s = "", None, None, 0.0
         self._host.outbox.gone(place.task_id, ends)
         if ends and slot is not None:
             # At once: what its `on_stop` may still command must not reach a wheel that the new owner's host may need.

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from pancakes.hosting.load import Load
+from pancakes.hosting.load import MeasuredLoad
 from pancakes.hosting.records import Records
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
@@ -17,7 +17,7 @@ from pancakes.migration.capability import Capability
 from pancakes.migration.cost import Cost, HostLoad
 from pancakes.migration.messages import Reserve, Solicit
 from pancakes.migration.record import Phase, Record, TaskId
-from pancakes.migration.slots import Slot, Slots
+from pancakes.migration.reservations import Reservation, Reservations
 from pancakes.migration.times import Times
 from pancakes.packet import join
 
@@ -60,9 +60,9 @@ class HostState:
         self._lock = threading.Lock()
         self._names: dict[str, dict[str, TaskId]] = {}  # by service
         self._under_way: dict[TaskId, str] = {}  # and their services
-        self._slots = Slots()
+        self._reservations = Reservations()
         self.battery_level: float | None = None
-        self.measured: Load | None = None
+        self.measured: MeasuredLoad | None = None
         self.negotiated: tuple[TaskId, ...] = ()
 
     # What the services keep true -------------------------------------------------------------------------------
@@ -88,24 +88,29 @@ class HostState:
     def reserve(self, peer: str, message: Reserve) -> str:
         """Keeps a slot for a task that is about to come; says why that cannot be."""
         self.free(message.task_id)
-        refusal = self.refusal_of(message.request)
-        if not refusal:
-            until_s = self._kernel.host.now() + Times().slot_s
-            with self._lock:
-                self._slots.keep(message.task_id, Slot(peer, message.offer, until_s))
-        return refusal
+        if refusal := self.refusal_of(message.request):
+            return refusal
+        now_s, task_id = self._kernel.host.now(), message.task_id
+        with self._lock:
+            # Another service may have kept the name since.
+            for other in self._reservations.kept(now_s):
+                if other.name == task_id.name and other != task_id:
+                    return f"has a task named {task_id.name} already ({other})"
+            self._reservations.keep(task_id, Reservation(peer, message.offer, now_s + Times().slot_s))
+        return ""
 
     def free(self, task_id: TaskId) -> None:
         """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
         with self._lock:
-            self._slots.free(task_id)
+            self._reservations.free(task_id)
 
     # What others ask -------------------------------------------------------------------------------------------
 
     def under_way(self, service: str = "") -> list[TaskId]:
-        """Returns the tasks of a service that are being handed over; empty: of all services."""
+        """Returns the tasks of a service that are being handed over; empty: of all services that run."""
+        services = [service] if service else self._running()
         with self._lock:
-            return [task_id for task_id, its in self._under_way.items() if service in ("", its)]
+            return [task_id for task_id, its in self._under_way.items() if its in services]
 
     def _running(self) -> list[str]:
         with self._lock:
@@ -120,7 +125,7 @@ class HostState:
 
     def _kept(self) -> tuple[TaskId, ...]:
         with self._lock:
-            return self._slots.kept(self._kernel.host.now())
+            return self._reservations.kept(self._kernel.host.now())
 
     def refusal_of(self, request: Solicit) -> str:
         """Returns why this agent cannot take a task now, as a phrase; empty where it can."""

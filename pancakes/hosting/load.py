@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import psutil
 
 
-class Load(msgspec.Struct, frozen=True):
+class MeasuredLoad(msgspec.Struct, frozen=True):
     """How busy an agent was between two looks; see `pancakes.migration.cost.HostLoad` for what is counted in what."""
 
     agent_share: float
@@ -24,7 +24,7 @@ class Load(msgspec.Struct, frozen=True):
     lateness_share: float
 
 
-IDLE = Load(0.0, 0.0, 0.0)
+IDLE = MeasuredLoad(0.0, 0.0, 0.0)
 """What an agent in virtual time says, where one thread does the work of all agents, and nothing is ever late."""
 
 
@@ -78,7 +78,7 @@ class LoadMeter:
         self._before: tuple[float, float] | None = None
         self._ticks: dict[TaskTimer, tuple[int, int, float]] = {}
 
-    def look(self, now_s: float, components: Iterable[Component]) -> Load | None:
+    def look(self, now_s: float, components: Iterable[Component]) -> MeasuredLoad | None:
         """Returns the load since the look before; None at the first, which has nothing to compare with.
 
         Args:
@@ -90,7 +90,7 @@ class LoadMeter:
         if before is None or now_s <= before[0]:
             return None
         agent_share = max(0.0, self._before[1] - before[1]) / (now_s - before[0])
-        return Load(agent_share, self._host(), lateness_share)
+        return MeasuredLoad(agent_share, self._host(), lateness_share)
 
     def _lateness(self, components: Iterable[Component]) -> float:
         late, count = 0.0, 0

@@ -5,9 +5,9 @@ from __future__ import annotations
 import msgspec
 
 from pancakes.hosting.bidding_messages import HasMoved
-from pancakes.hosting.checkpoints import Written
-from pancakes.hosting.post import Post
+from pancakes.hosting.checkpoints import LastCheckpoint
 from pancakes.hosting.standing import Standing
+from pancakes.hosting.task_letters import TaskLetters
 from pancakes.migration.ledger import Ledger
 from pancakes.migration.messages import Solicit
 from pancakes.migration.record import TaskId
@@ -63,7 +63,7 @@ class Place(msgspec.Struct):
         task_id: the task.
         slot: its slot; None: it has none.
         standing: its record, and what its hand-off is about to do.
-        post: the letters that have come for it; None: none has.
+        letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
         came_from: the agent that it is on its way from; empty: none.
         move: the move that was asked for; None: none.
@@ -77,8 +77,8 @@ class Place(msgspec.Struct):
     task_id: TaskId
     standing: Standing
     slot: Slot | None = None
-    post: Post | None = None
-    written: Written | None = None
+    letters: TaskLetters | None = None
+    written: LastCheckpoint | None = None
     came_from: str = ""
     move: Move | None = None
     ask_again_s: float = 0.0
@@ -90,4 +90,4 @@ class Place(msgspec.Struct):
     @property
     def owes(self) -> bool:
         """Whether something that the task has handled waits for the disk."""
-        return self.post is not None and bool(self.post.owed)
+        return self.letters is not None and bool(self.letters.owed)

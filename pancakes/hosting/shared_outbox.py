@@ -8,7 +8,7 @@ from typing import Final
 
 from pancakes.errors import LocalProtocolError, MigrationError
 from pancakes.migration.outbox import Outbox
-from pancakes.migration.post import Dispatch, ForwardTo, Receipt
+from pancakes.migration.post import ForwardTo, OutgoingLetter, Receipt
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Posted
 from pancakes.packet import TO_TASK, Packet
@@ -32,7 +32,7 @@ class SharedOutbox:
         self._outbox = outbox
         self._lock = threading.Lock()
         self._encoder = Encoder()
-        self._unsent: list[Dispatch] = []  # in the order in which they were numbered
+        self._unsent: list[OutgoingLetter] = []  # in the order in which they were numbered
 
     @property
     def name(self) -> str:
@@ -78,7 +78,7 @@ class SharedOutbox:
         with self._lock:
             self._unsent += self._outbox.due(now_s)
 
-    def take_unsent(self) -> Sequence[Dispatch]:
+    def take_unsent(self) -> Sequence[OutgoingLetter]:
         """Returns what is to be sent now, in order, and forgets that."""
         with self._lock:
             unsent, self._unsent = self._unsent, []

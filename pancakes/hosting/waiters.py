@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from pancakes.hosting.host import Host
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
 from pancakes.request import Request
@@ -23,7 +23,7 @@ class Waiters:
         records: knows what keeps a record from being written.
     """
 
-    def __init__(self, host: Host, records: Records) -> None:
+    def __init__(self, host: HostingService, records: Records) -> None:
         self._host = host
         self._records = records
 

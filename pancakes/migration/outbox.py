@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pancakes.migration.post import Dispatch, ForwardTo, Outgoing, Receipt
+from pancakes.migration.post import ForwardTo, Outgoing, OutgoingLetter, Receipt
 from pancakes.migration.record import TaskId
 from pancakes.migration.snapshot import Posted
 
@@ -38,7 +38,7 @@ class Outbox:
         self._left: dict[str, Outgoing | None] = {}  # those of tasks that stand still for a hand-off
         self._ending: set[str] = set()  # tasks that have left for good, and whose actor has not ended
 
-    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[Dispatch]:
+    def post(self, sender: str, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[OutgoingLetter]:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
@@ -61,7 +61,7 @@ class Outbox:
         known = [found for stream in self._streams.values() if (found := stream.host_of(task_id)) is not None]
         return max(known)[1] if known else ""
 
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[Dispatch]:
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[OutgoingLetter]:
         """Forgets what has had its effect, and returns what may follow."""
         stream = self._streams.get(receipt.stream)
         if stream is None:
@@ -70,11 +70,11 @@ class Outbox:
         self._drop_done(stream)
         return follows
 
-    def forwarded(self, news: ForwardTo, now_s: float) -> list[Dispatch]:
+    def forwarded(self, news: ForwardTo, now_s: float) -> list[OutgoingLetter]:
         """Learns where a task has gone, and returns what waits for it."""
         return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, now_s)]
 
-    def due(self, now_s: float) -> list[Dispatch]:
+    def due(self, now_s: float) -> list[OutgoingLetter]:
         """Returns what is to be sent again."""
         return [dispatch for stream in self._streams.values() for dispatch in stream.due(now_s)]
 

@@ -114,7 +114,7 @@ class _Correspondence(msgspec.Struct):
     pause_s: float = RESEND_S
 
 
-class Dispatch(msgspec.Struct, frozen=True):
+class OutgoingLetter(msgspec.Struct, frozen=True):
     """What to send, and to whom.
 
     Attributes:
@@ -165,7 +165,7 @@ class Outgoing:
         to = self._to.get(str(task_id))
         return (to.epoch_n, to.host) if to is not None else None
 
-    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[Dispatch]:
+    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[OutgoingLetter]:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
@@ -191,7 +191,7 @@ class Outgoing:
         to.next_seq += 1
         return self._fill(str(task_id), to)
 
-    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[Dispatch]:
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[OutgoingLetter]:
         """Forgets what has had its effect, and returns what may follow."""
         to = self._to.get(receipt.task_id)
         if to is None or receipt.stream != self.stream:
@@ -205,7 +205,7 @@ class Outgoing:
             to.due_s = now_s + RESEND_S
         return self._fill(receipt.task_id, to)
 
-    def forwarded(self, news: ForwardTo, now_s: float) -> list[Dispatch]:
+    def forwarded(self, news: ForwardTo, now_s: float) -> list[OutgoingLetter]:
         """Learns where a task has gone, and returns what waits for it. Older news than what is known is ignored."""
         to = self._to.get(news.task_id)
         if to is None or news.epoch_n <= to.epoch_n:
@@ -217,16 +217,16 @@ class Outgoing:
         to.pause_s = RESEND_S
         return self._again(news.task_id, to, now_s)
 
-    def due(self, now_s: float) -> list[Dispatch]:
+    def due(self, now_s: float) -> list[OutgoingLetter]:
         """Returns what is to be sent again."""
-        out: list[Dispatch] = []
+        out: list[OutgoingLetter] = []
         for task_id, to in self._to.items():
             if not to.packets or to.due_s > now_s:
                 continue
             lost = to.pause_s >= LONGEST_S
             out.extend(self._again(task_id, to, now_s))
             if lost:
-                out.append(Dispatch("", self._letter(task_id, to, next(iter(to.packets)))))
+                out.append(OutgoingLetter("", self._letter(task_id, to, next(iter(to.packets)))))
             to.pause_s = min(2 * to.pause_s, LONGEST_S)
         return out
 
@@ -234,12 +234,12 @@ class Outgoing:
         """Returns how many packets wait for their acknowledgement, by task."""
         return {task_id: len(to.packets) for task_id, to in self._to.items() if to.packets}
 
-    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[Dispatch]:
+    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[OutgoingLetter]:
         to.due_s = now_s + to.pause_s
         to.in_flight = 0
         return self._fill(task_id, to)
 
-    def _fill(self, task_id: str, to: _Correspondence) -> list[Dispatch]:
+    def _fill(self, task_id: str, to: _Correspondence) -> list[OutgoingLetter]:
         """Returns what may be sent besides what is on its way."""
         if not to.packets:
             to.in_flight = 0
@@ -248,7 +248,9 @@ class Outgoing:
         sent = to.in_flight
         to.in_flight = min(len(to.packets), IN_FLIGHT)
         # The numbers of what is not acknowledged have no gap.
-        return [Dispatch(to.host, self._letter(task_id, to, seq)) for seq in range(first + sent, first + to.in_flight)]
+        return [
+            OutgoingLetter(to.host, self._letter(task_id, to, seq)) for seq in range(first + sent, first + to.in_flight)
+        ]
 
     def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
         return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from pancakes.hosting import post
+from pancakes.hosting import task_letters
 from pancakes.hosting.client import ClientService
 from pancakes.hosting.deliveries import CameFor
 from pancakes.kernel.tell import tell
@@ -27,7 +27,7 @@ class Sink(Task):
 
 
 def test_letters_that_cannot_be_read_and_never_come_again_are_forgotten_and_the_newest_are_not(monkeypatch):
-    monkeypatch.setattr(post, "MOST_KNOWN", 4)
+    monkeypatch.setattr(task_letters, "MOST_KNOWN", 4)
     with FleetInTest() as fleet:
         agent = fleet.start("a", tasks={"Sink": Sink})
         client = agent.component("client")

@@ -9,7 +9,7 @@ from pancakes.migration.capability import Capability, compatible
 from pancakes.migration.cost import ActiveTasks, HostLoad
 from pancakes.migration.messages import Solicit
 from pancakes.migration.record import Epoch, TaskId
-from pancakes.migration.slots import Slot, Slots
+from pancakes.migration.reservations import Reservation, Reservations
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)
@@ -81,9 +81,9 @@ def test_versions(offered: str, here: str, may: bool) -> None:
 
 def test_a_slot_is_kept_until_it_expires_or_is_freed() -> None:
     home = TaskId("agent1", "GoHome")
-    slots = Slots()
-    slots.keep(SCAN, Slot("agent1", Epoch(1, "agent1"), until_s=105.0))
-    slots.keep(home, Slot("agent1", Epoch(1, "agent1"), until_s=106.0))
+    slots = Reservations()
+    slots.keep(SCAN, Reservation("agent1", Epoch(1, "agent1"), until_s=105.0))
+    slots.keep(home, Reservation("agent1", Epoch(1, "agent1"), until_s=106.0))
     assert slots.kept(104.9) == (home, SCAN)
     assert slots.kept(105.0) == (home,)
     slots.free(home)

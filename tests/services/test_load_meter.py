@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from pancakes.control import Describe
-from pancakes.hosting.load import Load, LoadMeter, host_share, processor_time_s
+from pancakes.hosting.load import LoadMeter, MeasuredLoad, host_share, processor_time_s
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
 
@@ -26,7 +26,7 @@ class Actor:
         self.timers = dict(enumerate(timers))
 
 
-def look(meter: LoadMeter, now_s: float, *actors: Any) -> Load:
+def look(meter: LoadMeter, now_s: float, *actors: Any) -> MeasuredLoad:
     """Returns the load since the look before, of which there was one."""
     load = meter.look(now_s, actors)
     assert load is not None

@@ -181,7 +181,7 @@ class TestAcknowledgement:
         assert numbers(fleet) == upto(7)
 
     def test_a_lazy_task_acknowledges_no_more_ahead_than_can_be_kept(self, fleet, monkeypatch):
-        monkeypatch.setattr("pancakes.hosting.post.KEPT", 10)
+        monkeypatch.setattr("pancakes.hosting.task_letters.KEPT", 10)
         agent = fleet.start("a", tasks={"Sink": Sink})
         fleet.run_for(1.01)
         for n in upto(200):

@@ -7,7 +7,7 @@ import msgspec
 from pancakes.migration.record import Epoch, TaskId
 
 
-class Slot(msgspec.Struct, frozen=True):
+class Reservation(msgspec.Struct, frozen=True):
     """A place kept for one task.
 
     Attributes:
@@ -21,13 +21,13 @@ class Slot(msgspec.Struct, frozen=True):
     until_s: float
 
 
-class Slots:
+class Reservations:
     """Keeps the slots, at most one for each task. Advisory: no safety hangs on it, and a crash empties it."""
 
     def __init__(self) -> None:
-        self._slots: dict[TaskId, Slot] = {}
+        self._slots: dict[TaskId, Reservation] = {}
 
-    def keep(self, task_id: TaskId, slot: Slot) -> None:
+    def keep(self, task_id: TaskId, slot: Reservation) -> None:
         """Keeps a slot; it replaces an older one for the same task."""
         self._slots[task_id] = slot
 

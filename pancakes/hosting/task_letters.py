@@ -19,7 +19,7 @@ KEPT_BYTES: Final = 4 * 1024 * 1024
 """... and most bytes of them; with more, the task is written down at once, and only then are they acknowledged."""
 
 
-class Post(msgspec.Struct):
+class TaskLetters(msgspec.Struct):
     """The letters that have come for one task.
 
     Attributes:

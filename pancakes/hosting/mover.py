@@ -14,8 +14,8 @@ from pancakes.hosting.bidding_messages import (
     Negotiate,
     ServiceBegan,
 )
-from pancakes.hosting.host import Host
 from pancakes.hosting.hosting_event import PartConcluded, StartWanted
+from pancakes.hosting.hosting_service import HostingService
 from pancakes.hosting.place import Move, Place
 from pancakes.kernel.keep import LATEST
 from pancakes.life.life import RESTS, State
@@ -32,14 +32,14 @@ from pancakes.request import Request
 from pancakes.slot import Slot
 
 
-class Moves:
+class Mover:
     """Looks after the moves of one service's tasks. All in that service's actor.
 
     Args:
         host: the service.
     """
 
-    def __init__(self, host: Host) -> None:
+    def __init__(self, host: HostingService) -> None:
         self._host = host
         self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
         self._watched: list[str] = []

@@ -19,7 +19,7 @@ from pancakes.task import TaskSpec
 from pancakes.task_messages import Carried
 
 
-class Host(Protocol):
+class HostingService(Protocol):
     """A service that hosts tasks. All in its actor."""
 
     kernel: Kernel
