@@ -43,7 +43,7 @@ from pancakes.net.transport import Transport
 from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
 from pancakes.service import Service
-from pancakes.service_messages import Close, PeerDown
+from pancakes.service_messages import Close, NoRoom, PeerDown
 from pancakes.service_spec import ServiceSpec
 from pancakes.services.device import DeviceService, DeviceSpec
 from pancakes.services.fences import Fences
@@ -240,6 +240,8 @@ class Agent:
     def _root_ended(self, root: Component, error: BaseException | None) -> None:
         """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
         self.kernel.stream.unsubscribe(root.address)
+        if error is None and self.kernel.stopping:
+            self._closed.set()
         if self._closed.is_set():
             return
         assert isinstance(root, Root)
@@ -290,7 +292,7 @@ class Agent:
         closed = self._closed
         root = self._root
         if root is not None:
-            root.call(lambda: root.close(closed.set))
+            tell(root, Close())
             if self.kernel.virtual is not None:
                 self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
             elif not closed.wait(CLOSE_S):
@@ -340,10 +342,10 @@ class Agent:
 
     def _journal_lost(self, reason: str) -> None:
         """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
+        self.kernel.stopping = True
         root = self._root
-        if root is not None and root.actor_ref.is_alive():
-            closed = self._closed
-            root.call(lambda: root.close(closed.set))
+        if root is not None:
+            tell(root, Close())
         self._stop_for(
             f"{reason}; its tasks are ended, because an agent that is started now knows nothing of them."
             f" See that no other agent runs them, put the directory back if you can, and start {self.name} again"
@@ -397,7 +399,7 @@ class Agent:
         """Tells whoever sent a command that it found no way in; of other packets, that one was dropped."""
         root = self._root
         if body_class(packet.type) in CONTROLS and root is not None:
-            root.call(lambda: root.refuse(packet, reason))
+            tell(root, NoRoom(packet, reason))
             return
         now_s = self.kernel.host.now()
         # There may be thousands a second, and a line for each would be a load of its own.

@@ -1,4 +1,4 @@
-"""What the root and the services tell each other: data."""
+"""What the agent, the root and the services tell each other: data."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from collections.abc import Mapping
 import msgspec
 
 from pancakes.kernel.component import Component
+from pancakes.packet import Packet
 from pancakes.request import Request
 from pancakes.task_messages import Carried
 
 
 class Close(msgspec.Struct, frozen=True):
-    """The root tells a service to stop its tasks and to end.
+    """The root tells a service to stop its tasks and to end, or the agent the root to stop its services and to end.
 
     Attributes:
-        for_s: after so many seconds of mission time the root starts it again; None: it does not by itself.
+        for_s: after so many seconds of mission time the root starts the service again; None: it does not by itself.
     """
 
     for_s: float | None = None
@@ -45,6 +46,18 @@ class ServiceEnded(msgspec.Struct, frozen=True):
     error: BaseException | None
     kept: Mapping[str, Carried]
     unheard: tuple[Request, ...]
+
+
+class NoRoom(msgspec.Struct, frozen=True):
+    """The agent tells the root that a control packet from elsewhere found no room here, or does not fit its type.
+
+    Attributes:
+        packet: the packet.
+        reason: why it was refused, as a sentence.
+    """
+
+    packet: Packet
+    reason: str
 
 
 class PeerDown(msgspec.Struct, frozen=True):

@@ -45,7 +45,7 @@ from pancakes.life.life_event import StartAsked, StopAsked
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.request import Request
 from pancakes.service import Service
-from pancakes.service_messages import ServiceEnded, ServiceReady
+from pancakes.service_messages import Close, NoRoom, ServiceEnded, ServiceReady
 from pancakes.service_spec import ServiceSpec
 from pancakes.services.network import NetworkService
 from pancakes.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
@@ -107,16 +107,17 @@ class Root(Component):
         self.event("ready")
         self._on_ready()
 
-    def close(self, then: Callable[[], None]) -> None:
-        """Stops all services, last first; `then` is called in this actor when the last has ended."""
-        self._services.close(then)
-
     def on_receive(self, message: Any) -> Any:
         match message:
             case ServiceReady():
                 self._services.service_ready(message)
             case ServiceEnded():
                 self._services.service_ended(message)
+            case NoRoom():
+                # It has its place in the order like any other.
+                self.reply(self._numbered(message.packet), message.reason)
+            case Close():
+                self._services.close()
             case _:
                 return super().on_receive(message)
         return None
@@ -144,17 +145,13 @@ class Root(Component):
             self.log("error", text, traceback_of(error))
             self.reply(request, text)
 
-    def refuse(self, packet: Packet, reason: str) -> None:
-        """Answers a control packet that found no room here; it has its place in the order like any other."""
-        self.reply(self._numbered(packet), reason)
-
     def refuse_all(self, reason: str) -> None:
         """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
         queue = self.actor_inbox.queues.get(SYSCTRL)
         while queue is not None and (packet := queue.take()) is not None:
             # The one that it failed on lies here again, and has its number.
             if not self._answers.owes((packet.source, packet.seq)):
-                self.refuse(packet, reason)
+                self.reply(self._numbered(packet), reason)
         self._answers.refuse_all(reason)
 
     def reply(self, request: Request, reason: str = "", result: Any = None) -> None:

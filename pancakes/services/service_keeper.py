@@ -101,7 +101,6 @@ class ServiceKeeper:
         self._starts: ServicePlace | None = None
         self._to_close: list[ServicePlace] = []
         self._closes: ServicePlace | None = None
-        self._closed: list[Callable[[], None]] = []
 
     def feed(self, place: ServicePlace, event: Event) -> None:
         """Feeds an event to the life of a service, and carries out what follows."""
@@ -118,9 +117,8 @@ class ServiceKeeper:
         self._starts = self._to_start.pop(0)
         self.feed(self._starts, StartAsked())
 
-    def close(self, then: Callable[[], None]) -> None:
-        """Stops all services, last first; `then` is called when the last has ended."""
-        self._closed.append(then)
+    def close(self) -> None:
+        """Stops all services, last first, and then the root."""
         if self.closing:
             return
         self.closing = True
@@ -135,8 +133,6 @@ class ServiceKeeper:
                 self.feed(place, StopAsked(reason="its agent stops"))
                 return
         self._closes = None
-        for then in self._closed:
-            then()
         self._root.stop()
 
     # What a service's actor tells ------------------------------------------------------------------------------
