@@ -8,7 +8,6 @@ are the old host's.
 from __future__ import annotations
 
 from collections.abc import Callable
-from hashlib import sha256
 from typing import Any, Final
 
 import msgspec
@@ -16,6 +15,7 @@ from msgspec.structs import replace
 
 from pancakes import codecs
 from pancakes.arrays import array_from_extension, saved_array
+from pancakes.digest import sha256
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.record import TaskId
@@ -166,4 +166,4 @@ def _without_phases(encoded: bytes) -> bytes:
 
 def digest(data: bytes) -> bytes:
     """Returns the content hash (SHA-256) by which an encoded snapshot is checked on arrival."""
-    return sha256(data).digest()
+    return sha256(data)
