@@ -80,7 +80,7 @@ class Printer:
 @contextmanager
 def until_ended() -> Iterator[None]:
     """Ends its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
-    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.console_scripts`
+    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.quiet_interrupt`
     try:
         if quiet:
             signal.signal(signal.SIGINT, _interrupt)

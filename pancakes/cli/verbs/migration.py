@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, ask_each, meant
-from pancakes.cli.completing import costs, tasks_beside
-from pancakes.cli.name_types import AgentNameType, TaskName, a_task, agents
+from pancakes.cli.name_types import AGENT_NAME, TaskName, a_task, agents
 from pancakes.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.cli.verbs.task_completion import costs, tasks_beside
 from pancakes.control import Adopt, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
 
@@ -34,7 +34,7 @@ MOVES = (
 
 @click.command()
 @a_task
-@click.option("--to", metavar="AGENT", type=AgentNameType(), default="", help="Ask only this neighbour.")
+@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="Ask only this neighbour.")
 @click.option(
     "--then",
     metavar="TASK",
@@ -105,7 +105,7 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
 @click.option(
     "--birthplace",
     metavar="AGENT",
-    type=AgentNameType(),
+    type=AGENT_NAME,
     default="",
     help="Where it was born, if two of its name are in doubt.",
 )
@@ -147,7 +147,7 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
 @click.option(
     "--birthplace",
     metavar="AGENT",
-    type=AgentNameType(),
+    type=AGENT_NAME,
     default="",
     help="Where it was born, if the records of two of its name were lost.",
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.cli.asking import surveyed
-from pancakes.cli.name_types import AgentNameType
+from pancakes.cli.name_types import AGENT_NAME
 from pancakes.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
 from pancakes.cli.streaming import load_packets, say, until_ended
@@ -43,7 +43,7 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     help="All packets whose AGENT/CHANNEL/TYPE or whose source fits, and no others. Repeatable.",
 )
 @click.option(
-    "--as", "as_name", metavar="AGENT", type=AgentNameType(), default="", help="Feed everything to this agent instead."
+    "--as", "as_name", metavar="AGENT", type=AGENT_NAME, default="", help="Feed everything to this agent instead."
 )
 @click.option(
     "--config",

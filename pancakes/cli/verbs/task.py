@@ -9,12 +9,12 @@ from typing import Any
 import click
 
 from pancakes.cli.asking import accepted, order, placed, survey
-from pancakes.cli.completing import timers
 from pancakes.cli.name_types import TaskName, a_task, agents
 from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.cli.verbs.param_names import Changes, set_option
+from pancakes.cli.verbs.task_completion import timers
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 from pancakes.life.restart import tries
 
