@@ -7,6 +7,7 @@ line prints it as it stands: a traceback in a user's terminal is a defect.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 from pancakes.frames import place_of, place_of_user
@@ -95,6 +96,35 @@ class NoCandidate(MigrationError):
 
 class PeerLost(MigrationError):
     """The peer went away before the hand-off was decided."""
+
+
+EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
+"""What is not installed with the core, by its module, and the extra that brings it."""
+
+
+def missing_extra(error: Exception) -> str:
+    """Returns the module that an extra brings and that an import has not found; empty: there is none."""
+    module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return module if module in EXTRAS else ""
+
+
+@contextmanager
+def needing_extra(what: str) -> Iterator[None]:
+    """Makes a sentence of an import in its block that does not find what an extra brings.
+
+    Args:
+        what: what cannot be without it, as the beginning of the sentence.
+
+    Raises:
+        PancakesError: an extra is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_extra(error)
+        if not missing:
+            raise
+        raise PancakesError(f"{what} without {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'") from None
 
 
 LONGEST_TEXT: Final = 500

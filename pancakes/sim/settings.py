@@ -10,7 +10,6 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from pancakes.errors import PancakesError
 from pancakes.sim.battery import BatterySettings
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import MoverSettings
@@ -53,10 +52,7 @@ class RobotSettings:
     battery: BatterySettings = field(default_factory=BatterySettings)
 
     def __post_init__(self) -> None:
-        try:
-            robot_model(self.model)
-        except PancakesError as error:
-            raise ValueError(str(error)) from None
+        robot_model(self.model)  # an unknown one is a fault of the settings
 
 
 @dataclass

@@ -88,16 +88,12 @@ def demo(
     virtual: bool | None,
     seed: int,
     speed: float,
-    duration: float | None,
     out: Path | None,
-    configs: Path | None,
-    sets: tuple[str, ...],
-    headless: bool,
-    record: bool,
     view_: bool,
     control: bool,
     port: int | None,
     faults: bool,
+    **asked: Any,
 ) -> None:
     """Run a demo and judge it: exit code 0 only where the verdict is PASS.
 
@@ -125,9 +121,8 @@ def demo(
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
-    options = _Options(
-        plugins, virtual, seed, speed, duration, configs, sets, headless, record, faults, interrupted, page
-    )
+    speed = 1.0 if virtual else speed
+    options = _Options(plugins, virtual, seed, speed, faults, interrupted, page, **asked)
     try:
         try:
             code = _run(found, out, options)
@@ -159,14 +154,14 @@ class _Options:
     virtual: bool
     seed: int
     speed: float
-    duration_s: float | None
+    faults: bool
+    interrupted: threading.Event
+    page: DemoPage | None
+    duration: float | None
     configs: Path | None
     sets: tuple[str, ...]
     headless: bool
     record: bool
-    faults: bool
-    interrupted: threading.Event
-    page: DemoPage | None
 
 
 def _find(plugins: Plugins, name: str) -> Demo | Comparison:
@@ -211,12 +206,11 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
 
     virtual, seed = options.virtual, options.seed
     interrupted, page = options.interrupted, options.page
-    duration_s = options.duration_s if options.duration_s is not None else found.duration_s
+    duration_s = options.duration if options.duration is not None else found.duration_s
     configs = find_configs(found, options.configs)
-    speed = 1.0 if virtual else options.speed
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
     sets = (*recording, *options.sets)
-    plan = make_plan(found, configs, out, seed, speed, duration_s, sets, not virtual, options.plugins)
+    plan = make_plan(found, configs, out, seed, options.speed, duration_s, sets, not virtual, options.plugins)
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()

@@ -14,7 +14,7 @@ import click
 from pancakes.cli.agent_process import SHOW_TRACEBACKS
 from pancakes.cli.options import format_option
 from pancakes.cli.output import show, show_text
-from pancakes.printable import printable_data
+from pancakes.cli.streaming import one_line
 
 if TYPE_CHECKING:
     from pancakes.launch.member import Member, Policy
@@ -208,6 +208,4 @@ class _Objects:
         self._print({"agent": agent or None, "event": event, "text": text})
 
     def _print(self, value: dict[str, Any]) -> None:
-        import json
-
-        show_text(printable_data(json.dumps(value, ensure_ascii=False)))
+        show_text(one_line(value))

@@ -6,17 +6,16 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, survey
+from pancakes.cli.asking import show_done, survey
 from pancakes.cli.name_types import ServiceName, a_service, agents
 from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show_json, show_sections
+from pancakes.cli.output import show_json, show_sections
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.life.restart import tries
 from pancakes.suggestion import hint_of
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
-DONE = ("agent", "service", "done", "number")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
 STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
 """The words of `pancakes.life.life` for services, which is not imported for them: a command has to be quick."""
@@ -131,6 +130,4 @@ def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> Non
 def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop | Restart, **others: Any) -> None:
     """Has an agent do something with a service, and shows that it was done."""
     with ask.client() as client:
-        number = accepted(client, name.agent, body).number
-    row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": number, **others}
-    ask.show([row], (*DONE, *others))
+        show_done(ask, client, name, done, body, **others)
