@@ -1,4 +1,4 @@
-"""Everything that Pancakes raises on purpose, and how an error reads that nobody foresaw (`describe`).
+"""Everything that Pancakes raises on purpose, and how any other error reads (`describe`).
 
 Each message is a sentence that names what is at fault (file, key, peer, packet), because the command
 line prints it as it stands: a traceback in a user's terminal is a defect.
@@ -71,7 +71,7 @@ class UnknownChannel(PancakesError):
 
 
 class MailboxFull(PancakesError):
-    """A `reliable` subscriber has no room: the packet was given to nobody, the publisher may try again."""
+    """A `reliable` subscriber has no room: no subscriber got the packet, the publisher may try again."""
 
 
 class ControlRefused(PancakesError):

@@ -50,7 +50,7 @@ def fail(error: Exception) -> NoReturn:
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         show_text(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
         if not error.filename:
-            _forget_output()
+            forget_output()
         sys.exit(REFUSED)
     missing = missing_extra(error)
     if missing:
@@ -68,11 +68,11 @@ def fail(error: Exception) -> NoReturn:
 
 def end_unread() -> NoReturn:
     """Exits without a message: the reader of the output, such as `head`, has ended."""
-    _forget_output()
+    forget_output()
     sys.exit(UNREAD)
 
 
-def _forget_output() -> None:
+def forget_output() -> None:
     """Discards the text that Python still holds for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 from pancakes import codecs
 from pancakes.config import SCHEMA
-from pancakes.config.config_schema import DRAFT, NAME, closed
+from pancakes.config.config_schema import closed, named_tables, schema_document
 from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
 from pancakes.config.toml_source import tables_of, text_of
@@ -94,19 +94,8 @@ def fleet_schema() -> dict[str, Any]:
     """Returns the JSON Schema (draft 2020-12) of a fleet file."""
     fleet, agent = closed(schema_of(FleetTable)), closed(schema_of(MemberTable))
     definitions = {**fleet.pop("$defs", {}), **agent.pop("$defs", {})}
-    return {
-        "$schema": DRAFT,
-        "title": "A fleet",
-        "type": "object",
-        "properties": {
-            "schema": {"const": SCHEMA, "description": "the format of the file."},
-            "fleet": fleet,
-            "agent": {"type": "object", "propertyNames": {"pattern": NAME}, "additionalProperties": agent},
-        },
-        "required": ["schema", "fleet", "agent"],
-        "additionalProperties": False,
-        "$defs": definitions,
-    }
+    properties = {"fleet": fleet, "agent": named_tables(agent)}
+    return schema_document("A fleet", properties, ["schema", "fleet", "agent"], definitions)
 
 
 class _FleetReader:

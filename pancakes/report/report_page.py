@@ -228,7 +228,7 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
             (step, 1e3 * mean if mean is not None else None, 1e3 * travel if travel is not None else None)
             for step, mean, travel in zip(it.steps, means, travels, strict=True)
         ]
-        shares = ", ".join(f"p{round(100 * s)} {_seconds(it.latency_s.quantile(s))}" for s in (0.5, 0.9, 0.99))
+        shares = ", ".join(f"{name} {_seconds(value_s)}" for name, value_s in it.latency_s.quantiles().items())
         html += f"<h3>{it.count:,} times: {shares}, longest {_seconds(it.latency_s.largest)}</h3>"
         html += _table(("step", "to the next [ms]", "of that between agents [ms]"), rows)
     left = len(found.reactions()) - 12

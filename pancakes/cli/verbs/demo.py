@@ -15,7 +15,7 @@ import click
 
 from pancakes.cli import interpreter
 from pancakes.cli.interrupts import end_by_signals, event_at
-from pancakes.cli.options import FiniteRange
+from pancakes.cli.options import FiniteRange, agent_sets_option
 from pancakes.cli.output import show_text
 from pancakes.cli.verbs.demo_page import DemoPage
 from pancakes.cli.verbs.view import port_option
@@ -69,13 +69,7 @@ class DemoNames(click.ParamType):
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder with the agents' configurations. [default: those that come with the demo]",
 )
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="[AGENT:]KEY=VALUE",
-    help="Change a key of one agent's configuration, or of all.",
-)
+@agent_sets_option
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
@@ -115,7 +109,7 @@ def demo(
     if not view_ and (control or port is not None):
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
-        raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
+        raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
     interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)

@@ -227,18 +227,16 @@ class Known:
 
     def is_new(self, record: Record) -> bool:
         """Returns whether one of these is to be shown: it was not before."""
-        line = line_of(dict(record))
-        if self._not_new[line]:
-            self._not_new[line] -= 1
-            return False
-        self._shown.append(line)
-        return True
+        return self._show(record, self._not_new)
 
     def comes(self, record: Record) -> bool:
         """Returns whether a record that comes as it is said is to be shown: it was not among what was remembered."""
+        return self._show(record, self._to_come)
+
+    def _show(self, record: Record, known: Counter[str]) -> bool:
         line = line_of(dict(record))
-        if self._to_come[line]:
-            self._to_come[line] -= 1
+        if known[line]:
+            known[line] -= 1
             return False
         self._shown.append(line)
         return True

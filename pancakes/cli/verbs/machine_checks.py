@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import resource
 import shutil
@@ -19,7 +18,7 @@ from typing import Final
 from pancakes.cli.verbs.finding import Finding, Level
 from pancakes.errors import PancakesError
 from pancakes.plugins import GROUPS, Plugins
-from pancakes.runtime_dir import look, runtime_dir
+from pancakes.runtime_dir import is_locked, look, runtime_dir
 
 DISTRIBUTION: Final = "pancakes-agents"
 FULL_MIB: Final = 50
@@ -99,7 +98,7 @@ def check_runtime_dir() -> Iterator[Finding]:
         yield Finding("error", about, str(error), advice)
         return
     for sentence in found.odd:
-        yield Finding("warning", about, sentence, "see who put it there, and remove it")
+        yield Finding("warning", about, sentence, "see which program put it there, and remove it")
     if found.cleared:
         text = f"{directory} has entries of agents that did not end in order: {', '.join(found.cleared)}"
         yield Finding("warning", about, text, "none: they have just been cleared away; see why those agents died")
@@ -180,9 +179,7 @@ def _check_journal(directory: Path) -> Finding:
 def _holder(directory: Path) -> str:
     """The process that has a state directory locked; empty where none has."""
     with contextlib.suppress(OSError), (directory / "lock").open("rb") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if is_locked(lock):
             return lock.read(32).decode("ascii", "replace").strip() or "?"
     return ""
 

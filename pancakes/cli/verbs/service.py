@@ -8,7 +8,7 @@ import click
 
 from pancakes.cli.asking import show_done, survey
 from pancakes.cli.name_types import ServiceName, a_service, agents
-from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, orders_agents
+from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.cli.output import show_json, show_sections
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
@@ -108,12 +108,7 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> Non
 
 @service.command()
 @a_service
-@click.option(
-    "--keep-state/--drop-state",
-    default=True,
-    show_default=True,
-    help="Whether its tasks go on with their state and settings, or begin as their configuration says.",
-)
+@keep_state_option("Whether its tasks go on with their state and settings, or begin as their configuration says.")
 @dry_run_option
 @orders_agents
 def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> None:

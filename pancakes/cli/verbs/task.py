@@ -10,7 +10,7 @@ import click
 
 from pancakes.cli.asking import order, placed, show_done, survey
 from pancakes.cli.name_types import TaskName, a_task, agents
-from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, orders_agents
+from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.cli.output import show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.cli.verbs.param_names import Changes, set_option
@@ -127,12 +127,7 @@ def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
 
 @task.command()
 @a_task
-@click.option(
-    "--keep-state/--drop-state",
-    default=True,
-    show_default=True,
-    help="Whether it goes on with its state and settings, or begins as its configuration says.",
-)
+@keep_state_option("Whether it goes on with its state and settings, or begins as its configuration says.")
 @dry_run_option
 @orders_agents
 def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:

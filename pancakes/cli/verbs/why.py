@@ -237,7 +237,7 @@ def _alike(question: _CommandQuestion, command: ActuatorCommand) -> dict[str, An
 
 
 def _distribution(reaction: Reaction) -> dict[str, Any]:
-    shares = {f"p{round(100 * share)}_ms": _ms(reaction.latency_s.quantile(share)) for share in (0.5, 0.9, 0.99)}
+    shares = {f"{name}_ms": _ms(value_s) for name, value_s in reaction.latency_s.quantiles().items()}
     largest_s = reaction.latency_s.largest
     return {
         "count": reaction.count,
