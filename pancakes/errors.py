@@ -148,7 +148,7 @@ def describe(error: BaseException, cls: type | None = None) -> str:
         error: the error.
         cls: the class of the task, service or driver that failed; None: it is not known.
     """
-    chain = list(_chain(error))
+    chain = list(chain_of(error))
     sentence = isinstance(error, PancakesError)
     found = (place_of_user(it.__traceback__, cls) for it in chain)
     place = next((place for place in found if place is not None), None)
@@ -175,8 +175,8 @@ def traceback_of(error: BaseException) -> str:
     return f"{text[:head]}\n... {left_out:,} characters were left out ...\n{text[-tail:]}"
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    """An error, the one that led to it, and so on, each once."""
+def chain_of(error: BaseException) -> Iterator[BaseException]:
+    """Yields an error, the one that led to it, and so on, each once."""
     seen: set[int] = set()
     following: BaseException | None = error
     while following is not None and id(following) not in seen:
