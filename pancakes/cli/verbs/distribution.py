@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import importlib.util
 import keyword
@@ -108,11 +109,8 @@ class Names:
         found = importlib.util.find_spec(self.package)
         if found is not None and found.origin is not None:
             return f"a module {self.package} is installed here already, in {found.origin}"
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             version = importlib.metadata.version(self.dist)
-        except importlib.metadata.PackageNotFoundError:
-            pass
-        else:
             return f"a distribution {self.dist} is installed here already, in version {version}"
         if kind in ("driver", "plugin"):
             Plugins().load_packets()
