@@ -278,7 +278,7 @@ class Agent:
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
         if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
             self.kernel.log(
-                "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and nobody is checked"
+                "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and no peer is checked"
             )
         self.ready.set()
         self._say_unsaid()
@@ -396,7 +396,7 @@ class Agent:
         self._refuse(peer, packet, str(error))
 
     def _refuse(self, peer: str, packet: Packet, reason: str) -> None:
-        """Tells whoever sent a command that it found no way in; of other packets, that one was dropped."""
+        """Tells the sender of a command that it found no way in; any other packet is dropped, and the log says so."""
         root = self._root
         if body_class(packet.type) in CONTROLS and root is not None:
             tell(root, NoRoom(packet, reason))

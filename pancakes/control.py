@@ -202,8 +202,8 @@ class History(msgspec.Struct, frozen=True):
 
     A record is what a line of the service's file holds: `t_s` (mission time), `agent`, `source`, `kind`, and what
     belongs to that kind (`line`: `level` and `text`); and its `entry`, which counts what was said since the service
-    began. A reply holds as many as fit: whoever wants the rest asks again, with the last `entry` as `after`, until the
-    list is empty.
+    began. A reply holds as many as fit: a client that wants the rest asks again, with the last `entry` as `after`,
+    until the list is empty.
 
     Attributes:
         since_s: only what was said in the last so many seconds of mission time; None: all that is still known.
@@ -245,7 +245,7 @@ class Follow(msgspec.Struct, frozen=True):
         types: only packets of these types; empty: all.
         foreign: whether packets count that came to that channel from other agents.
         most_hz: at most so many packets a second of host time of each source and type, the newest of those that came,
-            for who only wants to see how things stand; they come together. 0.001 or more; 0: all, each at once.
+            for a client that only shows how things stand; they come together. 0.001 or more; 0: all, each at once.
     """
 
     channel: str
@@ -256,9 +256,9 @@ class Follow(msgspec.Struct, frozen=True):
 
 @packet_type("traces")
 class Traces(msgspec.Struct, frozen=True):
-    """Asks an agent what led to the commands that its actuators were given; for who watches for a while.
+    """Asks an agent what led to the commands that its actuators were given; for a program that watches.
 
-    From the first question on the agent notes its newest packets, until nobody has asked for ten seconds. The
+    From the first question on the agent notes its newest packets, until ten seconds pass without a question. The
     `result` has `now_ns` and `until_ns` (what to say as
     `since_ns` next), `left_out` (how many commands there was no room for), and `rows`: the packets, oldest first, that
     are commands or led to one, or to one of `packets`, as far as they were seen on this agent. A row is a list: when it

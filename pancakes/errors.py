@@ -1,4 +1,4 @@
-"""Everything that Pancakes raises on purpose, and how an error reads that nobody foresaw (`describe`).
+"""Everything that Pancakes raises on purpose, and how any other error reads (`describe`).
 
 Each message is a sentence that names what is at fault (file, key, peer, packet), because the command
 line prints it as it stands: a traceback in a user's terminal is a defect.
@@ -7,6 +7,7 @@ line prints it as it stands: a traceback in a user's terminal is a defect.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Final, NamedTuple
 
 from pancakes.frames import place_of, place_of_user
@@ -70,7 +71,7 @@ class UnknownChannel(PancakesError):
 
 
 class MailboxFull(PancakesError):
-    """A `reliable` subscriber has no room: the packet was given to nobody, the publisher may try again."""
+    """A `reliable` subscriber has no room: no subscriber got the packet, the publisher may try again."""
 
 
 class ControlRefused(PancakesError):
@@ -97,6 +98,35 @@ class PeerLost(MigrationError):
     """The peer went away before the hand-off was decided."""
 
 
+EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
+"""What is not installed with the core, by its module, and the extra that brings it."""
+
+
+def missing_extra(error: Exception) -> str:
+    """Returns the module that an extra brings and that an import has not found; empty: there is none."""
+    module = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return module if module in EXTRAS else ""
+
+
+@contextmanager
+def needing_extra(what: str) -> Iterator[None]:
+    """Makes a sentence of an import in its block that does not find what an extra brings.
+
+    Args:
+        what: what cannot be without it, as the beginning of the sentence.
+
+    Raises:
+        PancakesError: an extra is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = missing_extra(error)
+        if not missing:
+            raise
+        raise PancakesError(f"{what} without {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'") from None
+
+
 LONGEST_TEXT: Final = 500
 """Of what one error says, one line has so many characters at the most."""
 LONGEST_SENTENCE: Final = 4000
@@ -118,7 +148,7 @@ def describe(error: BaseException, cls: type | None = None) -> str:
         error: the error.
         cls: the class of the task, service or driver that failed; None: it is not known.
     """
-    chain = list(_chain(error))
+    chain = list(chain_of(error))
     sentence = isinstance(error, PancakesError)
     found = (place_of_user(it.__traceback__, cls) for it in chain)
     place = next((place for place in found if place is not None), None)
@@ -145,8 +175,8 @@ def traceback_of(error: BaseException) -> str:
     return f"{text[:head]}\n... {left_out:,} characters were left out ...\n{text[-tail:]}"
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    """An error, the one that led to it, and so on, each once."""
+def chain_of(error: BaseException) -> Iterator[BaseException]:
+    """Yields an error, the one that led to it, and so on, each once."""
     seen: set[int] = set()
     following: BaseException | None = error
     while following is not None and id(following) not in seen:

@@ -5,8 +5,8 @@ dataclass registered under the type's name, or a plain mapping where this proces
 
 Addresses read `agent/service/task`. A destination may be
 
-* empty: whoever subscribes on this agent;
-* `agent`, `agent/service` or `agent/service/task`: whoever subscribes there, under that address;
+* empty: all that subscribe on this agent;
+* `agent`, `agent/service` or `agent/service/task`: all that subscribe there, under that address;
 * `task:birthplace/name`: that task, on whatever agent it is now (see `task_address`);
 * `*`: every neighbour (not this agent).
 """

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib.metadata import Distribution, distributions
+from itertools import islice
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from pancakes.errors import PluginError
+from pancakes.errors import PluginError, chain_of
 from pancakes.suggestion import suggestion
 
 GROUPS: Final = {
@@ -207,25 +208,23 @@ def _unknown(group: str, name: str, known: list[str]) -> UnknownPlugin:
 def _line(error: BaseException) -> str:
     """An exception in one line: where it was raised, by way of which files, and what it came of."""
     parts: list[str] = []
-    cause: BaseException | None = error
-    while cause is not None and len(parts) < MOST_CAUSES:
+    for cause in islice(chain_of(error), MOST_CAUSES):
         message = " ".join(str(cause).split())
         text = f"{type(cause).__name__}: {message}" if message else type(cause).__name__
         way = _way(cause)
         parts.append(f"{text} ({way})" if way else text)
-        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
     return ", because of ".join(parts)
 
 
 def _way(error: BaseException) -> str:
     """The lines by way of which an exception came, those of Python's own import left out."""
+    from traceback import walk_tb  # only where something went wrong
+
     way = []
-    place = error.__traceback__
-    while place is not None:
-        code = place.tb_frame.f_code
-        if not code.co_filename.startswith("<frozen ") and place.tb_frame.f_globals.get("__name__") not in _LOADING:
-            way.append(f"{code.co_filename.rpartition('/')[2]}:{place.tb_lineno}")
-        place = place.tb_next
+    for frame, line in walk_tb(error.__traceback__):
+        path = frame.f_code.co_filename
+        if not path.startswith("<frozen ") and frame.f_globals.get("__name__") not in _LOADING:
+            way.append(f"{path.rpartition('/')[2]}:{line}")
     return " > ".join(way[-MOST_LINES:])
 
 

@@ -14,7 +14,7 @@ import stat
 import sys
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import msgspec
 
@@ -204,7 +204,7 @@ def _read(path: Path, found: Found) -> None:
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         oddity = _oddity(os.fstat(handle))
-        lives = not oddity and _is_locked(handle)
+        lives = not oddity and is_locked(handle)
         if lives and path.name.endswith(_TEMPORARY):
             return  # it is being written
         if lives:
@@ -234,11 +234,13 @@ def _oddity(status: os.stat_result) -> str:
     return ""
 
 
-def _is_locked(handle: int) -> bool:
+def is_locked(file: int | BinaryIO) -> bool:
+    """Returns whether another process holds the lock on a file."""
     try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
+    fcntl.flock(file, fcntl.LOCK_UN)
     return False
 
 

@@ -191,19 +191,7 @@ def known_keys(cls: type) -> tuple[str, ...]:
 
 def required_keys(cls: type) -> list[str]:
     """Returns the keys of a dataclass that have no default, in their order."""
-    if not dataclasses.is_dataclass(cls):
-        names, defaults = cls.__struct_fields__, cls.__struct_defaults__  # type: ignore[attr-defined]
-        first = len(names) - len(defaults)
-        return [
-            name
-            for name, value in zip(names, (msgspec.NODEFAULT,) * first + defaults, strict=True)
-            if value is msgspec.NODEFAULT
-        ]
-    return [
-        field.name
-        for field in dataclasses.fields(cls)
-        if field.init and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    ]
+    return [field.name for field in codecs.type_info(cls).fields if field.required]  # type: ignore[attr-defined]
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:

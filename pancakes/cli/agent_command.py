@@ -74,6 +74,6 @@ def agent(
 
 
 if __name__ == "__main__":
-    from pancakes.cli import console_scripts  # noqa: F401 - a SIGINT ends it quietly
+    from pancakes.cli import quiet_interrupt  # noqa: F401 - a SIGINT ends it quietly
 
     agent()

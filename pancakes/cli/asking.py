@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from pancakes.cli.name_types import TaskName
+from pancakes.cli.name_types import ServiceName, TaskName
 from pancakes.cli.options import Ask
-from pancakes.cli.output import show_text
+from pancakes.cli.output import DRY_RUN, show_text
 from pancakes.client import Client
-from pancakes.control import Describe, Reply
+from pancakes.control import Describe, Reply, Reschedule
 from pancakes.errors import ControlRefused
 from pancakes.suggestion import did_you_mean
 
@@ -117,3 +117,20 @@ def placed(client: Client, name: TaskName) -> TaskName:
         order(client, agent, Describe(name.task))  # it refuses, and says so where the task's service stands still
     hint = did_you_mean(name.task, [row["task"] for row in described["tasks"]])
     raise ControlRefused(f"{agent} has no task {name.task!r}{hint}")
+
+
+def show_done(ask: Ask, client: Client, name: TaskName | ServiceName, done: str, body: Any, **others: Any) -> None:
+    """Has an agent do something with a task or a service, and shows that it was done.
+
+    Args:
+        ask: how to print it.
+        client: asks the agent.
+        name: the task or the service.
+        done: what was done, where it was not only asked whether it would be.
+        body: the control packet's body.
+        others: what is shown besides.
+    """
+    reply = accepted(client, name.agent, body)
+    result = reply.result if isinstance(body, Reschedule) else {}
+    row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": reply.number, **result, **others}
+    ask.show([row], tuple(row))

@@ -8,14 +8,11 @@ is no other choice, so such a one is followed to what is behind it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 from click.shell_completion import CompletionItem
 
-from pancakes.cli.name_types import TaskName, TaskNameType
-from pancakes.control import Describe
 from pancakes.printable import printable
 
 if TYPE_CHECKING:
@@ -28,6 +25,11 @@ Choices = Iterable[tuple[str, str]]
 """Names, each with a line that says what it is."""
 
 
+def names(noun: str, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Completes the name of an agent, or of what an agent has: `task`, `service` or `channel`."""
+    return agents(ctx, param, incomplete) if noun == "agent" else _below(ctx, incomplete, _BELOW[noun])
+
+
 def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Completes `AGENT`; those that stand on the line already are not offered again."""
     named = ctx.params.get(param.name or "")
@@ -38,54 +40,6 @@ def agents(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
         for found in descriptions(ctx)
         if found["agent"].startswith(begun) and found["agent"] not in taken and fleet in ("", found["fleet"])
     ]
-
-
-def tasks(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Completes `AGENT/TASK`, and `AGENT/SERVICE/TASK` where a service is begun or a name is in several services."""
-    return _below(ctx, incomplete, _tasks)
-
-
-def services(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Completes `AGENT/SERVICE`."""
-    return _below(ctx, incomplete, lambda found, begun: ((row["service"], row["state"]) for row in found["services"]))
-
-
-def channels(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-    """Completes `AGENT/CHANNEL`."""
-    return _below(ctx, incomplete, lambda found, begun: ((name, "") for name in found["channels"]))
-
-
-def timers(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the timers of the task that is named on the line already."""
-    name = _task_named(ctx)
-    found = answer(ctx, name.agent, Describe(name.target)) if name is not None else None
-    # A service of that name would answer with a list.
-    rows = found["timers"] if isinstance(found, dict) else []
-    return [
-        CompletionItem(row["timer"], help=f"{row['rate_hz']:g} Hz")
-        for row in rows
-        if row["timer"].startswith(incomplete)
-    ]
-
-
-def tasks_beside(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the tasks on the agent of the task that is named on the line already."""
-    name = _task_named(ctx)
-    if name is None:
-        return []
-    return [
-        CompletionItem(row["task"], help=f"{row['type']}, {row['state']}")
-        for description in descriptions(ctx, name.agent)
-        for row in description["tasks"]
-        if row["task"].startswith(incomplete) and row["task"] != name.task
-    ]
-
-
-def costs(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Completes the cost functions that are installed here."""
-    from pancakes.plugins import Plugins
-
-    return [CompletionItem(name) for name in Plugins().names("pancakes.costs") if name.startswith(incomplete)]
 
 
 def descriptions(ctx: click.Context, *agents: str) -> list[dict[str, Any]]:
@@ -126,14 +80,6 @@ def _at(ctx: click.Context) -> Where:
     return Where(tuple(ctx.params.get("at") or ()), ctx.params.get("fleet") or "")
 
 
-def _task_named(ctx: click.Context) -> TaskName | None:
-    """The argument that names a task; click leaves arguments unread where the value of an option is asked for."""
-    for word in ctx.args:
-        with suppress(click.BadParameter):
-            return TaskNameType().convert(word, None, ctx)
-    return None
-
-
 def _below(
     ctx: click.Context, incomplete: str, choices: Callable[[dict[str, Any], str], Choices]
 ) -> list[CompletionItem]:
@@ -168,6 +114,7 @@ def _among(
 
 
 def _tasks(description: dict[str, Any], begun: str) -> Choices:
+    """The tasks of an agent; with their services where a service is begun, or a name is in several services."""
     rows = [(row["service"], row["task"], f"{row['type']}, {row['state']}") for row in description["tasks"]]
     names = [task for _, task, _ in rows]
     short = [(task if names.count(task) == 1 else f"{service}/{task}", what) for service, task, what in rows]
@@ -176,3 +123,11 @@ def _tasks(description: dict[str, Any], begun: str) -> Choices:
     full = [(f"{service}/{task}", what) for service, task, what in rows]
     of_services = list(dict.fromkeys(service for service, _, _ in rows if service.startswith(begun)))
     return full if len(of_services) < 2 else [(f"{service}/", "") for service in of_services]
+
+
+_BELOW: Final[dict[str, Callable[[dict[str, Any], str], Choices]]] = {
+    "task": _tasks,
+    "service": lambda found, begun: ((row["service"], row["state"]) for row in found["services"]),
+    "channel": lambda found, begun: ((name, "") for name in found["channels"]),
+}
+"""What an agent has, by its kind: as the agent describes itself, given what is written of the name."""

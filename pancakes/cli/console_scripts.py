@@ -1,17 +1,8 @@
-"""Where the programs begin: it is imported before anything else of ours, and imports next to nothing itself.
-
-From its first line on, SIGINT ends the process by that signal, without a word: there is nothing yet to end in order.
-What has something to end (an agent, a fleet, a stream of packets) hears the signal itself from there on. Before that
-line Python answers a SIGINT with a traceback, while it makes itself ready (`site`, `*.pth` files, the script that pip
-writes); no code of ours runs then.
-"""
+"""Where the programs begin: it is imported before anything else of ours, and first sees to an early SIGINT."""
 
 from __future__ import annotations
 
-import signal
-
-if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as `nohup` and `&` ask for
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+from pancakes.cli import quiet_interrupt  # noqa: F401 - a SIGINT ends the program quietly
 
 
 def pancakes() -> None:

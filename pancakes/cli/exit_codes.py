@@ -11,7 +11,7 @@ from typing import Final, NoReturn
 
 import click
 
-from pancakes.errors import ConfigError, PancakesError, Unreachable
+from pancakes.errors import EXTRAS, ConfigError, PancakesError, Unreachable, missing_extra
 
 OK: Final = 0
 REFUSED: Final = 1
@@ -23,9 +23,6 @@ UNREACHABLE: Final = 3
 BAD_CONFIGURATION: Final = 4
 UNREAD: Final = 141
 """The reader of its output ended early. A shell gives other tools this exit code when SIGPIPE ends them."""
-
-EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
-"""What is not installed with the core, by its module, and the extra that brings it."""
 
 TRACEBACK: Final = "PANCAKES_TRACEBACK"
 """The environment variable with which a defect shows its traceback, for the developer who mends it."""
@@ -53,10 +50,10 @@ def fail(error: Exception) -> NoReturn:
     if isinstance(error, OSError) and error.errno in UNWRITABLE:
         show_text(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
         if not error.filename:
-            _forget_output()
+            forget_output()
         sys.exit(REFUSED)
-    missing = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-    if missing in EXTRAS:
+    missing = missing_extra(error)
+    if missing:
         show_text(f"this needs {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'", err=True)
         sys.exit(REFUSED)
     if os.environ.get(TRACEBACK):
@@ -71,11 +68,11 @@ def fail(error: Exception) -> NoReturn:
 
 def end_unread() -> NoReturn:
     """Exits without a message: the reader of the output, such as `head`, has ended."""
-    _forget_output()
+    forget_output()
     sys.exit(UNREAD)
 
 
-def _forget_output() -> None:
+def forget_output() -> None:
     """Discards the text that Python still holds for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Final
 
 import click
 
 from pancakes import __version__
 from pancakes.cli.lazy import Later, LazyGroup
-
-PROGRAM: Final = "pancakes"
-VARIABLE: Final = "_PANCAKES_COMPLETE"
-"""The environment variable with which a shell asks how the line may go on."""
+from pancakes.cli.program import PROGRAM, VARIABLE
 
 COMMANDS = {
     "agent": Later("pancakes.cli.verbs.agent:agent", "Agents that run."),
@@ -61,11 +57,11 @@ def main() -> None:
     if VARIABLE in os.environ:
         from pancakes.cli.verbs.completion import answer_shell
 
-        answer_shell()
+        answer_shell(pancakes)
     pancakes(prog_name=PROGRAM)
 
 
 if __name__ == "__main__":
-    from pancakes.cli import console_scripts  # noqa: F401 - a SIGINT ends it quietly
+    from pancakes.cli import quiet_interrupt  # noqa: F401 - a SIGINT ends it quietly
 
     main()

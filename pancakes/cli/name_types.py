@@ -8,7 +8,8 @@ The shell completes these names from what the running agents say (see `pancakes.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
@@ -91,108 +92,66 @@ def the_fleet(option: str) -> str:
     return option or said
 
 
-class AgentNameType(click.ParamType):
-    """Reads the name of an agent; also good as the type of an option."""
+class NameType(click.ParamType):
+    """Reads a name, with its fleet before it or without; also good as the type of an option.
 
-    name = "AGENT"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        parts = str(value).split("/")
-        if len(parts) > 2 or (len(parts) == 2 and not all(parts)):
-            self.fail(f"{value!r} names no agent: write it as AGENT or FLEET/AGENT", param, ctx)
-        if len(parts) == 2:
-            say_fleet(self, parts[0], param, ctx)
-        return parts[-1]
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """See `click.ParamType`."""
-        from pancakes.cli.completing import agents
-
-        return agents(ctx, param, incomplete)
-
-
-class TaskNameType(click.ParamType):
-    """Reads the name of a task."""
-
-    name = "AGENT/TASK"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> TaskName:
-        if isinstance(value, TaskName):
-            return value
-        parts = str(value).split("/")
-        if len(parts) not in (2, 3, 4) or not all(parts):
-            text = "write it as AGENT/TASK or AGENT/SERVICE/TASK, with FLEET/ before it where that is needed"
-            self.fail(f"{value!r} names no task: {text}", param, ctx)
-        if len(parts) == 4:
-            say_fleet(self, parts.pop(0), param, ctx)
-        return TaskName(parts[0], parts[1] if len(parts) == 3 else "", parts[-1])
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """See `click.ParamType`."""
-        from pancakes.cli.completing import tasks
-
-        return tasks(ctx, incomplete)
-
-
-class _NameOnAgent(click.ParamType):
-    """Reads the name of something that an agent has. Subclasses say what it is.
-
-    Attributes:
-        noun: what it is called.
-        made: the class of its name.
+    Args:
+        noun: what bears such a name: `agent`, `task`, `service` or `channel`.
+        name: how the name is written.
+        counts: how many parts it may have; a name of the largest number begins with the fleet.
+        made: makes the name of its parts, without the fleet.
+        how: how to write it, for a sentence that refuses what is no such name.
     """
 
-    noun: ClassVar[str]
-    made: ClassVar[type[ServiceName | ChannelName]]
+    def __init__(self, noun: str, name: str, counts: Sequence[int], made: Callable[..., Any], how: str = "") -> None:
+        self.noun = noun
+        self.name = name
+        self._counts = counts
+        self._made = made
+        self._how = how or f"write it as {name} or FLEET/{name}"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if isinstance(value, self.made):
+        if not isinstance(value, str):
             return value
-        parts = str(value).split("/")
-        if len(parts) not in (2, 3) or not all(parts):
-            self.fail(f"{value!r} names no {self.noun}: write it as {self.name} or FLEET/{self.name}", param, ctx)
-        if len(parts) == 3:
+        parts = value.split("/")
+        if len(parts) not in self._counts or (len(parts) > 1 and not all(parts)):
+            self.fail(f"{value!r} names no {self.noun}: {self._how}", param, ctx)
+        if len(parts) == max(self._counts):
             say_fleet(self, parts.pop(0), param, ctx)
-        return self.made(*parts)
-
-
-class ServiceNameType(_NameOnAgent):
-    """Reads the name of a service."""
-
-    name = "AGENT/SERVICE"
-    noun = "service"
-    made = ServiceName
+        return self._made(*parts)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
-        from pancakes.cli.completing import services
+        from pancakes.cli.completing import names
 
-        return services(ctx, incomplete)
-
-
-class ChannelNameType(_NameOnAgent):
-    """Reads the name of a channel."""
-
-    name = "AGENT/CHANNEL"
-    noun = "channel"
-    made = ChannelName
-
-    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        """See `click.ParamType`."""
-        from pancakes.cli.completing import channels
-
-        return channels(ctx, incomplete)
+        return names(self.noun, ctx, param, incomplete)
 
 
-an_agent = click.argument("agent", metavar="[AGENT]", default="", type=AgentNameType())
+def _task_name(agent: str, *rest: str) -> TaskName:
+    *service, task = rest
+    return TaskName(agent, "".join(service), task)
+
+
+AGENT_NAME: Final = NameType("agent", "AGENT", (1, 2), str)
+TASK_NAME: Final = NameType(
+    "task",
+    "AGENT/TASK",
+    (2, 3, 4),
+    _task_name,
+    "write it as AGENT/TASK or AGENT/SERVICE/TASK, with FLEET/ before it where that is needed",
+)
+SERVICE_NAME: Final = NameType("service", "AGENT/SERVICE", (2, 3), ServiceName)
+CHANNEL_NAME: Final = NameType("channel", "AGENT/CHANNEL", (2, 3), ChannelName)
+
+an_agent = click.argument("agent", metavar="[AGENT]", default="", type=AGENT_NAME)
 """The argument `agent` of a verb about all agents, or one of them; a string, empty where it was left out."""
-the_agent = click.argument("agent", metavar="AGENT", type=AgentNameType())
+the_agent = click.argument("agent", metavar="AGENT", type=AGENT_NAME)
 """The argument `agent` of a verb about one agent; a string."""
-agents = click.argument("agents", metavar="[AGENT]...", nargs=-1, type=AgentNameType())
+agents = click.argument("agents", metavar="[AGENT]...", nargs=-1, type=AGENT_NAME)
 """The argument `agents` of a verb about all agents, or those that are named; a tuple of strings."""
-a_channel = click.argument("name", metavar="AGENT/CHANNEL", type=ChannelNameType())
+a_channel = click.argument("name", metavar="AGENT/CHANNEL", type=CHANNEL_NAME)
 """The argument `name` of a verb about one channel, a `ChannelName`."""
-a_task = click.argument("name", metavar="AGENT/TASK", type=TaskNameType())
+a_task = click.argument("name", metavar="AGENT/TASK", type=TASK_NAME)
 """The argument `name` of a verb about one task, a `TaskName`."""
-a_service = click.argument("name", metavar="AGENT/SERVICE", type=ServiceNameType())
+a_service = click.argument("name", metavar="AGENT/SERVICE", type=SERVICE_NAME)
 """The argument `name` of a verb about one service, a `ServiceName`."""

@@ -148,3 +148,18 @@ orders_agents = asks_agents_for(10.0)
 
 dry_run_option = click.option("--dry-run", is_flag=True, help="Only ask whether it would be done, and change nothing.")
 """The option `dry_run` of every verb that changes something; the agent itself checks, as far as it would."""
+
+
+def keep_state_option(help_: str) -> Callable[[_F], _F]:
+    """Returns the option `--keep-state/--drop-state`; its parameter is `keep_state`."""
+    return click.option("--keep-state/--drop-state", default=True, show_default=True, help=help_)
+
+
+agent_sets_option = click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="[AGENT:]KEY=VALUE",
+    help="Change a key of one agent's configuration, or of all. Repeatable.",
+)
+"""The option `--set` of the verbs that start agents; its parameter is `sets`."""

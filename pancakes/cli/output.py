@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+import msgspec
 
 from pancakes.arrays import as_list, is_array
+from pancakes.codecs import encode_json
+from pancakes.packet import body_to_plain
 from pancakes.printable import printable, printable_data
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def show_text(text: str = "", *, err: bool = False, nl: bool = True, head: str =
 
 def show_json(value: Any) -> None:
     """Prints a plain value to standard output, as JSON; numbers that JSON does not know (NaN, infinity) become null."""
-    show_text(printable_data(json.dumps(_known(value), indent=2, ensure_ascii=False)))
+    show_text(printable_data(msgspec.json.format(encode_json(body_to_plain(value)), indent=2).decode()))
 
 
 def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str) -> None:
@@ -102,18 +103,6 @@ def _print(*things: Any) -> None:
         for thing in things:
             console.print(thing)
     click.echo(captured.get(), nl=False)
-
-
-def _known(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: _known(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_known(item) for item in value]
-    if is_array(value):
-        return _known(as_list(value))
-    return value
 
 
 def _numeric(rows: Sequence[Mapping[str, Any]], column: str) -> bool:

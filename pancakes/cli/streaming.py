@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from pancakes.cli.exit_codes import forget_output
 from pancakes.cli.options import Duration
 from pancakes.cli.output import show_text
 from pancakes.codecs import encode_json
@@ -80,7 +80,7 @@ class Printer:
 @contextmanager
 def until_ended() -> Iterator[None]:
     """Ends its block in good order and without a message at Ctrl-C, or where the reader of the output ends."""
-    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.console_scripts`
+    quiet = signal.getsignal(signal.SIGINT) is signal.SIG_DFL  # see `pancakes.cli.quiet_interrupt`
     try:
         if quiet:
             signal.signal(signal.SIGINT, _interrupt)
@@ -89,8 +89,7 @@ def until_ended() -> Iterator[None]:
         if sys.stdout.isatty():
             show_text()  # so that the shell's prompt does not stand behind the ^C
     except BrokenPipeError:
-        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        forget_output()
     finally:
         if quiet:
             signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -9,6 +9,7 @@ import os
 import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -476,10 +477,8 @@ class Client:
 
     def _changed(self) -> None:
         """There is news. In the transports' threads."""
-        try:
+        with suppress(RuntimeError):  # there is some already
             self._no_news.release()
-        except RuntimeError:  # there is some already
-            pass
 
     def _until_s(self, timeout_s: float | None) -> float:
         return self._clock.now() + (self.timeout_s if timeout_s is None else timeout_s)

@@ -16,7 +16,6 @@ from pancakes.config.rule_check import faults_of_rule
 from pancakes.config.scanner import KeyPath
 from pancakes.config.tables import (
     DEFAULT_SERVICES,
-    SCHEMA,
     AgentConfig,
     ChannelConfig,
     ClockConfig,
@@ -26,7 +25,7 @@ from pancakes.config.tables import (
     ServiceConfig,
     TaskConfig,
 )
-from pancakes.config.toml_source import tables_of, text_of
+from pancakes.config.toml_source import fault_of_schema, tables_of, text_of
 from pancakes.errors import ConfigError, Fault
 from pancakes.life.restart import RestartSpec, fault_of_pauses
 from pancakes.names import fault_of_name, nearest_name
@@ -133,12 +132,9 @@ class _ConfigReader:
                     self._fault((key,), "unknown table", near)
                 else:
                     self.faults.append(Fault(self._places.where(key), dotted((key,)), "unknown key", near))
-        if "schema" not in self._values:
-            self._fault(("schema",), f"is missing: the file states its format as schema = {SCHEMA}")
-        elif type(schema := self._values["schema"]) is not int:
-            self._fault(("schema",), f"expected an integer, not {schema!r}")
-        elif schema != SCHEMA:
-            self._fault(("schema",), f"the format {schema} is not known to this version, which reads {SCHEMA}")
+        fault = fault_of_schema(self._values)
+        if fault:
+            self._fault(("schema",), fault)
 
     def _single(self, table: str, cls: type[_T]) -> _T:
         values = self._values.get(table, {})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from pancakes.config.tables import (
@@ -41,7 +41,7 @@ def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
             be imported are left out.
     """
     definitions: dict[str, Any] = {}
-    properties: dict[str, Any] = {"schema": {"const": SCHEMA, "description": "the format of the file."}}
+    properties: dict[str, Any] = {}
     for table, cls in _SINGLE.items():
         properties[table] = _table(cls, definitions)
     for table, named in _NAMED.items():
@@ -52,16 +52,28 @@ def config_schema(plugins: Plugins | None = None) -> dict[str, Any]:
         entry["required"] = [key for key in entry.get("required", ()) if key != "name"]
         if plugins is not None and table in _PLUGINS:
             _name_plugins(entry, *_PLUGINS[table], plugins)
-        properties[table] = {"type": "object", "propertyNames": {"pattern": NAME}, "additionalProperties": entry}
+        properties[table] = named_tables(entry)
+    return schema_document("The configuration of an agent", properties, ["schema", "agent"], definitions)
+
+
+def schema_document(
+    title: str, properties: Mapping[str, Any], required: Sequence[str], definitions: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Returns the JSON Schema of a file, given the schemas of its tables."""
     return {
         "$schema": DRAFT,
-        "title": "The configuration of an agent",
+        "title": title,
         "type": "object",
-        "properties": properties,
-        "required": ["schema", "agent"],
+        "properties": {"schema": {"const": SCHEMA, "description": "the format of the file."}, **properties},
+        "required": required,
         "additionalProperties": False,
         "$defs": definitions,
     }
+
+
+def named_tables(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the schema of tables `[table.NAME]`, given that of one."""
+    return {"type": "object", "propertyNames": {"pattern": NAME}, "additionalProperties": entry}
 
 
 def closed(schema: Any) -> Any:

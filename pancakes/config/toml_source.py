@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import tomllib
 from codecs import BOM_UTF8
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pancakes.config.key_places import NAMED_TABLES, Places, key_text
 from pancakes.config.scanner import lines_of_keys
+from pancakes.config.tables import SCHEMA
 from pancakes.errors import ConfigError, Fault
 from pancakes.suggestion import suggestion
 
@@ -85,3 +86,13 @@ def _syntax_fault(error: tomllib.TOMLDecodeError, text: str, where: str) -> Faul
     if message == "Cannot overwrite a value":
         message = "a key stands here for the second time"
     return Fault(f"{where}:{line}", "TOML", message[:1].lower() + message[1:])
+
+
+def fault_of_schema(values: Mapping[str, Any]) -> str:
+    """Says what is wrong with the format that a file states, as a phrase; empty: nothing."""
+    schema = values.get("schema")
+    if schema is None:
+        return f"is missing: the file states its format as schema = {SCHEMA}"
+    if type(schema) is not int:
+        return f"expected an integer, not {schema!r}"
+    return "" if schema == SCHEMA else f"the format {schema} is not known to this version, which reads {SCHEMA}"

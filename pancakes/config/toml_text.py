@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import tomlkit
@@ -22,6 +22,15 @@ def key_text(keys: Sequence[str]) -> str:
 def value_text(value: Any) -> str:
     """Returns a plain value as TOML writes it on one line."""
     return _inline(value).as_string()
+
+
+def leaves(value: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yields all values in nested tables that are no tables with something in them, with the keys that lead to them."""
+    if _is_table(value):
+        for key, inner in value.items():
+            yield from leaves(inner, (*keys, key))
+    else:
+        yield keys, value
 
 
 def document_text(tables: Mapping[str, Any], comment: Comment = lambda keys: "") -> str:

@@ -333,15 +333,7 @@ def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
             "agent": msgspec.to_builtins(config.agent),
             "devices": {name: dict(device.settings) for name, device in config.devices.items()},
             "services": {name: dict(service.settings) for name, service in config.services.items()},
-            "tasks": {
-                name: {
-                    "type": task.type,
-                    "start": task.start,
-                    "settings": dict(task.settings),
-                    "migrate": msgspec.to_builtins(task.migrate),
-                }
-                for name, task in config.tasks.items()
-            },
+            "tasks": msgspec.to_builtins(config.tasks),
         }
 
     return {agent: plain(config) for agent, config in plan.configs.items()}

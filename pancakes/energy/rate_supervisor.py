@@ -10,7 +10,7 @@ from pancakes.energy.rim import AdjustingTask
 from pancakes.errors import PancakesError
 from pancakes.kernel.keep import LATEST
 from pancakes.packet import Packet, agent_of, body_class, field_names, known_types
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 from pancakes.task import Tick, every
 
 
@@ -90,8 +90,7 @@ def _check(settings: SupervisorSettings) -> None:
     for name, rule in settings.rules.items():
         body = body_class(rule.when)
         if body is None:
-            near = suggestion(rule.when, known_types())
-            hint = f", did you mean {near!r}?" if near else ""
+            hint = did_you_mean(rule.when, known_types())
             raise PancakesError(f"the rule {name} reads packets of the unknown type {rule.when!r}{hint}")
         known = field_names(body)
         if known and rule.field not in known:

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from pancakes import codecs
-from pancakes.config import SCHEMA
-from pancakes.config.config_schema import DRAFT, NAME, closed
+from pancakes.config.config_schema import closed, named_tables, schema_document
 from pancakes.config.key_places import Places
 from pancakes.config.scanner import KeyPath
-from pancakes.config.toml_source import tables_of, text_of
+from pancakes.config.toml_source import fault_of_schema, tables_of, text_of
 from pancakes.errors import ConfigError
 from pancakes.launch.member import ProcessRestart
 from pancakes.life.restart import fault_of_pauses
@@ -94,19 +93,8 @@ def fleet_schema() -> dict[str, Any]:
     """Returns the JSON Schema (draft 2020-12) of a fleet file."""
     fleet, agent = closed(schema_of(FleetTable)), closed(schema_of(MemberTable))
     definitions = {**fleet.pop("$defs", {}), **agent.pop("$defs", {})}
-    return {
-        "$schema": DRAFT,
-        "title": "A fleet",
-        "type": "object",
-        "properties": {
-            "schema": {"const": SCHEMA, "description": "the format of the file."},
-            "fleet": fleet,
-            "agent": {"type": "object", "propertyNames": {"pattern": NAME}, "additionalProperties": agent},
-        },
-        "required": ["schema", "fleet", "agent"],
-        "additionalProperties": False,
-        "$defs": definitions,
-    }
+    properties = {"fleet": fleet, "agent": named_tables(agent)}
+    return schema_document("A fleet", properties, ["schema", "fleet", "agent"], definitions)
 
 
 class _FleetReader:
@@ -141,11 +129,9 @@ class _FleetReader:
         for key in self._values:
             if key not in known:
                 self._fault((key,), "unknown key in a fleet file", suggestion(key, known))
-        schema = self._values.get("schema")
-        if schema is None:
-            self._fault(("schema",), f"is missing: the file states its format as schema = {SCHEMA}")
-        elif type(schema) is not int or schema != SCHEMA:
-            self._fault(("schema",), f"the format {schema!r} is not known to this version, which reads {SCHEMA}")
+        fault = fault_of_schema(self._values)
+        if fault:
+            self._fault(("schema",), fault)
         if "fleet" not in self._values:
             self._fault(("fleet",), "is missing: a fleet file has a table [fleet], which may be empty")
 

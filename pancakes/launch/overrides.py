@@ -5,24 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pancakes.config.toml_text import key_text, value_text
+from pancakes.config.toml_text import key_text, leaves, value_text
 from pancakes.errors import ConfigError, Fault
 from pancakes.suggestion import suggestion
 
 
-def overrides(table: Mapping[str, Any], keys: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yields `table.key=value` for each value in nested tables, so that the keys beside it stay as the file has them.
-
-    Args:
-        table: plain values, as TOML gives them.
-        keys: where the table is.
-    """
-    for key, value in table.items():
-        path = (*keys, key)
-        if isinstance(value, Mapping) and value:
-            yield from overrides(value, path)
-        else:
-            yield f"{key_text(path)}={value_text(value)}"
+def overrides(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yields `table.key=value` for each value in nested tables, so that keys beside it stay as the file has them."""
+    for keys, value in leaves(table) if table else ():
+        yield f"{key_text(keys)}={value_text(value)}"
 
 
 def whose(change: str, agents: Sequence[str]) -> tuple[Sequence[str], str]:

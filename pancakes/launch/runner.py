@@ -170,7 +170,7 @@ class Runner:
 
         threading.Thread(target=let_begin, name="begin", daemon=True).start()
 
-    # What comes from the processes -----------------------------------------------------------------------------
+    # What the processes say -----------------------------------------------------------------------------------
 
     def _read(self, name: str, place: _Process) -> bool:
         """Reads what an agent has printed; returns whether there was something."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any, Final
 
 from prometheus_client import CollectorRegistry, Counter, GCCollector, Histogram, PlatformCollector, ProcessCollector
@@ -20,6 +21,35 @@ from pancakes.service import Service
 from pancakes.services.network import NetworkService
 
 BUCKETS_S: Final = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+TIMER: Final = "agent service task timer"
+MAILBOX: Final = "agent service task channel"
+FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
+    ("task_rate_hertz", GaugeMetricFamily, "The rate that was asked for.", TIMER),
+    ("task_ticks", CounterMetricFamily, "Ticks so far.", TIMER),
+    ("task_missed_ticks", CounterMetricFamily, "Ticks that were left out.", TIMER),
+    ("mailbox_waiting_packets", GaugeMetricFamily, "Packets that wait.", MAILBOX),
+    ("mailbox_handled_packets", CounterMetricFamily, "Packets taken out.", MAILBOX),
+    ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a reader wanted and lost.", MAILBOX),
+    ("task_running", GaugeMetricFamily, "Whether a task runs.", "agent service task"),
+    ("task_starts", CounterMetricFamily, "How often a task was started.", "agent service task"),
+    ("link_round_trip_seconds", GaugeMetricFamily, "Round trip of a link, smoothed.", "agent peer"),
+    ("link_sent_packets", CounterMetricFamily, "Packets sent.", "agent peer"),
+    ("link_received_packets", CounterMetricFamily, "Packets received.", "agent peer"),
+    ("link_sent_bytes", CounterMetricFamily, "Bytes sent.", "agent peer"),
+    ("link_received_bytes", CounterMetricFamily, "Bytes received.", "agent peer"),
+    ("link_waiting_packets", GaugeMetricFamily, "Packets that wait for a peer.", "agent peer"),
+    ("link_dropped_packets", CounterMetricFamily, "Packets that a slow peer missed.", "agent peer channel"),
+    ("undelivered_packets", CounterMetricFamily, "Packets that no subscriber took.", "agent"),
+    ("dead_letters", CounterMetricFamily, "Packets whose handler failed.", "agent"),
+    ("mission_seconds", GaugeMetricFamily, "The agent's mission clock.", "agent"),
+    ("battery_level_ratio", GaugeMetricFamily, "What is left of the battery.", "agent"),
+)
+"""What is read at each request: its name, its kind, what it is, and its labels."""
+
+_Value = tuple[str, list[str], float]
+"""The name of a metric, the values of its labels, and its own value."""
 
 
 class AgentMetrics(Collector):
@@ -97,11 +127,13 @@ class AgentMetrics(Collector):
         """Reads the rest. In the thread of the HTTP server."""
         components = self._kernel.registry.components()
         self._forget(components)
-        yield from self._timers(components)
-        yield from self._mailboxes(components)
-        yield from self._tasks(components)
-        yield from self._links()
-        yield from self._agent()
+        families = {
+            name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
+        }
+        parts = (self._timers(components), self._mailboxes(components), self._tasks(components))
+        for name, where, value in chain(*parts, self._links(), self._agent()):
+            families[name].add_metric(where, value)
+        yield from families.values()
 
     def describe(self) -> Iterator[Metric]:
         """Tells nothing beforehand: what there is, depends on the agent."""
@@ -118,85 +150,50 @@ class AgentMetrics(Collector):
                 if where not in kept:
                     self._lateness.remove(*where)
 
-    def _timers(self, components: list[Component]) -> Iterator[Metric]:
-        labels = ["agent", "service", "task", "timer"]
-        rate = GaugeMetricFamily("pancakes_task_rate_hertz", "The rate that was asked for.", labels=labels)
-        ticks = CounterMetricFamily("pancakes_task_ticks", "Ticks so far.", labels=labels)
-        missed = CounterMetricFamily("pancakes_task_missed_ticks", "Ticks that were left out.", labels=labels)
+    def _timers(self, components: list[Component]) -> Iterator[_Value]:
         for component in components:
             for timer in list(component.timers.values()):
                 where = [*_place(component), timer.method]
-                rate.add_metric(where, timer.rate_hz)
-                ticks.add_metric(where, timer.ticks)
-                missed.add_metric(where, timer.missed_total)
-        yield from (rate, ticks, missed)
+                yield "task_rate_hertz", where, timer.rate_hz
+                yield "task_ticks", where, timer.ticks
+                yield "task_missed_ticks", where, timer.missed_total
 
-    def _mailboxes(self, components: list[Component]) -> Iterator[Metric]:
-        labels = ["agent", "service", "task", "channel"]
-        waiting = GaugeMetricFamily("pancakes_mailbox_waiting_packets", "Packets that wait.", labels=labels)
-        handled = CounterMetricFamily("pancakes_mailbox_handled_packets", "Packets taken out.", labels=labels)
-        dropped = CounterMetricFamily(
-            "pancakes_mailbox_dropped_packets", "Packets that a reader wanted and lost.", labels=labels
-        )
+    def _mailboxes(self, components: list[Component]) -> Iterator[_Value]:
         for component in components:
             for channel, box in list(component.actor_inbox.queues.items()):
                 where = [*_place(component), channel]
-                waiting.add_metric(where, len(box))
-                handled.add_metric(where, box.handled)
-                dropped.add_metric(where, box.dropped())
-        yield from (waiting, handled, dropped)
+                yield "mailbox_waiting_packets", where, len(box)
+                yield "mailbox_handled_packets", where, box.handled
+                yield "mailbox_dropped_packets", where, box.dropped()
 
-    def _tasks(self, components: list[Component]) -> Iterator[Metric]:
-        labels = ["agent", "service", "task"]
-        running = GaugeMetricFamily("pancakes_task_running", "Whether a task runs.", labels=labels)
-        starts = CounterMetricFamily("pancakes_task_starts", "How often a task was started.", labels=labels)
+    def _tasks(self, components: list[Component]) -> Iterator[_Value]:
         for service in [component for component in components if isinstance(component, Service)]:
             for slot in list(service.slots.values()):
                 where = [service.agent, service.name, slot.name]
-                running.add_metric(where, slot.life.state is State.RUNNING)
-                starts.add_metric(where, slot.life.incarnation)
-        yield from (running, starts)
+                yield "task_running", where, slot.life.state is State.RUNNING
+                yield "task_starts", where, slot.life.incarnation
 
-    def _links(self) -> Iterator[Metric]:
+    def _links(self) -> Iterator[_Value]:
         network = self._kernel.registry.get(join(self._kernel.agent, "network"))
-        peers = network.links() if isinstance(network, NetworkService) else []
-        labels = ["agent", "peer"]
-        trip = GaugeMetricFamily("pancakes_link_round_trip_seconds", "Round trip of a link, smoothed.", labels=labels)
-        counted = {
-            "packets_out": CounterMetricFamily("pancakes_link_sent_packets", "Packets sent.", labels=labels),
-            "packets_in": CounterMetricFamily("pancakes_link_received_packets", "Packets received.", labels=labels),
-            "bytes_out": CounterMetricFamily("pancakes_link_sent_bytes", "Bytes sent.", labels=labels),
-            "bytes_in": CounterMetricFamily("pancakes_link_received_bytes", "Bytes received.", labels=labels),
-        }
-        waiting = GaugeMetricFamily("pancakes_link_waiting_packets", "Packets that wait for a peer.", labels=labels)
-        dropped = CounterMetricFamily(
-            "pancakes_link_dropped_packets", "Packets that a slow peer missed.", labels=[*labels, "channel"]
-        )
-        for peer in peers:
+        for peer in network.links() if isinstance(network, NetworkService) else ():
             where = [self._kernel.agent, peer["name"]]
             if peer["rtt_s"] is not None:
-                trip.add_metric(where, peer["rtt_s"])
-            for key, family in counted.items():
-                family.add_metric(where, peer[key])
-            waiting.add_metric(where, sum(peer["waiting"].values()))
+                yield "link_round_trip_seconds", where, peer["rtt_s"]
+            yield "link_sent_packets", where, peer["packets_out"]
+            yield "link_received_packets", where, peer["packets_in"]
+            yield "link_sent_bytes", where, peer["bytes_out"]
+            yield "link_received_bytes", where, peer["bytes_in"]
+            yield "link_waiting_packets", where, sum(peer["waiting"].values())
             for channel, count in peer["dropped"].items():
-                dropped.add_metric([*where, channel], count)
-        yield from (trip, *counted.values(), waiting, dropped)
+                yield "link_dropped_packets", [*where, channel], count
 
-    def _agent(self) -> Iterator[Metric]:
+    def _agent(self) -> Iterator[_Value]:
         kernel = self._kernel
-        undelivered = CounterMetricFamily(
-            "pancakes_undelivered_packets", "Packets that no subscriber took.", labels=["agent"]
-        )
-        undelivered.add_metric([kernel.agent], kernel.stream.undelivered)
-        dead = CounterMetricFamily("pancakes_dead_letters", "Packets whose handler failed.", labels=["agent"])
-        dead.add_metric([kernel.agent], kernel.letters.count)
-        mission = GaugeMetricFamily("pancakes_mission_seconds", "The agent's mission clock.", labels=["agent"])
-        mission.add_metric([kernel.agent], kernel.mission.now())
-        level = GaugeMetricFamily("pancakes_battery_level_ratio", "What is left of the battery.", labels=["agent"])
+        yield "undelivered_packets", [kernel.agent], kernel.stream.undelivered
+        yield "dead_letters", [kernel.agent], kernel.letters.count
+        yield "mission_seconds", [kernel.agent], kernel.mission.now()
         if self.battery_level is not None:
-            level.add_metric([kernel.agent], self.battery_level)
-        yield from (undelivered, dead, mission, level)
+            yield "battery_level_ratio", [kernel.agent], self.battery_level
 
 
 def _place(component: Runnable) -> tuple[str, str, str]:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import queue
@@ -49,13 +49,9 @@ class MetricsService(Service):
     def on_start(self) -> None:
         if self.kernel.virtual is not None:
             raise PancakesError(f"{self.address} serves no metrics in virtual time, where no second is a second")
-        try:
+        with needing_extra("there are no metrics"):
             from pancakes.metrics.collector import AgentMetrics
             from pancakes.metrics.metrics_server import HOST, MetricsServer
-        except ModuleNotFoundError as error:
-            raise PancakesError(
-                f"there are no metrics without {error.name}: pip install 'pancakes-agents[metrics]'"
-            ) from None
         self._metrics = AgentMetrics(self.kernel)
         try:
             server = MetricsServer(self.settings.port, self._metrics.registry)

@@ -22,7 +22,7 @@ class ChainStep(msgspec.Struct, frozen=True):
         time_ns: when it was first seen.
         travel_s: how long it then took to the agent where it led to the next step; 0 where that was its own.
         handling_s: the time from there to the next step: it waited, and was handled. 0 for the last.
-        sent: whether it was seen where it was published. Else nobody recorded there: it is known only from its arrival
+        sent: whether it was seen where it was published. Else no recorder ran there: it is known only from its arrival
             on, and `travel_s` is 0.
     """
 

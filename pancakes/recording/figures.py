@@ -7,6 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import msgspec
 
+from pancakes import codecs
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.task_timer import TaskTimer
 from pancakes.packet import join, packet_type
@@ -146,16 +147,6 @@ def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]
             )
     network = kernel.registry.get(join(kernel.agent, "network"))
     peers: Sequence[dict[str, Any]] = network.links() if isinstance(network, HasLinks) else ()
-    links = tuple(
-        OneLink(
-            peer["name"],
-            peer["rtt_s"],
-            peer["packets_out"],
-            peer["bytes_out"],
-            peer["packets_in"],
-            peer["bytes_in"],
-            sum(peer["dropped"].values()),
-        )
-        for peer in peers
-    )
+    told = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in peers)
+    links = tuple(codecs.convert(row, OneLink) for row in told)
     return TaskFigures(kernel.mission.now(), tuple(tasks), links, kernel.stream.undelivered, kernel.letters.count)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
@@ -14,6 +14,7 @@ from mcap.records import Chunk, McapRecord
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from pancakes.recording.recorded_packet import RecordingError
+from pancakes.runtime_dir import is_locked
 
 READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
 """What reading a file raises that was cut off, torn, or never a recording."""
@@ -65,11 +66,6 @@ def opened(path: Path) -> BinaryIO:
 
 def is_being_written(file: BinaryIO) -> bool:
     """Returns whether a recorder has this file open: it locks what it writes, for as long as it lives."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False  # this file system knows no locks
-    fcntl.flock(file, fcntl.LOCK_UN)
+    with suppress(OSError):  # this file system knows no locks
+        return is_locked(file)
     return False

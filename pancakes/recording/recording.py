@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 
 from pancakes.clock import wall_ns
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
 from pancakes.kernel.backlog import Backlog
 from pancakes.kernel.kernel import Kernel
@@ -80,12 +80,8 @@ class Recording:
         goes_on: Path | None = None,
     ) -> None:
         # Only now: mcap is installed with an extra, and an agent that records nothing does without it.
-        try:
+        with needing_extra("nothing can be recorded"):
             from pancakes.recording.parts import RecordingParts
-        except ModuleNotFoundError as error:
-            raise PancakesError(
-                f"nothing can be recorded without {error.name}: pip install 'pancakes-agents[record]'"
-            ) from None
         if settings.task:
             TaskId.parse(settings.task)  # a bare name fits no task, and the recording would stay empty
         self._kernel = kernel

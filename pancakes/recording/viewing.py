@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import resources
 from typing import Any, Final, NamedTuple
 
 from pancakes import codecs
@@ -65,13 +67,13 @@ class Viewer:
         pose = _pose(body.x_m, body.y_m, body.theta_rad)
         head = {"timestamp": _time(entry.time_ns), "frame_id": FRAME}
         topic = f"/viewer/{entry.agent}/{device}"
-        yield _message(topic, "foxglove.PoseInFrame", POSE_IN_FRAME, entry.time_ns, {**head, "pose": pose})
+        yield _message(topic, "foxglove.PoseInFrame", entry.time_ns, {**head, "pose": pose})
         trail = self._trails.setdefault(topic, deque(maxlen=TRAIL))
         trail.append(pose)
         if entry.time_ns - self._told_ns.get(topic, -TRAIL_NS) >= TRAIL_NS:
             self._told_ns[topic] = entry.time_ns
             path = {**head, "poses": list(trail)}
-            yield _message(f"{topic}/path", "foxglove.PosesInFrame", POSES_IN_FRAME, entry.time_ns, path)
+            yield _message(f"{topic}/path", "foxglove.PosesInFrame", entry.time_ns, path)
 
 
 def _scene(entry: RecordedPacket) -> ViewerMessage:
@@ -104,13 +106,21 @@ def _scene(entry: RecordedPacket) -> ViewerMessage:
             }
         )
     scene = {"deletions": [], "entities": entities}
-    return _message(f"/viewer/{entry.agent}/world", "foxglove.SceneUpdate", SCENE_UPDATE, entry.time_ns, scene)
+    return _message(f"/viewer/{entry.agent}/world", "foxglove.SceneUpdate", entry.time_ns, scene)
 
 
-def _message(
-    topic: str, name: str, schema: Mapping[str, object], time_ns: int, plain: Mapping[str, Any]
-) -> ViewerMessage:
-    return ViewerMessage(topic, name, {"title": name, **schema}, time_ns, codecs.encode_json(plain))
+def _message(topic: str, name: str, time_ns: int, plain: Mapping[str, Any]) -> ViewerMessage:
+    return ViewerMessage(topic, name, {"title": name, **_schemas()[name]}, time_ns, codecs.encode_json(plain))
+
+
+@cache
+def _schemas() -> dict[str, dict[str, Any]]:
+    """Returns the schemas by the names under which Foxglove finds them: https://docs.foxglove.dev/docs/sdk/schemas.
+
+    They are published in https://github.com/foxglove/foxglove-sdk, schemas/jsonschema. Of what is always empty here
+    the file holds the name alone.
+    """
+    return codecs.json_decoder()(resources.files("pancakes.recording").joinpath("static/foxglove.json").read_text())
 
 
 def _time(time_ns: int) -> dict[str, int]:
@@ -122,59 +132,3 @@ def _pose(x_m: float, y_m: float, theta_rad: float) -> dict[str, Any]:
         "position": {"x": x_m, "y": y_m, "z": 0.0},
         "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(theta_rad / 2), "w": math.cos(theta_rad / 2)},
     }
-
-
-# Foxglove finds these by their names: https://docs.foxglove.dev/docs/sdk/schemas. Published as JSON Schemas in
-# https://github.com/foxglove/foxglove-sdk, schemas/jsonschema; of what is always empty here only the name is told -
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties)}
-
-
-def _list(items: Any) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_NUMBER: Final = {"type": "number"}
-_TEXT: Final = {"type": "string"}
-_NSEC: Final = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
-_TIME: Final = {"title": "time", **_object(sec={"type": "integer", "minimum": 0}, nsec=_NSEC)}
-_DURATION: Final = {"title": "duration", **_object(sec={"type": "integer"}, nsec=_NSEC)}
-_VECTOR: Final = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_POSE: Final = _object(position=_VECTOR, orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER))
-_COLOUR: Final = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-_NONE: Final = _list(_object())
-
-POSE_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, pose=_POSE)
-POSES_IN_FRAME: Final = _object(timestamp=_TIME, frame_id=_TEXT, poses=_list(_POSE))
-SCENE_UPDATE: Final = _object(
-    deletions=_NONE,
-    entities=_list(
-        _object(
-            timestamp=_TIME,
-            frame_id=_TEXT,
-            id=_TEXT,
-            lifetime=_DURATION,
-            frame_locked={"type": "boolean"},
-            metadata=_list(_object(key=_TEXT, value=_TEXT)),
-            arrows=_list(
-                _object(
-                    pose=_POSE,
-                    shaft_length=_NUMBER,
-                    shaft_diameter=_NUMBER,
-                    head_length=_NUMBER,
-                    head_diameter=_NUMBER,
-                    color=_COLOUR,
-                )
-            ),
-            cubes=_NONE,
-            spheres=_NONE,
-            cylinders=_list(_object(pose=_POSE, size=_VECTOR, bottom_scale=_NUMBER, top_scale=_NUMBER, color=_COLOUR)),
-            lines=_NONE,
-            triangles=_NONE,
-            texts=_NONE,
-            models=_NONE,
-        )
-    ),
-)

@@ -25,8 +25,8 @@ WRITE_S: Final = 0.25
 class VirtualRecorder:
     """Records one agent in virtual time.
 
-    What the agent publishes is tapped, and what its tasks are is read between two turns. So nobody is given a turn who
-    would not have one otherwise: a run that is recorded is the same run to the byte. In the thread in which the agent
+    What the agent publishes is tapped, and what its tasks are is read between two turns. So no actor gets a turn that
+    it would not have otherwise: a run that is recorded is the same run to the byte. In the thread in which the agent
     runs.
 
     Args:

@@ -10,7 +10,7 @@ from pancakes.events import Event
 from pancakes.packet import LOG
 from pancakes.recording.description import TaskDescription
 from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 
 STOPPED: Final = "stopped"
 FAILED: Final = "failed"
@@ -124,8 +124,8 @@ def choose_stays(stays: Sequence[Stay], task: str, agent: str = "", number: int 
     meant = list(dict.fromkeys(stay.task_id for stay in stays if task in (stay.task_id, stay.task.address)))
     meant = meant or [task_id for task_id in known if task_id.rpartition("/")[2] == task]
     if not meant:
-        near = suggestion(task, [*known, *(task_id.rpartition("/")[2] for task_id in known)])
-        hint = f", did you mean {near!r}?" if near else f", only {', '.join(known)}"
+        names = [*known, *(task_id.rpartition("/")[2] for task_id in known)]
+        hint = did_you_mean(task, names, otherwise=f", only {', '.join(known)}")
         raise RecordingError(f"the recording has no task {task!r}{hint}")
     if len(meant) > 1:
         raise RecordingError(f"the recording has several tasks {task!r}: say {' or '.join(meant)}")

@@ -173,9 +173,7 @@ class Findings:
                     "steps": list(it.steps),
                     "count": it.count,
                     "step_means_s": it.step_means_s,
-                    "p50_s": it.latency_s.quantile(0.5),
-                    "p90_s": it.latency_s.quantile(0.9),
-                    "p99_s": it.latency_s.quantile(0.99),
+                    **{f"{name}_s": value_s for name, value_s in it.latency_s.quantiles().items()},
                     "max_s": it.latency_s.largest,
                 }
                 for it in self.reactions.reactions()

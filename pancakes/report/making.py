@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from pancakes.errors import PancakesError
+from pancakes.errors import PancakesError, needing_extra
 from pancakes.recording.recorded_packet import NANOSECONDS, RecordingError
 from pancakes.report.findings import Findings
-from pancakes.report.style import Palette, Picture, need_matplotlib
+from pancakes.report.style import Palette, Picture
 
 PAGE: Final = "report.html"
 FIGURES: Final = "report.json"
@@ -44,13 +44,10 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     Raises:
         PancakesError: there is no such recording or task, matplotlib or mcap is missing, or nothing can be written.
     """
-    need_matplotlib()
-    try:
+    with needing_extra("a report cannot be drawn"):
+        import matplotlib  # noqa: F401
+    with needing_extra("no recording can be read"):
         from pancakes.recording.recording_reader import RecordingReader
-    except ModuleNotFoundError as error:
-        raise PancakesError(
-            f"no recording can be read without {error.name}: pip install 'pancakes-agents[record]'"
-        ) from None
     reader = RecordingReader(path)
     findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:

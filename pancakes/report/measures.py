@@ -219,10 +219,10 @@ def _times(axes: Axes, it: Reaction) -> None:
     margin = max(0.05 * (high - low), 0.02 * high, 1e-3)
     bounds = (max(0.0, low - margin), high + margin)
     axes.hist(values, bins=40, range=bounds, color=COLOURS[0], lw=0)
-    shares = [it.latency_s.quantile(share) for share in (0.5, 0.9, 0.99)]
-    for number, seconds in enumerate(shares):
+    shares = it.latency_s.quantiles()
+    for number, seconds in enumerate(shares.values()):
         axes.axvline(1e3 * seconds, color=COLOURS[1], lw=0.9, ls=DASHES[number])
-    text = "p50 {:.3g}, p90 {:.3g}, p99 {:.3g} ms".format(*(1e3 * seconds for seconds in shares))
-    axes.set_title(text, loc="left", pad=3)
+    text = ", ".join(f"{name} {1e3 * seconds:.3g}" for name, seconds in shares.items())
+    axes.set_title(f"{text} ms", loc="left", pad=3)
     axes.set_xlim(*bounds)
     axes.set_ylabel("chains")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from pancakes import codecs
 from pancakes.events import Event
 from pancakes.packet import LOG, Packet, agent_of
 
@@ -21,8 +22,8 @@ class NeighbourAnswer:
     peer: str
     answer: str
     fate: str
-    cost: float | None
-    reason: str
+    cost: float | None = None
+    reason: str = ""
 
 
 @dataclass
@@ -122,22 +123,7 @@ class Moves:
         if len(self.moves) >= MOST_MOVES:
             self.left_out += 1
             return
-        lines = [
-            NeighbourAnswer(line["peer"], line["answer"], line["fate"], line.get("cost"), line.get("reason", ""))
-            for line in fields.get("lines", ())
-        ]
-        move = TaskMove(
-            t_s,
-            str(fields["task_id"]),
-            str(fields["source"]),
-            str(fields["asked_by"]),
-            str(fields["cost"]),
-            str(fields["outcome"]),
-            str(fields["winner"]),
-            float(fields["duration_s"]),
-            lines,
-            str(fields.get("to", "")),
-        )
+        move = codecs.convert({**fields, "at_s": t_s, "answers": fields.get("lines", ())}, TaskMove)
         self.moves.append(move)
         if move.outcome != "moved":
             return

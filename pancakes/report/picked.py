@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from heapq import heappush, heappushpop
-from itertools import count
 from typing import Any, Final
 
 from pancakes.packet import agent_of
@@ -130,18 +128,20 @@ class PickedCommands:
         list: mission time in ms, place in `texts`, place in `kinds`, the number of each step's packet, and of each step
         but the last the microseconds on its way, and until the next.
         """
-        names, kinds, texts = _Numbered(), _Numbered(), _Numbered()
+        names: dict[str, int] = {}
+        kinds: dict[tuple[int, ...], int] = {}
+        texts: dict[str, int] = {}
         actuators = []
         for actuator in self.actuators():
             rows = []
             for it in actuator.commands():
-                kind = kinds.number(tuple(names.number(step.name) for step in it.steps))
+                kind = tuple(names.setdefault(step.name, len(names)) for step in it.steps)
                 before = it.steps[:-1]
                 rows.append(
                     [
                         round(1e3 * it.mission_s),
-                        texts.number(it.text),
-                        kind,
+                        texts.setdefault(it.text, len(texts)),
+                        kinds.setdefault(kind, len(kinds)),
                         [step.packet.seq for step in it.steps],
                         [round(1e6 * step.travel_s) for step in before],
                         [round(1e6 * step.handling_s) for step in before],
@@ -157,20 +157,3 @@ class PickedCommands:
                 }
             )
         return {"names": list(names), "kinds": list(kinds), "texts": list(texts), "actuators": actuators}
-
-
-class _Numbered:
-    """Gives each value a number, from 0, the same for the same."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[Any, int] = {}
-        self._next = count()
-
-    def number(self, value: Any) -> int:
-        found = self._numbers.get(value)
-        if found is None:
-            found = self._numbers[value] = next(self._next)
-        return found
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self._numbers)

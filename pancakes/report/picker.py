@@ -36,7 +36,7 @@ def picker_html(found: Reactions) -> str:
 def _distribution(reaction: Reaction | None) -> dict[str, Any] | None:
     if reaction is None:
         return None
-    shares = {f"p{round(100 * share)}": _ms(reaction.latency_s.quantile(share)) for share in (0.5, 0.9, 0.99)}
+    shares = {name: _ms(value_s) for name, value_s in reaction.latency_s.quantiles().items()}
     return {"count": reaction.count, **shares, "max": _ms(reaction.latency_s.largest)}
 
 

@@ -109,19 +109,6 @@ class Drops:
 
 
 @dataclass
-class LinkFigures:
-    """A link between two agents as one of them counts it, since it stands.
-
-    Attributes:
-        agent: the agent that counts.
-        last: the newest figures.
-    """
-
-    agent: str
-    last: OneLink
-
-
-@dataclass
 class Rates:
     """How tasks and links fared.
 
@@ -129,7 +116,7 @@ class Rates:
         samples: how many samples there were; 0: the recording holds none.
         timers: by agent, task and timer.
         drops: by agent and task.
-        links: by agent and peer.
+        links: the newest figures of each link, by the agent that counts and its peer.
         undelivered: packets that no subscriber took, by agent.
         dead_letters: packets whose handlers failed, by agent.
     """
@@ -137,7 +124,7 @@ class Rates:
     samples: int = 0
     timers: dict[tuple[str, str, str], TimerRates] = field(default_factory=dict)
     drops: dict[tuple[str, str], Drops] = field(default_factory=dict)
-    links: dict[tuple[str, str], LinkFigures] = field(default_factory=dict)
+    links: dict[tuple[str, str], OneLink] = field(default_factory=dict)
     undelivered: dict[str, int] = field(default_factory=dict)
     dead_letters: dict[str, int] = field(default_factory=dict)
 
@@ -147,8 +134,7 @@ class Rates:
         for task in figures.tasks:
             self._add_task(agent, task, figures.mission_s, t_s)
         for link in figures.links:
-            known = self.links.setdefault((agent, link.peer), LinkFigures(agent, link))
-            known.last = link
+            self.links[agent, link.peer] = link
         self.undelivered[agent], self.dead_letters[agent] = figures.undelivered, figures.dead_letters
 
     def _add_task(self, agent: str, task: OneTask, mission_s: float, t_s: float) -> None:

@@ -182,7 +182,7 @@ def _drops(findings: Findings, pictures: Mapping[str, Picture]) -> str:
     html = _shown(pictures, "drops", "No packet fell out of a mailbox.")
     if rows:
         html += _table(("agent", "task", "packets"), sorted(rows, key=lambda row: -row[2]))
-    lost = [(link.agent, link.last.peer, link.last.dropped) for link in rates.links.values() if link.last.dropped]
+    lost = [(agent, peer, link.dropped) for (agent, peer), link in rates.links.items() if link.dropped]
     if lost:
         html += "<h3>On links whose other end was slow</h3>" + _table(("from", "to", "packets"), lost)
     odd = [
@@ -206,10 +206,8 @@ def _traffic(findings: Findings, pictures: Mapping[str, Picture]) -> str:
         )
     if findings.rates.links:
         links = [
-            (link.agent, peer, 1e3 * last.rtt_s if last.rtt_s is not None else None, last.packets_out, last.bytes_out)
-            + (last.packets_in, last.bytes_in)
-            for (_, peer), link in sorted(findings.rates.links.items())
-            for last in (link.last,)
+            (agent, peer, _ms(link.rtt_s), link.packets_out, link.bytes_out, link.packets_in, link.bytes_in)
+            for (agent, peer), link in sorted(findings.rates.links.items())
         ]
         head = ("agent", "link to", "round trip [ms]", "packets out", "bytes out", "packets in", "bytes in")
         html += _folded("Links as agents count them, since they stood", _table(head, links))
@@ -230,7 +228,7 @@ def _reactions(findings: Findings, pictures: Mapping[str, Picture]) -> str:
             (step, 1e3 * mean if mean is not None else None, 1e3 * travel if travel is not None else None)
             for step, mean, travel in zip(it.steps, means, travels, strict=True)
         ]
-        shares = ", ".join(f"p{round(100 * s)} {_seconds(it.latency_s.quantile(s))}" for s in (0.5, 0.9, 0.99))
+        shares = ", ".join(f"{name} {_seconds(value_s)}" for name, value_s in it.latency_s.quantiles().items())
         html += f"<h3>{it.count:,} times: {shares}, longest {_seconds(it.latency_s.largest)}</h3>"
         html += _table(("step", "to the next [ms]", "of that between agents [ms]"), rows)
     left = len(found.reactions()) - 12

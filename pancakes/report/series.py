@@ -129,3 +129,7 @@ class Distribution(Thinned):
         """Returns the value that this share of all stayed below, from 0 to 1."""
         ordered = sorted(self.kept)
         return float(ordered[min(len(ordered) - 1, int(share * len(ordered)))])
+
+    def quantiles(self) -> dict[str, float]:
+        """Returns the values that 50, 90 and 99 of a hundred stayed below, as `p50`, `p90` and `p99`."""
+        return {f"p{round(100 * share)}": self.quantile(share) for share in (0.5, 0.9, 0.99)}

@@ -11,8 +11,6 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.errors import PancakesError
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
@@ -66,20 +64,6 @@ class Palette:
 
     def _place(self, name: str) -> int:
         return self._places.setdefault(name, len(self._places))
-
-
-def need_matplotlib() -> None:
-    """Makes sure that there is matplotlib.
-
-    Raises:
-        PancakesError: there is not.
-    """
-    try:
-        import matplotlib  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise PancakesError(
-            f"a report cannot be drawn without {error.name}: pip install 'pancakes-agents[demo]'"
-        ) from None
 
 
 @contextmanager

@@ -7,7 +7,7 @@ costs no battery. Requests go to the world, replies come back, each in a frame a
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final, Generic, TypeAlias, TypeVar
 
 import msgspec
@@ -141,7 +141,7 @@ def encode(message: Request | Reply) -> bytes:
 
 
 class BusReader(Generic[_Message]):
-    """Makes messages of the bytes that come from the other end.
+    """Makes messages of the bytes that come from the other end; see `RequestReader` and `ReplyReader`.
 
     Args:
         decode: makes the messages of a frame.
@@ -165,15 +165,7 @@ class BusReader(Generic[_Message]):
             raise RemoteProtocolError(f"that is no {self._called}: {why_malformed(error)}") from None
 
 
-class RequestReader(BusReader[Request]):
-    """Makes requests of the bytes that come from one client."""
-
-    def __init__(self) -> None:
-        super().__init__(_REQUESTS, "request to a simulated world")
-
-
-class ReplyReader(BusReader[Replied]):
-    """Makes replies of the bytes that come from a world."""
-
-    def __init__(self) -> None:
-        super().__init__(_REPLIES, "reply of a simulated world")
+RequestReader: Final = partial(BusReader[Request], _REQUESTS, "request to a simulated world")
+"""Makes requests of the bytes that come from one client."""
+ReplyReader: Final = partial(BusReader[Replied], _REPLIES, "reply of a simulated world")
+"""Makes replies of the bytes that come from a world."""

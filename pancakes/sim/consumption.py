@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import msgspec
+
 from pancakes.sim.quantities import Positive
 from pancakes.sim.state import WorldState
 from pancakes.sim.state_file import StateFile
@@ -36,6 +38,6 @@ class Consumption(StateFile):
         for body in state.bodies:
             spent = body.spent
             if spent is not None:
-                energies = (spent.idle_j, spent.motion_j, spent.sensing_j, spent.listening_j, spent.sending_j)
+                energies = msgspec.structs.astuple(spent)
                 rows.append(f"{state.time_s:.3f},{body.name}," + ",".join(f"{energy_j:.3f}" for energy_j in energies))
         return rows

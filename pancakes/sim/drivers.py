@@ -157,10 +157,7 @@ class DifferentialDrive(Actuator):
         wheel_base_m: Positive | None = None
 
         def __post_init__(self) -> None:
-            try:
-                robot_model(self.model)
-            except PancakesError as error:
-                raise ValueError(str(error)) from None
+            robot_model(self.model)  # an unknown one is a fault of the settings
 
     settings: Settings
     _bus: _BusDevice | None = None

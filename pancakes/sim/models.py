@@ -6,20 +6,23 @@ from pancakes.errors import PancakesError
 from pancakes.sim.khepera import KHEPERA_III
 from pancakes.sim.pioneer import PIONEER_3DX
 from pancakes.sim.robot import RobotModel
-from pancakes.suggestion import suggestion
+from pancakes.suggestion import did_you_mean
 
 _MODELS = {model.name: model for model in (KHEPERA_III, PIONEER_3DX)}
+
+
+class UnknownRobotModel(PancakesError, ValueError):
+    """There is no kind of robot of this name; the message lists those there are."""
 
 
 def robot_model(name: str) -> RobotModel:
     """Returns the kind of robot that a configuration calls `name`.
 
     Raises:
-        PancakesError: there is none of that name; the message lists those there are.
+        UnknownRobotModel: there is none of that name.
     """
     model = _MODELS.get(name)
     if model is None:
-        near = suggestion(name, list(_MODELS))
-        hint = f", did you mean {near!r}?" if near else ""
-        raise PancakesError(f"there is no robot model {name!r} (there are {', '.join(sorted(_MODELS))}){hint}")
+        hint = did_you_mean(name, _MODELS)
+        raise UnknownRobotModel(f"there is no robot model {name!r} (there are {', '.join(sorted(_MODELS))}){hint}")
     return model

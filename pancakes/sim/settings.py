@@ -10,7 +10,6 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from pancakes.errors import PancakesError
 from pancakes.sim.battery import BatterySettings
 from pancakes.sim.models import robot_model
 from pancakes.sim.mover import MoverSettings
@@ -53,10 +52,7 @@ class RobotSettings:
     battery: BatterySettings = field(default_factory=BatterySettings)
 
     def __post_init__(self) -> None:
-        try:
-            robot_model(self.model)
-        except PancakesError as error:
-            raise ValueError(str(error)) from None
+        robot_model(self.model)  # an unknown one is a fault of the settings
 
 
 @dataclass
@@ -144,9 +140,8 @@ class ContentSettings:
             if names.count(name) > 1:
                 raise ValueError(f"there are several bodies of the name {name!r}")
         half_x_m, half_y_m = 0.5 * self.arena.width_m, 0.5 * self.arena.height_m
-        places = [(name, robot.x_m, robot.y_m) for name, robot in self.robots.items()]
-        places += [(name, sensor.x_m, sensor.y_m) for name, sensor in self.sensors.items()]
-        places += [(name, mover.x_m, mover.y_m) for name, mover in self.movers.items()]
-        for name, x_m, y_m in places:
-            if abs(x_m) > half_x_m or abs(y_m) > half_y_m:
-                raise ValueError(f"{name} stands outside the arena, at ({x_m}, {y_m}) m")
+        bodies: dict[str, RobotSettings | SensorSettings | MoverSettings]
+        bodies = {**self.robots, **self.sensors, **self.movers}
+        for name, body in bodies.items():
+            if abs(body.x_m) > half_x_m or abs(body.y_m) > half_y_m:
+                raise ValueError(f"{name} stands outside the arena, at ({body.x_m}, {body.y_m}) m")

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from pancakes.devices.types import Pose
 from pancakes.errors import PancakesError
@@ -23,6 +24,8 @@ from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
 from pancakes.sim.state import BodyState, Spent, WorldState
+
+_T = TypeVar("_T")
 
 STEP_S: Final = 0.01
 """The step of the simulation."""
@@ -77,6 +80,8 @@ class Simulation:
         self._happenings: list[Incident] = []
         self._steps = 0
         self._fill()
+        bodies: dict[str, Robot | SensorNode | Walker] = {**self._robots, **self._sensors, **self._walkers}
+        self._discs = {name: body.disc for name, body in bodies.items()}
 
     def _fill(self) -> None:
         draw = self._start_random.uniform
@@ -274,18 +279,10 @@ class Simulation:
         return sorted(happenings, key=lambda happening: happening.time_s)
 
     def _robot(self, name: str) -> Robot:
-        robot = self._robots.get(name)
-        if robot is None:
-            raise PancakesError(f"the simulated world has no robot {name!r}, only {', '.join(self._robots) or 'none'}")
-        return robot
+        return _named(name, self._robots, "robot")
 
     def _sensor(self, name: str) -> SensorNode:
-        sensor = self._sensors.get(name)
-        if sensor is None:
-            raise PancakesError(
-                f"the simulated world has no sensor node {name!r}, only {', '.join(self._sensors) or 'none'}"
-            )
-        return sensor
+        return _named(name, self._sensors, "sensor node")
 
     def _moving_discs(self, sensor_name: str) -> list[Disc]:
         """Returns what a motion sensor takes notice of, if it moves."""
@@ -295,14 +292,14 @@ class Simulation:
         return discs
 
     def _disc(self, name: str) -> Disc:
-        if name in self._robots:
-            return self._robots[name].disc
-        if name in self._sensors:
-            return self._sensors[name].disc
-        if name in self._walkers:
-            return self._walkers[name].disc
-        names = ", ".join((*self._robots, *self._sensors, *self._walkers))
-        raise PancakesError(f"the simulated world has no body {name!r}, only {names or 'none'}")
+        return _named(name, self._discs, "body")
+
+
+def _named(name: str, known: Mapping[str, _T], noun: str) -> _T:
+    found = known.get(name)
+    if found is None:
+        raise PancakesError(f"the simulated world has no {noun} {name!r}, only {', '.join(known) or 'none'}")
+    return found
 
 
 def _branch(source: random.Random) -> random.Random:

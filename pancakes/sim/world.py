@@ -5,7 +5,7 @@ It runs in an agent of the role `environment`. While the mission waits at 0, so 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pancakes.errors import PancakesError
@@ -87,13 +87,8 @@ class World(Task):
             self._next_state_step += self._state_steps
         self._simulation.advance(now_s)
         for happening in self._simulation.take_happenings():
-            self.event(
-                happening.kind,
-                time_s=happening.time_s,
-                names=list(happening.names),
-                x_m=happening.x_m,
-                y_m=happening.y_m,
-            )
+            fields = asdict(happening)
+            self.event(fields.pop("kind"), **{**fields, "names": list(happening.names)})
 
     def _serve(self, request: Request) -> Reply | None:
         """Answers a request of a simulated device, at the world's present."""

@@ -151,9 +151,7 @@ def _spread(sample: Distribution) -> dict[str, Any]:
         bars[min(BINS - 1, int(BINS * (value - low_s) / (high_s - low_s)))] += 1
     return {
         "count": sample.count,
-        "p50_ms": _ms(sample.quantile(0.5)),
-        "p90_ms": _ms(sample.quantile(0.9)),
-        "p99_ms": _ms(sample.quantile(0.99)),
+        **{f"{name}_ms": _ms(value_s) for name, value_s in sample.quantiles().items()},
         "max_ms": _ms(sample.largest),
         "from_ms": _ms(low_s),
         "to_ms": _ms(high_s),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pancakes.errors import PancakesError
+from pancakes.errors import needing_extra
 from pancakes.web.shown import Shown
 
 if TYPE_CHECKING:
@@ -21,14 +21,8 @@ def open_page(shown: Shown, port: int | None) -> PageServer:
     Raises:
         PancakesError: the port is taken, or the library is missing.
     """
-    try:
+    with needing_extra("there is no page"):
         from pancakes.web.page_server import PageServer
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "websockets":
-            raise
-        raise PancakesError(
-            "the page needs the library websockets, which is not installed: pip install 'pancakes-agents[web]'"
-        ) from None
     server = PageServer(shown)
     server.start(port)
     return server

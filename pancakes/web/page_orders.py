@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Annotated, Any, Final
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -18,72 +18,55 @@ Target = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}/{NAME}\Z")]
 
 
 class PageOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is common to all: the agent, the task on it (`service/task`), and whether it is only to be checked."""
+    """What a page may ask of an agent.
+
+    Attributes:
+        agent: the agent's name.
+        task: the task on it, as `service/task`.
+        do: what is to be done with the task.
+        dry_run: whether the agent only checks it.
+        to: the agent that the task moves to; of `migrate` alone.
+        rate_hz: the task's new rate; of `rate` alone.
+    """
 
     agent: Name
     task: Target
+    do: Literal["migrate", "rate", "stop", "start", "restart"]
     dry_run: bool = False
+    to: Name | None = None
+    rate_hz: Annotated[float, msgspec.Meta(ge=0, le=1000)] | None = None
 
+    def __post_init__(self) -> None:
+        for field, do, given in (("to", "migrate", self.to), ("rate_hz", "rate", self.rate_hz)):
+            if (given is not None) != (self.do == do):
+                raise ValueError(f"{field} goes with {do!r}, and with nothing else")
 
-class MoveOrder(PageOrder, frozen=True, tag_field="do", tag="migrate"):
-    """To move a task to another agent."""
-
-    to: Name
-
-    def body(self) -> Migrate:
+    def body(self) -> Migrate | Reschedule | Stop | Start | Restart:
         """Returns the control packet's body."""
-        return Migrate(self.task, self.to, dry_run=self.dry_run)
+        if self.to is not None:
+            return Migrate(self.task, self.to, dry_run=self.dry_run)
+        if self.rate_hz is not None:
+            return Reschedule(self.task, self.rate_hz, dry_run=self.dry_run)
+        return _PLAIN[self.do](self.task, dry_run=self.dry_run)
 
 
-class RateOrder(PageOrder, frozen=True, tag_field="do", tag="rate"):
-    """To change the rate of a task."""
-
-    rate_hz: Annotated[float, msgspec.Meta(ge=0, le=1000)]
-
-    def body(self) -> Reschedule:
-        """Returns the control packet's body."""
-        return Reschedule(self.task, self.rate_hz, dry_run=self.dry_run)
+_PLAIN: Final[Mapping[str, type[Stop] | type[Start] | type[Restart]]] = {
+    "stop": Stop,
+    "start": Start,
+    "restart": Restart,
+}
 
 
-class StopOrder(PageOrder, frozen=True, tag_field="do", tag="stop"):
-    """To stop a task."""
-
-    def body(self) -> Stop:
-        """Returns the control packet's body."""
-        return Stop(self.task, dry_run=self.dry_run)
-
-
-class StartOrder(PageOrder, frozen=True, tag_field="do", tag="start"):
-    """To start a task."""
-
-    def body(self) -> Start:
-        """Returns the control packet's body."""
-        return Start(self.task, dry_run=self.dry_run)
-
-
-class RestartOrder(PageOrder, frozen=True, tag_field="do", tag="restart"):
-    """To start a task anew, with its state."""
-
-    def body(self) -> Restart:
-        """Returns the control packet's body."""
-        return Restart(self.task, dry_run=self.dry_run)
-
-
-AnyOrder = MoveOrder | RateOrder | StopOrder | StartOrder | RestartOrder
-_ORDER: Final[Callable[[Any], AnyOrder]] = codecs.converter(AnyOrder)
-
-
-def order_from(message: Any) -> AnyOrder:
+def order_from(message: Any) -> PageOrder:
     """Makes an order of a message.
 
     Raises:
         ControlRefused: it is none; the sentence says what is wrong with it.
     """
     try:
-        order: AnyOrder = _ORDER(message)
+        return codecs.convert(message, PageOrder)
     except msgspec.ValidationError as error:
         raise ControlRefused(f"the page asked for what it cannot have: {_lower(str(error))}") from None
-    return order
 
 
 def _lower(text: str) -> str:

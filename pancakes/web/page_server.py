@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import logging
 import secrets
@@ -241,9 +242,8 @@ class PageServer:
 
         async def answer(message: str | bytes) -> None:
             try:
-                await connection.send(await self._answer(page, message), text=True)
-            except ConnectionClosed:
-                pass
+                with contextlib.suppress(ConnectionClosed):
+                    await connection.send(await self._answer(page, message), text=True)
             finally:
                 room.release()
 

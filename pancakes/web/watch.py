@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from pancakes.client import Client
@@ -111,7 +111,7 @@ class Watch:
         self._timeout_s = timeout_s
         self._over = over
         self._stopping = threading.Event()
-        self._orders: SimpleQueue[tuple[str, Any, float, Future[Reply]]] = SimpleQueue()
+        self._orders: deque[tuple[str, Any, float, Future[Reply]]] = deque()
         self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
         self._asked: list[_PendingRequest] = []
         self._met: dict[str, _MetAgent] = {}
@@ -147,7 +147,7 @@ class Watch:
         if self._closed:
             answer.set_exception(Unreachable("the mission is over: no agent can be asked any more"))
             return answer
-        self._orders.put((agent, body, timeout_s, answer))
+        self._orders.append((agent, body, timeout_s, answer))
         return answer
 
     def explain(
@@ -287,11 +287,8 @@ class Watch:
         return asked
 
     def _take_orders(self, doors: Sequence[Door], now_s: float) -> None:
-        while True:
-            try:
-                agent, body, timeout_s, answer = self._orders.get_nowait()
-            except Empty:
-                return
+        while self._orders:
+            agent, body, timeout_s, answer = self._orders.popleft()
             door = next((door for door in doors if door.connected(agent)), None)
             if door is None:
                 answer.set_exception(Unreachable(f"{agent} cannot be reached"))
@@ -360,9 +357,6 @@ class Watch:
             if asked.answer is not None:
                 asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {reason}"))
         self._asked = []
-        while True:
-            try:
-                *_, answer = self._orders.get_nowait()
-            except Empty:
-                return
+        while self._orders:
+            *_, answer = self._orders.popleft()
             answer.set_exception(Unreachable(reason))

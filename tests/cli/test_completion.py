@@ -106,11 +106,11 @@ def test_services_and_agents_are_completed(rig: Rig, pair: tuple[Running, Runnin
 def test_channels_are_completed(rig: Rig, pair: tuple[Running, Running]):
     from click import Argument, Command, Context
 
-    from pancakes.cli.name_types import ChannelNameType
+    from pancakes.cli.name_types import CHANNEL_NAME
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
-        items = ChannelNameType().shell_complete(Context(Command("echo")), Argument(["name"]), "ant/m")
+        items = CHANNEL_NAME.shell_complete(Context(Command("echo")), Argument(["name"]), "ant/m")
     assert [item.value for item in items] == ["ant/map"]
 
 

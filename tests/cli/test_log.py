@@ -8,7 +8,7 @@ import pytest
 from cli.live_output import LiveOutput, on_a_terminal
 from cli.processes import Rig, Running
 
-from pancakes.cli.verbs.log import Asks, Known, words_of
+from pancakes.cli.verbs.log import Known, wants, words_of
 
 SOURCE = """
 from pancakes.task import Task, every
@@ -204,8 +204,8 @@ def test_an_event_counts_as_info_and_reads_as_a_line():
     record = {"t_s": 1.0, "agent": "a", "source": "a/client", "kind": "moved", "to": "b", "error": "", "cost": 0}
 
     assert words_of(record) == "moved to=b cost=0"
-    assert Asks("info", (), None).wants(record)
-    assert not Asks("warning", (), None).wants(record)
+    assert wants(record, "info", (), None)
+    assert not wants(record, "warning", (), None)
 
 
 def test_what_comes_in_two_ways_is_shown_once():

@@ -224,7 +224,7 @@ def test_what_the_templates_name_themselves_is_no_name():
                 names.update(re.findall(r"^class (\w+)", file.text, re.MULTILINE))
                 names.update(re.findall(r"^([A-Z]\w+) = ", file.text, re.MULTILINE))
     classes = {name for name in names if name[0].isupper() and not name.isupper() and not name.startswith("Zz")}
-    assert classes == distribution.IMPORTED
+    assert classes == distribution.named_in_templates()
 
 
 def test_a_folder_that_exists_is_left_alone(tmp_path):

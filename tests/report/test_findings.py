@@ -183,7 +183,7 @@ def test_rates_lateness_and_drops_come_from_what_the_recorder_sampled(book):
     assert timer.lateness_mean_s == pytest.approx(1.4 / 95)
     assert [point[1] for point in timer.lateness.kept] == [pytest.approx(0.02), pytest.approx(0.01)]
     assert rates.drops["a", "client/T"].total == 4
-    assert rates.links["a", "b"].last.bytes_out == 700
+    assert rates.links["a", "b"].bytes_out == 700
     assert (rates.undelivered["a"], rates.dead_letters["a"]) == (4, 5)
 
 

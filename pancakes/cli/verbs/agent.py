@@ -35,14 +35,10 @@ def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
     """
     rows = [
         {
-            "agent": found["agent"],
-            "role": found["role"],
-            "fleet": found["fleet"],
+            **found,
             "address": found["listen"],
-            "ready": found["ready"],
             "mission_s": round(found["mission_s"], 3),
             "tasks": len(found["tasks"]),
-            "neighbours": found["neighbours"],
         }
         for found in survey(ask, *agents)
         if role in ("", found["role"])

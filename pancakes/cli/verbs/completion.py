@@ -11,8 +11,8 @@ import click
 from click.shell_completion import BashComplete, add_completion_class, get_completion_class, split_arg_string
 
 from pancakes.cli.exit_codes import REFUSED, TRACEBACK
-from pancakes.cli.main import PROGRAM, VARIABLE, pancakes
 from pancakes.cli.output import show_text
+from pancakes.cli.program import PROGRAM, VARIABLE
 
 
 @click.command()
@@ -41,7 +41,7 @@ def completion(shell: str) -> None:
     """
     script = get_completion_class(shell)
     assert script is not None
-    show_text(script(pancakes, {}, PROGRAM, VARIABLE).source().rstrip())
+    show_text(script(click.get_current_context().find_root().command, {}, PROGRAM, VARIABLE).source().rstrip())
 
 
 class WordsOfBash(BashComplete):
@@ -65,7 +65,7 @@ class WordsOfBash(BashComplete):
         return words[:-1], words[-1] if words else ""
 
 
-def answer_shell() -> None:
+def answer_shell(pancakes: click.Command) -> None:
     """Answers a shell that asks, by the environment, how the line may go on. Exits."""
     add_completion_class(WordsOfBash)
     try:

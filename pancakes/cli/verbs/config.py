@@ -48,10 +48,7 @@ def check(paths: tuple[Path, ...], format_: str) -> None:
                 fleet = member.config.agent.fleet
                 rows.append({"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []})
         except ConfigError as error:
-            faults = [
-                {"where": fault.where, "key": fault.key, "problem": fault.problem, "suggestion": fault.suggestion}
-                for fault in error.faults
-            ]
+            faults = [fault._asdict() for fault in error.faults]
             rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
             if format_ == "table":
                 show_text(str(error), err=True)
@@ -84,7 +81,7 @@ def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     """
     from pancakes.config import load
     from pancakes.config.effective import effective, origin
-    from pancakes.config.toml_text import document_text, key_text
+    from pancakes.config.toml_text import document_text, key_text, leaves
     from pancakes.plugins import Plugins
 
     plugins = Plugins()
@@ -98,7 +95,7 @@ def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
     show_json(
         [
             {"key": key_text(keys), "value": value, "from": origin(found, keys)}
-            for keys, value in _leaves(tables, ())
+            for keys, value in leaves(tables)
             if value is not None
         ]
     )
@@ -168,12 +165,3 @@ def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 "bounds": "",
                 "description": part["description"],
             }
-
-
-def _leaves(value: Any, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """All values that are no tables, with the keys that lead to them."""
-    if isinstance(value, Mapping) and value:
-        for key, inner in value.items():
-            yield from _leaves(inner, (*keys, key))
-    else:
-        yield keys, value

@@ -15,7 +15,7 @@ import click
 
 from pancakes.cli import interpreter
 from pancakes.cli.interrupts import end_by_signals, event_at
-from pancakes.cli.options import FiniteRange
+from pancakes.cli.options import FiniteRange, agent_sets_option
 from pancakes.cli.output import show_text
 from pancakes.cli.verbs.demo_page import DemoPage
 from pancakes.cli.verbs.view import port_option
@@ -69,13 +69,7 @@ class DemoNames(click.ParamType):
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder with the agents' configurations. [default: those that come with the demo]",
 )
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="[AGENT:]KEY=VALUE",
-    help="Change a key of one agent's configuration, or of all.",
-)
+@agent_sets_option
 @click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
 @click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
@@ -88,16 +82,12 @@ def demo(
     virtual: bool | None,
     seed: int,
     speed: float,
-    duration: float | None,
     out: Path | None,
-    configs: Path | None,
-    sets: tuple[str, ...],
-    headless: bool,
-    record: bool,
     view_: bool,
     control: bool,
     port: int | None,
     faults: bool,
+    **asked: Any,
 ) -> None:
     """Run a demo and judge it: exit code 0 only where the verdict is PASS.
 
@@ -119,15 +109,14 @@ def demo(
     if not view_ and (control or port is not None):
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
-        raise click.UsageError("--control does not go with --virtual: such a run repeats, and nobody can interfere")
+        raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
     interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
     # The agents end with the launcher, also where a second signal ends that at once.
     interrupted = event_at(*SIGNALS, again=INTERRUPTED)
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
-    options = _Options(
-        plugins, virtual, seed, speed, duration, configs, sets, headless, record, faults, interrupted, page
-    )
+    speed = 1.0 if virtual else speed
+    options = _Options(plugins, virtual, seed, speed, faults, interrupted, page, **asked)
     try:
         try:
             code = _run(found, out, options)
@@ -159,14 +148,14 @@ class _Options:
     virtual: bool
     seed: int
     speed: float
-    duration_s: float | None
+    faults: bool
+    interrupted: threading.Event
+    page: DemoPage | None
+    duration: float | None
     configs: Path | None
     sets: tuple[str, ...]
     headless: bool
     record: bool
-    faults: bool
-    interrupted: threading.Event
-    page: DemoPage | None
 
 
 def _find(plugins: Plugins, name: str) -> Demo | Comparison:
@@ -211,12 +200,11 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
 
     virtual, seed = options.virtual, options.seed
     interrupted, page = options.interrupted, options.page
-    duration_s = options.duration_s if options.duration_s is not None else found.duration_s
+    duration_s = options.duration if options.duration is not None else found.duration_s
     configs = find_configs(found, options.configs)
-    speed = 1.0 if virtual else options.speed
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
     sets = (*recording, *options.sets)
-    plan = make_plan(found, configs, out, seed, speed, duration_s, sets, not virtual, options.plugins)
+    plan = make_plan(found, configs, out, seed, options.speed, duration_s, sets, not virtual, options.plugins)
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import importlib.util
 import keyword
@@ -11,6 +12,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -30,23 +32,6 @@ _PLACEHOLDER: Final = re.compile(r"\{\{(\w+)\}\}")
 _RESERVED: Final = frozenset(
     ("build", "configs", "conftest", "dist", "pancakes", "pancakes_agents", "reading", "setup", "test", "tests")
 )
-IMPORTED: Final = frozenset(
-    ("Annotated", "Chatter", "Configure", "HardWork", "Load", "Meta", "Migrate", "Packet", "PancakesError", "Path")
-    + (
-        "Reschedule",
-        "Restart",
-        "Sensor",
-        "Sequence",
-        "Service",
-        "Share",
-        "Station",
-        "Struct",
-        "Task",
-        "TaskSpec",
-        "Tick",
-    )
-)
-"""What the templates import or define under names of their own."""
 PURPOSES: Final = {
     "README.md": "how to install, test and run it",
     "setup.cfg": "its name, what it needs, its entry points",
@@ -116,7 +101,7 @@ class Names:
             raise ValueError(f"Python has a module {self.package!r} of its own: choose another name")
         if self.package in (*_RESERVED, *CORE_CHANNELS, *DEFAULT_SERVICES):
             raise ValueError(f"{self.package!r} means something else to Pancakes or to its tools: choose another name")
-        if self.cls in IMPORTED:
+        if self.cls in named_in_templates():
             raise ValueError(f"Pancakes has a class {self.cls} of its own: choose another name than {self.package!r}")
 
     def taken(self, kind: str) -> str:
@@ -124,11 +109,8 @@ class Names:
         found = importlib.util.find_spec(self.package)
         if found is not None and found.origin is not None:
             return f"a module {self.package} is installed here already, in {found.origin}"
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             version = importlib.metadata.version(self.dist)
-        except importlib.metadata.PackageNotFoundError:
-            pass
-        else:
             return f"a distribution {self.dist} is installed here already, in version {version}"
         if kind in ("driver", "plugin"):
             Plugins().load_packets()
@@ -162,6 +144,15 @@ def files_of(kind: str, names: Names) -> list[File]:
         made.append((name, File(name.replace("package", names.package), PURPOSES[name], text)))
     order = list(PURPOSES)
     return [file for _, file in sorted(made, key=lambda pair: order.index(pair[0]))]
+
+
+@cache
+def named_in_templates() -> frozenset[str]:
+    """Returns the classes that the templates import or define under names of their own."""
+    text = "\n".join(template.read_text(encoding="utf-8") for template in sorted(_TEMPLATES.rglob("*.py.in")))
+    lines = re.findall(r"^from (?!\{)[\w.]+ import (.+)$", text, re.MULTILINE)
+    names = [*re.findall(r"^(?:class )?([A-Z]\w+)(?: = |[(:])", text, re.MULTILINE), *", ".join(lines).split(", ")]
+    return frozenset(name for name in names if name[0].isupper() and not name.isupper())
 
 
 def _templates(kind: str) -> Iterator[tuple[str, Path]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -42,8 +43,7 @@ def doctor(no_machine: bool, ask: Ask) -> None:
         if ask.format_ == "table":
             _print(finding)
     if ask.format_ == "json":
-        columns = ("level", "about", "text", "advice")
-        show_json([{column: getattr(finding, column) for column in columns} for finding in found])
+        show_json([asdict(finding) for finding in found])
     else:
         count = Counter(finding.level for finding in found)
         show_text(f"errors: {count['error']}, warnings: {count['warning']}, in order: {count['ok']}")

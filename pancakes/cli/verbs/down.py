@@ -147,7 +147,7 @@ class _Ending:
             except psutil.NoSuchProcess:
                 target.gone = True
             except psutil.AccessDenied:
-                self._fail(f"{entry.name} (process {entry.pid}) belongs to somebody else", REFUSED)
+                self._fail(f"{entry.name} (process {entry.pid}) belongs to another user", REFUSED)
                 continue
             show_text(f"{entry.name} is told to end by a signal to its process {entry.pid}", err=True)
             targets.append(target)

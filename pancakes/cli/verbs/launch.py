@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from pancakes.cli.agent_process import SHOW_TRACEBACKS
-from pancakes.cli.options import format_option
+from pancakes.cli.exit_codes import forget_output
+from pancakes.cli.options import agent_sets_option, format_option
 from pancakes.cli.output import show, show_text
 from pancakes.printable import printable_data
 
@@ -28,13 +29,7 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
 
 @click.command()
 @click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="[AGENT:]KEY=VALUE",
-    help="Change a key of one agent's configuration, or of all. Repeatable.",
-)
+@agent_sets_option
 @click.option(
     "--restart",
     "policy",
@@ -133,8 +128,7 @@ def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> in
     try:
         sys.stdout.flush()
     except OSError:
-        # The buffer still holds text that no process reads. It would cause a second error at the end of the process.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        forget_output()
     return code
 
 

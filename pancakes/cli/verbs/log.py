@@ -80,37 +80,29 @@ def log(
         pancakes log -f agent1 --from agent1/client/ScanTarget
         pancakes log --level debug --grep 'task_(failed|given_up)' --format json
     """
-    asks = Asks(level, sources, grep)
     show = with_traceback if traceback else text_of
     with until_ended(), ask.client() as client, Printer(ask.format_, not follow, show, colour_of) as printer:
         records = _followed(client, agents, since_s) if follow else _history(client, agents, since_s)
         for record in records:
-            if asks.wants(record):
+            if wants(record, level, sources, grep):
                 printer.show(record)
 
 
-class Asks:
-    """What a user wants to see.
+def wants(record: Record, level: str, sources: Sequence[str], grep: re.Pattern[str] | None) -> bool:
+    """Returns whether a user wants to see a record.
 
     Args:
+        record: the record.
         level: lines of this level and above.
         sources: only from these addresses; none: from all.
         grep: only what it is found in.
     """
-
-    def __init__(self, level: str, sources: Sequence[str], grep: re.Pattern[str] | None) -> None:
-        self._lowest = LEVELS.index(level)
-        self._sources = sources
-        self._grep = grep
-
-    def wants(self, record: Record) -> bool:
-        """Returns whether a record is to be shown."""
-        level = level_of(record)
-        return (
-            (level not in LEVELS or LEVELS.index(level) >= self._lowest)
-            and from_any(record["source"], self._sources)
-            and (self._grep is None or self._grep.search(f"{record['source']}: {words_of(record)}") is not None)
-        )
+    own = level_of(record)
+    return (
+        (own not in LEVELS or LEVELS.index(own) >= LEVELS.index(level))
+        and from_any(record["source"], sources)
+        and (grep is None or grep.search(f"{record['source']}: {words_of(record)}") is not None)
+    )
 
 
 def level_of(record: Record) -> str:
@@ -235,18 +227,16 @@ class Known:
 
     def is_new(self, record: Record) -> bool:
         """Returns whether one of these is to be shown: it was not before."""
-        line = line_of(dict(record))
-        if self._not_new[line]:
-            self._not_new[line] -= 1
-            return False
-        self._shown.append(line)
-        return True
+        return self._show(record, self._not_new)
 
     def comes(self, record: Record) -> bool:
         """Returns whether a record that comes as it is said is to be shown: it was not among what was remembered."""
+        return self._show(record, self._to_come)
+
+    def _show(self, record: Record, known: Counter[str]) -> bool:
         line = line_of(dict(record))
-        if self._to_come[line]:
-            self._to_come[line] -= 1
+        if known[line]:
+            known[line] -= 1
             return False
         self._shown.append(line)
         return True

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import re
 import resource
 import shutil
 import socket
@@ -20,7 +18,7 @@ from typing import Final
 from pancakes.cli.verbs.finding import Finding, Level
 from pancakes.errors import PancakesError
 from pancakes.plugins import GROUPS, Plugins
-from pancakes.runtime_dir import look, runtime_dir
+from pancakes.runtime_dir import is_locked, look, runtime_dir
 
 DISTRIBUTION: Final = "pancakes-agents"
 FULL_MIB: Final = 50
@@ -52,35 +50,23 @@ def check_python() -> Iterator[Finding]:
     """Looks at Python and the libraries: those that are needed, in versions that will do."""
     from importlib.metadata import PackageNotFoundError, requires, version
 
-    wanted = [text for text in requires(DISTRIBUTION) or () if "extra ==" not in text]
+    from packaging.requirements import Requirement
+
     there = []
-    for text in wanted:
-        name = re.split(r"[\s<>=!~;\[]", text, maxsplit=1)[0]
+    for text in requires(DISTRIBUTION) or ():
+        wanted = Requirement(text)
+        if wanted.marker is not None and not wanted.marker.evaluate():
+            continue  # an extra needs it
         try:
-            found = version(name)
+            found = version(wanted.name)
         except PackageNotFoundError:
-            yield Finding("error", "libraries", f"{name} is not installed", f"pip install '{text}'")
+            yield Finding("error", "libraries", f"{wanted.name} is not installed", f"pip install '{text}'")
             continue
-        if not satisfies(found, text.removeprefix(name).partition(";")[0]):
-            yield Finding("error", "libraries", f"{name} {found} is not {text}", f"pip install '{text}'")
-        there.append(f"{name} {found}")
+        if not wanted.specifier.contains(found, prereleases=True):
+            yield Finding("error", "libraries", f"{wanted.name} {found} is not {text}", f"pip install '{text}'")
+        there.append(f"{wanted.name} {found}")
     number = ".".join(map(str, sys.version_info[:3]))
     yield Finding("ok", "libraries", f"Python {number}, {DISTRIBUTION} {version(DISTRIBUTION)}, {', '.join(there)}")
-
-
-def satisfies(version: str, bounds: str) -> bool:
-    """Returns whether a version lies within bounds such as `>=4.5,<5`; only the numbers count."""
-    found = _numbers(version)
-    for sign, bound in re.findall(r"(>=|<|==)\s*([0-9.]+)", bounds):
-        limit = _numbers(bound)
-        if (sign == ">=" and found < limit) or (sign == "<" and found >= limit) or (sign == "==" and found != limit):
-            return False
-    return True
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    numbers = [int(part) for part in re.findall(r"\d+", re.split(r"[a-z+-]", version, maxsplit=1)[0])]
-    return tuple(numbers + [0] * (4 - len(numbers)))
 
 
 def check_plugins(plugins: Plugins) -> Iterator[Finding]:
@@ -112,7 +98,7 @@ def check_runtime_dir() -> Iterator[Finding]:
         yield Finding("error", about, str(error), advice)
         return
     for sentence in found.odd:
-        yield Finding("warning", about, sentence, "see who put it there, and remove it")
+        yield Finding("warning", about, sentence, "see which program put it there, and remove it")
     if found.cleared:
         text = f"{directory} has entries of agents that did not end in order: {', '.join(found.cleared)}"
         yield Finding("warning", about, text, "none: they have just been cleared away; see why those agents died")
@@ -193,9 +179,7 @@ def _check_journal(directory: Path) -> Finding:
 def _holder(directory: Path) -> str:
     """The process that has a state directory locked; empty where none has."""
     with contextlib.suppress(OSError), (directory / "lock").open("rb") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if is_locked(lock):
             return lock.read(32).decode("ascii", "replace").strip() or "?"
     return ""
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import click
 
 from pancakes.cli.asking import accepted, ask_each, meant
-from pancakes.cli.completing import costs, tasks_beside
-from pancakes.cli.name_types import AgentNameType, TaskName, a_task, agents
+from pancakes.cli.name_types import AGENT_NAME, TaskName, a_task, agents
 from pancakes.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.cli.verbs.task_completion import costs, tasks_beside
 from pancakes.control import Adopt, Forget, Migrate, Migrations
 from pancakes.errors import ControlRefused, NoAnswer
+
+_F = TypeVar("_F", bound=Callable[..., Any])
 
 LINES = ("neighbour", "answer", "cost", "terms", "fate", "reason")
 MOVES = (
@@ -32,9 +34,13 @@ MOVES = (
 )
 
 
+def _birthplace_option(help_: str) -> Callable[[_F], _F]:
+    return click.option("--birthplace", metavar="AGENT", type=AGENT_NAME, default="", help=help_)
+
+
 @click.command()
 @a_task
-@click.option("--to", metavar="AGENT", type=AgentNameType(), default="", help="Ask only this neighbour.")
+@click.option("--to", metavar="AGENT", type=AGENT_NAME, default="", help="Ask only this neighbour.")
 @click.option(
     "--then",
     metavar="TASK",
@@ -102,13 +108,7 @@ def migrations(agents: tuple[str, ...], ask: Ask) -> None:
 @click.command()
 @a_task
 @click.option("--force", is_flag=True, help="Do it. Without, it is only said what it would mean.")
-@click.option(
-    "--birthplace",
-    metavar="AGENT",
-    type=AgentNameType(),
-    default="",
-    help="Where it was born, if two of its name are in doubt.",
-)
+@_birthplace_option("Where it was born, if two of its name are in doubt.")
 @dry_run_option
 @orders_agents
 def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask) -> None:
@@ -144,13 +144,7 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
 
 @click.command()
 @a_task
-@click.option(
-    "--birthplace",
-    metavar="AGENT",
-    type=AgentNameType(),
-    default="",
-    help="Where it was born, if the records of two of its name were lost.",
-)
+@_birthplace_option("Where it was born, if the records of two of its name were lost.")
 @dry_run_option
 @orders_agents
 def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:

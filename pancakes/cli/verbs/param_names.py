@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from pancakes.cli.name_types import TaskName, TaskNameType
+from pancakes.cli.name_types import TASK_NAME, TaskName
 from pancakes.control import Describe
 
 if TYPE_CHECKING:
@@ -28,14 +28,14 @@ class AgentOrTask(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> TaskName:
         if isinstance(value, str) and value and "/" not in value:
             return TaskName(value, "", "")
-        return TaskNameType().convert(value, param, ctx)
+        return TASK_NAME.convert(value, param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """See `click.ParamType`."""
         from pancakes.cli import completing
 
         begun = [] if "/" in incomplete else completing.agents(ctx, param, incomplete)
-        return begun + completing.tasks(ctx, incomplete)
+        return begun + completing.names("task", ctx, param, incomplete)
 
 
 class ParamName(click.ParamType):

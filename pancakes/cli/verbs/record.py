@@ -44,17 +44,7 @@ def record() -> None:
 @click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
 @dry_run_option
 @orders_agents
-def start(
-    agents: tuple[str, ...],
-    path: str,
-    channels: tuple[str, ...],
-    types: tuple[str, ...],
-    task: str,
-    limit_mib: float | None,
-    split_mib: float | None,
-    dry_run: bool,
-    ask: Ask,
-) -> None:
+def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run: bool, ask: Ask, **given: Any) -> None:
     """Begin to record on all agents, or on those that are named.
 
     What is not said here is as the table [record] of the agent's configuration says. A file that is there already is
@@ -66,15 +56,8 @@ def start(
         pancakes record start agent1 --path 'runs/{agent}.mcap' --channel system --channel ctrl
         pancakes record start --task agent1/ScanTarget
     """
-    given = {
-        "path": path,
-        "channels": list(channels),
-        "types": list(types),
-        "task": task,
-        "limit_mib": limit_mib,
-        "split_mib": split_mib,
-    }
-    settings = {key: value for key, value in given.items() if value not in ("", [], None)}
+    given |= {"channels": channels, "task": task}
+    settings = {key: value for key, value in given.items() if value not in ("", (), None)}
     with ask.client() as client:
         rows = []
         there = surveyed(client, *agents)

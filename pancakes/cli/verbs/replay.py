@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from pancakes.cli.asking import surveyed
-from pancakes.cli.name_types import AgentNameType
+from pancakes.cli.name_types import AGENT_NAME
 from pancakes.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show
 from pancakes.cli.streaming import load_packets, say, until_ended
@@ -43,7 +44,7 @@ COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
     help="All packets whose AGENT/CHANNEL/TYPE or whose source fits, and no others. Repeatable.",
 )
 @click.option(
-    "--as", "as_name", metavar="AGENT", type=AgentNameType(), default="", help="Feed everything to this agent instead."
+    "--as", "as_name", metavar="AGENT", type=AGENT_NAME, default="", help="Feed everything to this agent instead."
 )
 @click.option(
     "--config",
@@ -95,6 +96,7 @@ def replay(
     """
     from pancakes.plugins import Plugins
     from pancakes.recording.recording_reader import RecordingReader
+    from pancakes.replay.selection import Selection
 
     if bool(configs) != bool(out):
         raise click.UsageError("--config and --out go together: the result is recorded into --out")
@@ -104,38 +106,32 @@ def replay(
         raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
     plugins = Plugins()
     load_packets(plugins)
-    wanted = _ReplayRequest(RecordingReader(path), speed, only, from_s or 0.0, to_s, as_name)
+    reader = RecordingReader(path)
+    selection = Selection({}, only, from_s or 0.0, to_s, as_name, reader.mission_time())
+    wanted = _ReplayRequest(reader, speed, selection)
     if out is not None:
         _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.format_)
     else:
         _feed_live(wanted, dry_run, ask)
 
 
+@dataclass(frozen=True)
 class _ReplayRequest:
     """What the command line says of what is to be fed."""
 
-    def __init__(
-        self,
-        reader: RecordingReader,
-        speed: float,
-        only: tuple[str, ...],
-        from_s: float,
-        to_s: float | None,
-        as_name: str,
-    ) -> None:
-        self.reader = reader
-        self.speed = speed
-        self._only, self._from_s, self._to_s, self._as_name = only, from_s, to_s, as_name
+    reader: RecordingReader
+    speed: float
+    wanted: Selection
 
     def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
         """Returns what is fed into agents, and how much that is."""
         from pancakes.errors import Unreachable
-        from pancakes.replay.selection import Selection, tally_of
+        from pancakes.replay.selection import tally_of
 
-        if self._as_name and self._as_name not in agents:
-            raise Unreachable(f"there is no agent {self._as_name!r}, only {', '.join(sorted(agents))}")
-        time = self.reader.mission_time()
-        selection = Selection(agents, self._only, self._from_s, self._to_s, self._as_name, time)
+        as_name = self.wanted.as_name
+        if as_name and as_name not in agents:
+            raise Unreachable(f"there is no agent {as_name!r}, only {', '.join(sorted(agents))}")
+        selection = replace(self.wanted, agents=agents)
         tally = tally_of(selection, self.reader.entries())
         for note in self.reader.notes():
             say(note)

@@ -6,17 +6,16 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, survey
+from pancakes.cli.asking import show_done, survey
 from pancakes.cli.name_types import ServiceName, a_service, agents
-from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show_json, show_sections
+from pancakes.cli.options import Ask, Duration, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.cli.output import show_json, show_sections
 from pancakes.control import Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.life.restart import tries
 from pancakes.suggestion import hint_of
 
 COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
-DONE = ("agent", "service", "done", "number")
 TASKS = ("task", "type", "state", "rate_hz", "reason")
 STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
 """The words of `pancakes.life.life` for services, which is not imported for them: a command has to be quick."""
@@ -109,12 +108,7 @@ def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> Non
 
 @service.command()
 @a_service
-@click.option(
-    "--keep-state/--drop-state",
-    default=True,
-    show_default=True,
-    help="Whether its tasks go on with their state and settings, or begin as their configuration says.",
-)
+@keep_state_option("Whether its tasks go on with their state and settings, or begin as their configuration says.")
 @dry_run_option
 @orders_agents
 def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
@@ -131,6 +125,4 @@ def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> Non
 def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop | Restart, **others: Any) -> None:
     """Has an agent do something with a service, and shows that it was done."""
     with ask.client() as client:
-        number = accepted(client, name.agent, body).number
-    row = {**name._asdict(), "done": DRY_RUN if body.dry_run else done, "number": number, **others}
-    ask.show([row], (*DONE, *others))
+        show_done(ask, client, name, done, body, **others)

@@ -8,19 +8,19 @@ from typing import Any
 
 import click
 
-from pancakes.cli.asking import accepted, order, placed, survey
-from pancakes.cli.completing import timers
+from pancakes.cli.asking import order, placed, show_done, survey
 from pancakes.cli.name_types import TaskName, a_task, agents
-from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, orders_agents
-from pancakes.cli.output import DRY_RUN, show, show_json, show_sections
+from pancakes.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.cli.output import show, show_json, show_sections
 from pancakes.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.cli.verbs.param_names import Changes, set_option
+from pancakes.cli.verbs.task_completion import timers
 from pancakes.control import Describe, Reschedule, Restart, Start, Stop
 from pancakes.life.restart import tries
 
 COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
 LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
-DONE = ("agent", "service", "task", "done", "number")
+READS = ("channel", "types", "keep", "limit", "waiting", "dropped")
 STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
 """The values of `pancakes.life.life.WORDS`, which is not imported for them: a command has to be quick."""
 
@@ -127,12 +127,7 @@ def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
 
 @task.command()
 @a_task
-@click.option(
-    "--keep-state/--drop-state",
-    default=True,
-    show_default=True,
-    help="Whether it goes on with its state and settings, or begins as its configuration says.",
-)
+@keep_state_option("Whether it goes on with its state and settings, or begins as its configuration says.")
 @dry_run_option
 @orders_agents
 def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
@@ -172,11 +167,7 @@ def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | St
     """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
     with ask.client() as client:
         name = placed(client, name)
-        wanted = body(name.target)
-        reply = accepted(client, name.agent, wanted)
-    result = reply.result if isinstance(wanted, Reschedule) else {}
-    row = {**name._asdict(), "done": DRY_RUN if wanted.dry_run else done, "number": reply.number, **result}
-    ask.show([row], (*DONE, *result))
+        show_done(ask, client, name, done, body(name.target))
 
 
 def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -197,10 +188,7 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
         },
         "timers": [
             {
-                "timer": timer["timer"],
-                "rate_hz": timer["rate_hz"],
-                "ticks": timer["ticks"],
-                "missed": timer["missed"],
+                **{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")},
                 "lateness_mean_ms": 1e3 * timer["lateness_mean_s"],
                 "lateness_max_ms": 1e3 * timer["lateness_max_s"],
             }
@@ -208,12 +196,8 @@ def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
         ],
         "reads": [
             {
-                "channel": row["channel"],
+                **{key: row[key] for key in READS},
                 "types": "all" if row["types"] is None else row["types"],
-                "keep": row["keep"],
-                "limit": row["limit"],
-                "waiting": row["waiting"],
-                "dropped": row["dropped"],
             }
             for row in found["reads"]
         ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import statistics
 from collections import deque
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -101,9 +101,8 @@ def _intervals(times_s: deque[float]) -> dict[str, float | None]:
     whole_s = sum(intervals)
     if not intervals or whole_s <= 0.0:  # a mission that is held stands at 0
         return {"rate_hz": None, "min_s": None, "max_s": None, "std_dev_s": None}
-    mean_s = whole_s / len(intervals)
-    spread = math.sqrt(sum((interval - mean_s) ** 2 for interval in intervals) / len(intervals))
-    return {"rate_hz": 1.0 / mean_s, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread}
+    rate_hz, spread_s = len(intervals) / whole_s, statistics.pstdev(intervals)
+    return {"rate_hz": rate_hz, "min_s": min(intervals), "max_s": max(intervals), "std_dev_s": spread_s}
 
 
 def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float | None]:

@@ -19,7 +19,7 @@ from pancakes.errors import Unreachable
 from pancakes.printable import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console, Group
+    from rich.console import Group
     from rich.table import Table
 
 Row = Mapping[str, Any]
@@ -143,17 +143,13 @@ def _live(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
 
 
 def _print(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
-    console = _plain_console()
-    for rows in looks:
-        console.print(picture(rows, sort))
-        console.file.flush()
-
-
-def _plain_console() -> Console:
     from rich.console import Console
 
     # Into a file or a pipe nothing is cut off or folded.
-    return Console(width=None if sys.stdout.isatty() else 200)
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    for rows in looks:
+        console.print(picture(rows, sort))
+        console.file.flush()
 
 
 def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Group:
@@ -175,10 +171,10 @@ def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Grou
         shown_tasks = tasks[: max(1, room - len(shown_agents))]
     table = _table(AGENTS)
     for row in shown_agents:
-        table.add_row(*(Text(printable(cell), _agent_style(row, column)) for column, cell in _agent_cells(row)))
+        table.add_row(*(Text(printable(cell), _agent_style(row, column)) for column, cell in _cells(row, AGENTS)))
     lower = _table(TASKS)
     for row in shown_tasks:
-        lower.add_row(*(Text(printable(cell), _task_style(row, column)) for column, cell in _task_cells(row)))
+        lower.add_row(*(Text(printable(cell), _task_style(row, column)) for column, cell in _cells(row, TASKS)))
     hidden = (len(agents) - len(shown_agents), len(tasks) - len(shown_tasks))
     foot = ", ".join(f"{count} more {what}" for count, what in zip(hidden, ("agents", "tasks"), strict=True) if count)
     return Group(table, Text(), lower, *([Text(f"and {foot}", "dim")] if foot else []))
@@ -194,13 +190,8 @@ def _table(columns: Mapping[str, str]) -> Table:
     return table
 
 
-def _agent_cells(row: Row) -> Iterator[tuple[str, str]]:
-    for column, key in AGENTS.items():
-        yield key, _cell(column, row[key])
-
-
-def _task_cells(row: Row) -> Iterator[tuple[str, str]]:
-    for column, key in TASKS.items():
+def _cells(row: Row, columns: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for column, key in columns.items():
         yield key, f"{row['agent']}/{row['service']}/{row['task']}" if key == "name" else _cell(column, row[key])
 
 

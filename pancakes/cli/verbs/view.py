@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import signal
 import time
-from typing import TYPE_CHECKING
 
 import click
 
 from pancakes.cli.interrupts import event_at
 from pancakes.cli.options import Ask, asks_agents
 from pancakes.cli.output import show_json, show_text
-
-if TYPE_CHECKING:
-    pass
 
 port_option = click.option(
     "--port",

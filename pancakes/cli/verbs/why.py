@@ -40,17 +40,7 @@ MOST_ALIKE: Final = 50
 @click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
 @click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
 @format_option
-def why(
-    path: Path,
-    agent: str,
-    type_: str,
-    task: str,
-    at_s: float | None,
-    seq: int | None,
-    slowest: int | None,
-    list_: bool,
-    format_: str,
-) -> None:
+def why(path: Path, list_: bool, format_: str, **asked: Any) -> None:
     """Say why the actuators of a recording were commanded, and how long that took from the reading on.
 
     Alone it shows the kinds of chains that led to commands, with the distribution of the time from the first cause to
@@ -68,19 +58,20 @@ def why(
     """
     from pancakes.recording.recording_reader import RecordingReader
 
-    if sum((at_s is not None, seq is not None, slowest is not None, list_)) > 1:
+    single = [asked[name] for name in ("at_s", "seq", "slowest") if asked[name] is not None]
+    if len(single) + list_ > 1:
         raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
     load_packets()
     reader = RecordingReader(path)
-    question = _CommandQuestion(reader, agent, type_, task)
+    question = _CommandQuestion(reader, **asked)
     if list_:
         with Printer(format_, True, _line) as printer:
             for command in question.commands():
                 printer.show(_row(command, question.time))
-    elif at_s is None and seq is None and slowest is None:
+    elif not single:
         _show_kinds(question, format_)
     else:
-        _show_chains(question, at_s, seq, slowest, format_)
+        _show_chains(question, format_)
     for note in reader.notes():
         say(note)
     if not question.time.known:
@@ -92,13 +83,21 @@ def why(
 class _CommandQuestion:
     """Which commands are meant, and what is found of all of them while they are read."""
 
-    def __init__(self, reader: RecordingReader, agent: str, type_: str, task: str) -> None:
+    def __init__(
+        self,
+        reader: RecordingReader,
+        at_s: float | None,
+        seq: int | None,
+        slowest: int | None,
+        **asked: str,
+    ) -> None:
         from pancakes.report.reactions import Reactions
 
+        self.at_s, self.seq, self.slowest = at_s, seq, slowest
         self.found: Reactions = Reactions()
         self.time = reader.mission_time()
         self._reader = reader
-        self._agent, self._type, self._task = agent, type_, task
+        self._asked = asked
         self._others: set[str] = set()
 
     def commands(self) -> Iterator[ActuatorCommand]:
@@ -120,8 +119,8 @@ class _CommandQuestion:
         for command in commands:
             fence = command.packet.fence
             task_id = fence.task_id if fence is not None else ""
-            wanted = ((self._agent, command.agent), (self._type, command.packet.type), (self._task, task_id))
-            if all(asked in ("", there) for asked, there in wanted):
+            there = {"agent": command.agent, "type_": command.packet.type, "task": task_id}
+            if all(asked in ("", there[name]) for name, asked in self._asked.items()):
                 self.found.add_command(command)
                 yield command
             else:
@@ -148,10 +147,8 @@ def _show_kinds(question: _CommandQuestion, format_: str) -> None:
         show_text(f"{found.left_out:,} more have chains of rarer kinds")
 
 
-def _show_chains(
-    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None, format_: str
-) -> None:
-    chosen, more = _choose(question, at_s, seq, slowest)
+def _show_chains(question: _CommandQuestion, format_: str) -> None:
+    chosen, more = _choose(question)
     rows = [
         {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
     ]
@@ -163,16 +160,16 @@ def _show_chains(
     if more:
         say(f"{more:,} more fit: name one with --agent and --type, or see them with --list")
     if question.found.commands and not chosen:
-        asked = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {seq}"
-        if slowest is not None:
+        at_s = question.at_s
+        asked = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {question.seq}"
+        if question.slowest is not None:
             asked = "that answers a packet that was recorded"
         raise PancakesError(f"there is no such command {asked}")
 
 
-def _choose(
-    question: _CommandQuestion, at_s: float | None, seq: int | None, slowest: int | None
-) -> tuple[list[ActuatorCommand], int]:
+def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
     """Returns the commands that are asked for, and how many more there would be."""
+    at_s, slowest = question.at_s, question.slowest
     if slowest is not None:
         heap: list[tuple[float, int, ActuatorCommand]] = []
         for number, command in enumerate(question.commands()):
@@ -186,7 +183,7 @@ def _choose(
     for command in question.commands():
         if at_s is not None and question.time.at(command.time_ns) <= at_s:
             newest[command.agent, command.packet.type] = command
-        elif seq == command.packet.seq:
+        elif question.seq == command.packet.seq:
             fitting = [*fitting, command][:MOST_ALIKE]
             more += 1
     return [command for _, command in sorted(newest.items())] + fitting, more - len(fitting)
@@ -240,7 +237,7 @@ def _alike(question: _CommandQuestion, command: ActuatorCommand) -> dict[str, An
 
 
 def _distribution(reaction: Reaction) -> dict[str, Any]:
-    shares = {f"p{round(100 * share)}_ms": _ms(reaction.latency_s.quantile(share)) for share in (0.5, 0.9, 0.99)}
+    shares = {f"{name}_ms": _ms(value_s) for name, value_s in reaction.latency_s.quantiles().items()}
     largest_s = reaction.latency_s.largest
     return {
         "count": reaction.count,
