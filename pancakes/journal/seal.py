@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from hashlib import sha256
 from typing import Final
 
 import msgspec
 
 from pancakes import codecs
+from pancakes.digest import sha256
 from pancakes.errors import PancakesError
 from pancakes.malformed import MALFORMED, why_malformed
 
@@ -86,7 +86,7 @@ def seal(journal: str, entry: JournalEntry) -> bytes:
         raise JournalError(
             f"the {len(entry.data)} bytes of {entry.kind} {entry.key} cannot be written: {error}"
         ) from None
-    return _MAGIC + sha256(body).digest() + body
+    return _MAGIC + sha256(body) + body
 
 
 def unseal(journal: str, sealed: bytes) -> JournalEntry:
@@ -103,7 +103,7 @@ def unseal(journal: str, sealed: bytes) -> JournalEntry:
         raise Unbelievable("is no file of a journal" if sealed else "is empty")
     head = len(_MAGIC) + _DIGEST_BYTES
     body = sealed[head:]
-    if sha256(body).digest() != sealed[len(_MAGIC) : head]:
+    if sha256(body) != sealed[len(_MAGIC) : head]:
         raise Unbelievable(f"is torn or damaged ({len(sealed)} bytes, wrong checksum)")
     try:
         contents = _DECODE(body)

@@ -8,13 +8,13 @@ are the old host's.
 from __future__ import annotations
 
 from collections.abc import Callable
-from hashlib import sha256
 from typing import Any, Final
 
 import msgspec
 
 from pancakes import codecs
 from pancakes.arrays import array_from_extension, saved_array
+from pancakes.digest import sha256
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.malformed import MALFORMED, why_malformed
 from pancakes.migration.record import TaskId
@@ -153,4 +153,4 @@ _DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_exten
 
 def digest(data: bytes) -> bytes:
     """Returns the content hash (SHA-256) by which an encoded snapshot is checked on arrival."""
-    return sha256(data).digest()
+    return sha256(data)
