@@ -92,7 +92,9 @@ class Mailbox:
 
     def wake(self) -> None:
         """Sees that the component gets a turn, unless it has one or is about to."""
-        if self.token.acquire(blocking=False):
+        token = self.token
+        # A look costs less than an attempt that fails, and most fail: packets come while a turn is due already.
+        if not token.locked() and token.acquire(False):
             self.dispatch.ready(self)
 
     def end_turn(self) -> None:

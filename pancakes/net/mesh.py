@@ -382,25 +382,24 @@ class Mesh:
         for action in actions:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
-            match action:
-                case PacketsReceived(packets, size):
-                    session.counters.packets_in += len(packets)
-                    self._call(self._on_packets, session.peer, packets, size)
-                case SendMessage(message):
-                    session.send_link(message)
-                case Unfit(packet, reason):
-                    session.counters.packets_in += 1
-                    self._call(self._on_unfit, session.peer, packet, reason)
-                case Greeted(hello):
-                    self._met(session, hello)
-                case Up():
-                    self._stood_up(session)
-                case Learnt(addresses):
-                    decisions = self._peers.learnt(addresses, self._now())
-                    if decisions:
-                        self._carry_out(decisions)
-                case Over():
-                    self._over(session, action)
+            if isinstance(action, PacketsReceived):
+                session.counters.packets_in += len(action.packets)
+                self._call(self._on_packets, session.peer, action.packets, action.size)
+            elif isinstance(action, SendMessage):
+                session.send_link(action.message)
+            elif isinstance(action, Unfit):
+                session.counters.packets_in += 1
+                self._call(self._on_unfit, session.peer, action.packet, action.reason)
+            elif isinstance(action, Greeted):
+                self._met(session, action.hello)
+            elif isinstance(action, Up):
+                self._stood_up(session)
+            elif isinstance(action, Learnt):
+                decisions = self._peers.learnt(action.addresses, self._now())
+                if decisions:
+                    self._carry_out(decisions)
+            else:
+                self._over(session, action)
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
