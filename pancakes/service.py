@@ -216,7 +216,7 @@ class Service(Component):
         if spec.name in self.slots:
             raise ControlRefused(f"{self.address} already has a task {spec.name}")
         address = join(self.agent, self.name, spec.name)
-        slot = self.slots[spec.name] = Slot(spec, address, Life(address, Restarts(spec.restart)))
+        slot = self.slots[spec.name] = Slot(spec.name, spec, address, Life(address, Restarts(spec.restart)))
         return slot
 
     def _start(self, slot: Slot) -> None:

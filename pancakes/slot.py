@@ -34,6 +34,7 @@ class Slot(msgspec.Struct):
     tasks are 11 MiB.
 
     Attributes:
+        name: the task's name.
         life: how far the task is.
         task: its actor; None: none runs.
         carried: what its next actor begins with; None: what the configuration says.
@@ -43,6 +44,7 @@ class Slot(msgspec.Struct):
         commands: those that wait until the one that is being carried out is done.
     """
 
+    name: str
     spec: TaskSpec
     address: str
     life: Life
@@ -54,8 +56,3 @@ class Slot(msgspec.Struct):
     failure: Failure | None = None
     changing: tuple[Request, ...] = ()
     commands: tuple[Command, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """The task's name."""
-        return self.spec.name

@@ -77,20 +77,25 @@ class Arrivals:
         lost = self._records.lost(record.task_id)
         return lost.undecided(self._host.agent) if lost is not None and record.phase is Phase.ABSENT else ""
 
-    def receive(self, peer: str, message: HandOffMessage) -> None:
-        """Takes a hand-off message from a peer."""
-        if self._records.service_of(message.task_id) not in ("", self._host.name) and not _asks(message):
-            return  # the service that has its record answers, once it is asked
-        place = self._host.places.of(message.task_id)
-        refusal = ""
+    def receive(self, peer: str, message: HandOffMessage, place: Place) -> Received | None:
+        """Takes a hand-off message from a peer.
+
+        Returns:
+            What to feed to the place of the task; None: another service has its record, and answers once it is asked.
+        """
+        record = place.standing.record
         if isinstance(message, Reserve):
-            refusal = self._state.reserve(peer, message)
-        elif isinstance(message, Transfer):
+            return Received(peer, message, self._state.reserve(peer, message))
+        if isinstance(message, Transfer):
             self._state.free(message.task_id)
-            if would_take(place.standing.record, message.offer):
-                refusal = self._cannot_build(place, message)
-                place.came_from = "" if refusal else peer
-        self._host.feed_place(place, Received(peer, message, refusal))
+            if not would_take(record, message.offer):
+                return Received(peer, message)
+            refusal = self._cannot_build(place, message)
+            place.came_from = "" if refusal else peer
+            return Received(peer, message, refusal)
+        if unborn(record) and self._records.service_of(message.task_id) not in ("", self._host.name):
+            return None
+        return Received(peer, message)
 
     def _cannot_build(self, place: Place, message: Transfer) -> str:
         """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
@@ -172,8 +177,3 @@ class Arrivals:
         if names:
             self._host.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
         return settings
-
-
-def _asks(message: HandOffMessage) -> bool:
-    """Returns whether a message asks this agent to take a task."""
-    return isinstance(message, (Reserve, Transfer))

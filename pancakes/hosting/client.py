@@ -48,7 +48,7 @@ from pancakes.hosting.machine import step, unborn
 from pancakes.hosting.mover import Mover
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
-from pancakes.hosting.records import Records
+from pancakes.hosting.records import Records, RecordWritten
 from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.hosting.snapshots import carried_of, snapshot_of
 from pancakes.hosting.turn import AnyEvent, Moment
@@ -70,7 +70,7 @@ from pancakes.migration.effect import (
     Warn,
 )
 from pancakes.migration.messages import Abort, Activated, Commit, Nak, Piece, Prepared, Reserve, Reserved, Unknown
-from pancakes.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.migration.record import Phase, TaskId, Wanted
 from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
 from pancakes.net.mesh import Mesh
@@ -214,7 +214,7 @@ class ClientService(Service):
     # The events of its tasks -----------------------------------------------------------------------------------
 
     def feed(self, slot: Slot, event: Any) -> None:
-        name = slot.spec.name
+        name = slot.name
         if self.slots.get(name) is slot:  # else it is a late timer of a task that has left
             self.feed_place(self.places.at[name], event)
 
@@ -242,11 +242,11 @@ class ClientService(Service):
                 self._carry_out(place, effect, slot)
             elif slot is not None:
                 self.keeper.carry_out(slot, effect)
-        if (place.standing.record, place.standing.leaving) != (before.record, before.leaving):
+        if place.standing.record.phase is not before.record.phase or place.standing.leaving != before.leaving:
             self._note(place)
 
     def _note(self, place: Place) -> None:
-        """A record or a slot has changed: keeps true which slot is whose, also for others on this agent."""
+        """A phase or a slot has changed: keeps true which slot is whose, also for others on this agent."""
         name = place.task_id.name
         self.state.note(self.name, name, self.places.bind(name), place.standing.record)
 
@@ -259,7 +259,8 @@ class ClientService(Service):
     def _carry_out(self, place: Place, effect: HostingEffect, slot: Slot | None) -> None:
         match effect:
             case Persist():
-                self._persist(place, effect.record)
+                self._writing += 1
+                self._records.persist(effect.record, self)
             case Send():
                 self._carrier.send(effect.peer, effect.message)
             case After():
@@ -319,20 +320,14 @@ class ClientService(Service):
             case _:
                 assert_never(effect)
 
-    def _persist(self, place: Place, record: Record) -> None:
-        self._writing += 1
-        self._records.persist(
-            record,
-            self.name,
-            lambda: self.call(lambda: self._written(place, Persisted())),
-            lambda reason: self.call(lambda: self._written(place, NotPersisted(reason))),
-        )
-
-    def _written(self, place: Place, event: Persisted | NotPersisted) -> None:
+    def _written(self, written: RecordWritten) -> None:
         self._writing -= 1
-        if isinstance(event, NotPersisted):
+        place = self.places.of(written.task_id)
+        if written.why_not:
             place.written = None
-        self.feed_place(place, event)
+            self.feed_place(place, NotPersisted(written.why_not))
+        else:
+            self.feed_place(place, Persisted())
         if self._checkpointing.late:
             self._checkpointing.look_at_late()
 
@@ -399,6 +394,8 @@ class ClientService(Service):
                         self._checkpointing.looked(slot, slot.task, message)
                     else:
                         self.feed(slot, StoodStill(message.offer, message.carried, message.reason))
+            case RecordWritten():
+                self._written(message)
             case LetterGiven():
                 self._deliveries.given(message)
             case CameFor():
@@ -430,7 +427,10 @@ class ClientService(Service):
         """Takes a hand-off message in."""
         message = self._carrier.take(packet)
         if message is not None:
-            self._arrivals.receive(agent_of(packet.source), message)
+            place = self.places.of(message.task_id)
+            received = self._arrivals.receive(agent_of(packet.source), message, place)
+            if received is not None:
+                self.feed_place(place, received)
 
     def connected(self, peer: str) -> bool:
         return self._carrier.connected(peer)

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
 from pancakes.hosting.lost import Lost
 from pancakes.journal import Disk, JournalEntry, RecordTable
+from pancakes.kernel.component import Component
+from pancakes.kernel.tell import tell
 from pancakes.migration.record import Record, TaskId
 
 KIND = "record"
+
+
+class RecordWritten(msgspec.Struct, frozen=True):
+    """The records tell a service that one is on disk for good, or could not be written.
+
+    Attributes:
+        task_id: the task whose record it is.
+        why_not: why it could not be written; empty: it is on disk.
+    """
+
+    task_id: TaskId
+    why_not: str = ""
 
 
 class Records:
@@ -76,16 +89,14 @@ class Records:
         """Says what keeps a task's record from being written; empty: nothing that is known of."""
         return self._records.trouble(str(task_id))
 
-    def persist(self, record: Record, service: str, then: Callable[[], None], failed: Callable[[str], None]) -> None:
-        """Writes a record.
+    def persist(self, record: Record, service: Component) -> None:
+        """Writes a record, and tells the service that keeps it `RecordWritten`."""
+        task_id = record.task_id
 
-        Args:
-            record: what to write.
-            service: the name of the service that keeps it.
-            then: called, in the store's thread, when it is on disk for good.
-            failed: called instead, with the reason, where it could not be written.
-        """
-        self._records.write(str(record.task_id), replace(record, service=service), then, failed)
+        def told(why_not: str = "") -> None:
+            tell(service, RecordWritten(task_id, why_not))
+
+        self._records.write(str(task_id), replace(record, service=service.name), told, told)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:
