@@ -14,7 +14,7 @@ from pancakes.address import parse_address
 from pancakes.errors import LocalProtocolError
 from pancakes.names import fault_of_name
 
-VERSION: Final = 4
+VERSION: Final = 5
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
