@@ -14,7 +14,7 @@ from pancakes.hosting import machine
 from pancakes.life.life import State
 from pancakes.migration.record import Phase
 
-LEFT_OUT = left_out()
+LEFT_OUT = {what: step for what, step in left_out().items() if what not in UNPROVEN}
 NEVER: dict[State | None, str] = {
     None: "FROZEN",
     State.REFUSED: "FROZEN COMMITTED PREPARED",
