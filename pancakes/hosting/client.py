@@ -468,6 +468,8 @@ class ClientService(Service):
         if going and not describes:
             peer = volatile.asked or record.peer
             raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
+        if standing.leaving and not describes:
+            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
         changes = isinstance(body, (Stop, Reschedule, Configure)) or (describes and (body.state or body.began))
         if record.phase is Phase.RELEASED and changes:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")

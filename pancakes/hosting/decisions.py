@@ -99,7 +99,7 @@ class Decisions:
         if dry_run:
             host.reply(request, result={"task_id": str(task_id), "peer": peer})
             return
-        place = host.places.of(task_id)
+        place = self._place(task_id)
         reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
         self._tell_asked("adopt", task_id, request)
         host.log("warning", reason)
@@ -134,9 +134,9 @@ class Decisions:
         if body.dry_run:
             host.reply(request, result={"task_id": str(task_id)})
             return
+        place = self._place(task_id)
         self._tell_asked("forget", task_id, request)
-        place = host.places.of(task_id)
-        place.forgetting = (*place.forgetting, request)
+        place.forgetting = (request,)
         host.look_after(place, request)
         host.feed_place(place, LetRest(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
 
@@ -151,6 +151,17 @@ class Decisions:
             host.log("warning", f"{task_id} was forgotten on {host.agent}, as {request.by} asked: it rests here")
             host.event("task_forgotten", task=task_id.name)
             host.reply(request, result={"task_id": str(task_id)})
+
+    def _place(self, task_id: TaskId) -> Place:
+        """Returns the place of a task that is to be decided about.
+
+        Raises:
+            ControlRefused: a decision about it is being written down.
+        """
+        place = self._host.places.of(task_id)
+        if place.adoption is not None or place.forgetting:
+            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet")
+        return place
 
     def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
         host = self._host

@@ -101,20 +101,22 @@ def _ask_leave(turn: Turn, effect: AskLeave) -> None:
         born = turn.standing.record.phase is Phase.ABSENT and life.asker is None
         # Of two tasks that are to start at once, the second is refused before its record says that it is wanted.
         turn.do(AskRoom(keep=not born and leave is not Leave.WANTED, again=effect.again))
-    turn.go_on()
 
 
 def _settle(turn: Turn, effect: Settle) -> None:
     turn.do(effect)
     life = turn.life
     assert life is not None
-    if life.state is State.ASKED:
-        return  # nothing but its service goes on without it
-    turn.do(Decided(effect.reason))
-    if turn.standing.begins:
-        if life.state is State.REFUSED:
-            # It does not run, but it is still wanted: a start that is asked for may follow.
-            turn.feed(Ended(Wanted.RUNNING))
+    standing = turn.standing
+    # One that waits for leave still may start, and one that was given away may be on its way back.
+    if life.state is not State.ASKED and not standing.leaving:
+        turn.do(Decided(effect.reason))
+    refused = life.state is State.REFUSED or (life.state is State.STOPPED and standing.begins)
+    ended = Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)
+    if refused and standing.volatile.running and ended not in standing.events[-1:]:
+        # It does not run, and a start that is asked for may follow.
+        turn.feed(ended)
+    if standing.begins:
         turn.done()
 
 
@@ -142,13 +144,15 @@ def _persist(turn: Turn, effect: Persist) -> None:
 def _start_task(turn: Turn, effect: StartTask) -> None:
     turn.change(waits=effect)
     life = turn.life
-    if life is None:
+    if any(isinstance(event, Ended) for event in turn.standing.events):
+        turn.done()  # it was decided otherwise since
+    elif life is None:
         turn.do(OpenPlace(effect))
     elif life.state in ACTOR:
         # It came back before the actor that was given away has ended.
         turn.live(StopAsked(reason="it comes back"))
     else:
-        turn.change(begins=True)
+        turn.change(begins=True, stands=None, unanswered=0)
         if life.state not in UNDECIDED:
             turn.live(StartAsked(), Leave.GRANTED)
         turn.do(Prepare(effect))
@@ -156,7 +160,7 @@ def _start_task(turn: Turn, effect: StartTask) -> None:
 
 def _freeze(turn: Turn, effect: Freeze) -> None:
     if turn.life is not None and turn.life.state is State.RUNNING:
-        turn.change(stands=effect.offer)
+        turn.change(stands=effect.offer, unanswered=turn.standing.unanswered + 1)
         turn.do(effect)
     else:
         turn.feed(FreezeFailed(effect.offer, "it does not run"))
@@ -267,9 +271,7 @@ def _no_place(turn: Turn, event: NoPlace) -> None:
 def _came_to_rest(turn: Turn, event: CameToRest) -> None:
     standing, life = turn.standing, turn.life
     assert life is not None
-    if standing.record.phase is not Phase.OWNER:
-        turn.live(Written())
-    elif turn.at.closing and life.wanted:
+    if turn.at.closing and life.wanted:
         # The task itself was not asked to end: it goes on when its service comes back. Each record costs a wait for
         # the disk, and of a thousand tasks most have nothing new in it.
         if event.snapshot and not (standing.idle and begins_alike(event.snapshot, standing.record.snapshot)):
@@ -305,6 +307,9 @@ def _not_persisted(turn: Turn, event: NotPersisted) -> None:
     failed = PersistFailed(event.reason, waits.record)
     effects = handle(turn.at.me, standing.record, standing.volatile, failed, TIMES)
     turn.change(waits=None, trouble=event.reason, effects=tuple(effects))
+    if standing.record.phase in DOUBT and not any(isinstance(later, Adopt) for later in standing.events):
+        # An adoption is not tried again by itself: the person may have learnt better meanwhile.
+        turn.do(Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
     turn.go_on()
     starts = turn.life is not None and turn.life.state is State.ASKED
     if starts:
@@ -312,19 +317,22 @@ def _not_persisted(turn: Turn, event: NotPersisted) -> None:
     record = turn.standing.record
     if record.phase is not Phase.PREPARED and not starts:
         turn.do(Unreserve())
-    if record.phase in DOUBT and turn.standing.idle:
-        # An adoption is not tried again by itself: the person may have learnt better meanwhile.
-        turn.do(Decided(f"{record.task_id} is not adopted: {event.reason}"))
 
 
 def _stood_still(turn: Turn, event: StoodStill) -> None:
-    waits = turn.standing.stands == event.offer
+    standing, life = turn.standing, turn.life
+    unanswered = max(0, standing.unanswered - 1)
+    turn.change(unanswered=unanswered)
+    if unanswered:
+        return  # it was told so again meanwhile, and answers that
+    waits = standing.stands == event.offer
     if waits:
         turn.change(stands=None)
-    if event.carried is None:
+    runs = life is not None and life.state is State.RUNNING
+    if event.carried is None or not runs:
         if waits:
-            turn.feed(FreezeFailed(event.offer, event.reason))
-    elif waits and turn.standing.volatile.freezing:
+            turn.feed(FreezeFailed(event.offer, event.reason or "it ends"))
+    elif waits and standing.volatile.freezing:
         turn.do(TakeDown(event.offer, event.carried))
     else:
         turn.do(LetGoOn())
@@ -348,7 +356,6 @@ DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 """The phases in which an agent cannot know by itself whether a task is its own."""
 
 DECLINED: Final[Mapping[type, Rule]] = {
-    Born: _start_declined,
     Start: _start_declined,
     Adopt: _adoption_declined,
     Forget: _forgetting_declined,

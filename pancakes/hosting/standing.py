@@ -23,6 +23,7 @@ class Standing(msgspec.Struct, frozen=True):
         begins: whether its life has taken up the `StartTask` that `waits` is.
         leaving: whether it was given away, and its place is cleared once its actor has ended.
         stands: the hand-off for which its actor was told to stand still; None: none.
+        unanswered: how often its actor was told to stand still, and has not answered.
         rests: whether its life waits until its rest is on disk.
         to_conclude: how much of what follows its hand-over is still to be done.
     """
@@ -36,6 +37,7 @@ class Standing(msgspec.Struct, frozen=True):
     begins: bool = False
     leaving: bool = False
     stands: Epoch | None = None
+    unanswered: int = 0
     rests: bool = False
     to_conclude: int = 0
 

@@ -228,10 +228,13 @@ def _stop_refused(life: Life, event: StopAsked, at: Moment) -> Outcome:
 
 def _stop_due(life: Life, event: StopAsked, at: Moment) -> Outcome:
     """It has failed, and its next try is called off."""
-    if life.restarts.due_s is None:
-        return _stop_at_rest(life, event, at)
     if event.again:
         return _ask(life, event.asker)
+    if life.restarts.due_s is None:
+        if event.asker is None:
+            return life, [LetGo()]
+        # That it is given up may not be written down yet.
+        return replace(life, wanted=False, asker=event.asker), [LetGo(), WriteRest()]
     return _rest(replace(_meant(life, event), restarts=life.restarts.forgotten()), [])
 
 
@@ -267,7 +270,7 @@ _LATE: Final[Mapping[type, Rule]] = {Overdue: _nothing, TryDue: _nothing, Retry:
 _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
     State.STOPPED: {StartAsked: _start, StopAsked: _stop_at_rest, Written: _written},
     State.REFUSED: {StartAsked: _start, StopAsked: _stop_refused, Retry: _retry},
-    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
+    State.FAILED: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again, Written: _written},
     State.RESTARTING: {StartAsked: _start, StopAsked: _stop_due, TryDue: _try_again},
     State.ASKED: {
         StartAsked: _nothing,

@@ -45,9 +45,9 @@ def start(record: Record, volatile: Volatile, event: Start) -> list[Effect]:
     return [
         # Until the record is on disk nothing runs, also where the write fails.
         Remember(Volatile()),
+        *_broken_off(volatile, "the task failed and was started again"),
         Persist(own),
         *_run(own),
-        *_broken_off(volatile, "the task failed and was started again"),
     ]
 
 
@@ -56,13 +56,8 @@ def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
     if record.phase is not Phase.OWNER:
         return [_decline(record)]
     end = replace(record, wanted=event.wanted, snapshot=event.snapshot or record.snapshot)
-    return [
-        Remember(Volatile()),
-        Persist(end),
-        *_broken_off(
-            volatile, f"the task was {'stopped' if event.wanted is Wanted.STOPPED else 'given up by its service'}"
-        ),
-    ]
+    reason = f"the task was {'stopped' if event.wanted is Wanted.STOPPED else 'given up by its service'}"
+    return [Remember(Volatile()), *_broken_off(volatile, reason), Persist(end)]
 
 
 def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[Effect]:

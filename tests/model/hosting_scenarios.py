@@ -1,0 +1,53 @@
+"""The scenarios in which the machine of a hosted task is searched: those of every run, and the larger ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from model.hosting_world import Bounds
+
+from pancakes.life.restart import RestartSpec
+
+TRIED_AGAIN: Final = RestartSpec("permanent", at_most=1, again_s=60.0)
+TRANSIENT: Final = RestartSpec("transient", at_most=1)
+TEMPORARY: Final = RestartSpec("temporary", at_most=1)
+
+SUITE: Final[Mapping[str, Bounds]] = {
+    "it comes where another has its name": Bounds(visitor=True, theirs=1, blocked=True, refusals=1),
+    "it comes, and writes fail": Bounds(visitor=True, theirs=1, faults=1),
+    "temporary": Bounds(TEMPORARY, requests=2),
+    "it comes, and the agent crashes": Bounds(visitor=True, theirs=1, crashes=2),
+    "it comes": Bounds(visitor=True, theirs=2, refusals=1),
+    "transient": Bounds(TRANSIENT, requests=2),
+    "permanent, tried again": Bounds(TRIED_AGAIN, requests=1, ends=2, spawns=3),
+    "it comes, and is adopted": Bounds(visitor=True, theirs=1, decisions=1, faults=1),
+    "its record was lost": Bounds(lost=True, decisions=2, requests=1, faults=1),
+    "it comes, and is asked for": Bounds(visitor=True, theirs=1, requests=2),
+    "its record was lost, and it comes": Bounds(lost=True, decisions=2, theirs=1, requests=1, ends=0),
+    "given away at the third attempt": Bounds(offers=1, awards=3, ends=0, errors=False),
+    "it sticks": Bounds(requests=2, sticks=True),
+    "it comes and goes, and the agent crashes": Bounds(visitor=True, theirs=1, offers=2, crashes=1, ends=0),
+    "given away twice": Bounds(offers=2, awards=2, ends=0, errors=False),
+    "it comes, and the service ends": Bounds(visitor=True, theirs=1, closes=True, crashes=1),
+    "given away, and writes fail": Bounds(offers=1, faults=1, ends=0),
+    "writes fail": Bounds(requests=2, faults=1),
+    "it crashes": Bounds(requests=1, crashes=1, refusals=1),
+    "it comes and goes": Bounds(visitor=True, theirs=1, offers=2),
+    "given away, and it sticks": Bounds(offers=1, sticks=True),
+    "given away, and adopted": Bounds(offers=1, decisions=1, faults=1, ends=0),
+    "its service ends, and writes fail": Bounds(requests=1, closes=True, faults=1),
+    "permanent": Bounds(requests=2, ends=2, refusals=1),
+    "given away, and asked for": Bounds(offers=1, requests=1, errors=False),
+    "it comes back": Bounds(offers=1, theirs=1, refusals=1, ends=0),
+    "it comes back, and the agent crashes": Bounds(offers=1, theirs=1, crashes=1, ends=0),
+    "given away, and its service ends": Bounds(offers=1, closes=True, crashes=1, ends=0),
+    "given away, and crashes": Bounds(offers=1, crashes=1),
+    "it comes back, and is asked for": Bounds(offers=1, theirs=1, requests=1, ends=0),
+    "given away": Bounds(offers=1, refusals=1, ends=1),
+    "its service ends": Bounds(requests=1, closes=True, crashes=1, checkpoints=True),
+    "it follows another": Bounds(requests=1, follows=True, refusals=1, faults=1),
+    "given away, it sticks, and its service ends": Bounds(offers=1, sticks=True, closes=True, ends=0),
+    "it comes back, and it sticks": Bounds(offers=1, theirs=1, sticks=True, ends=0),
+    "it comes back, and had failed": Bounds(TEMPORARY, offers=1, theirs=1, spawns=1),
+}

@@ -1,0 +1,75 @@
+"""Searches the machine of a hosted task exhaustively: its life joined with its hand-off, within bounds.
+
+The world is the place of one task on one agent: its life, its record in memory and on disk, its actor, the timers and
+the requests. The other agent sends all that the protocol allows it to send, early, late, doubled or never. The answers
+of the service come in the order in which it is asked, before anything else; writes, timers, messages and news of the
+actor come in any order.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from typing import Final
+
+import msgspec
+from model.hosting_promises import check
+from model.hosting_rim import Rim, Step
+from model.hosting_steps import Steps
+from model.hosting_world import Bounds, Violation, World
+
+from pancakes.hosting.machine import step
+from pancakes.life.life import State
+from pancakes.migration.record import Phase
+
+
+class Result(msgspec.Struct, frozen=True):
+    """What a search has found.
+
+    Attributes:
+        worlds: how many worlds there are.
+        met: in how many of them each state of a life goes together with each phase of a hand-off.
+        violation: the promise that is broken, with the history that leads to it; empty: none is.
+    """
+
+    worlds: int
+    met: Counter[tuple[State | None, Phase]]
+    violation: str = ""
+
+
+MOST_WORLDS: Final = 60_000
+"""A search that finds more is not bounded as it should be."""
+
+
+def search(bounds: Bounds, machine: Step = step) -> Result:
+    """Searches all histories within bounds."""
+    steps = Steps(Rim(machine, bounds), bounds)
+    met: Counter[tuple[State | None, Phase]] = Counter()
+    seen: dict[World, tuple[World | None, str]] = {}
+    waiting: deque[World | None] = deque([None])
+    while waiting:
+        world = waiting.popleft()
+        steps.what = ""
+        try:
+            for what, following in steps.begin() if world is None else steps.after(world):
+                if following in seen:
+                    continue
+                seen[following] = (world, what)
+                met[following.life.state if following.life is not None else None, following.standing.record.phase] += 1
+                check(following)
+                if len(seen) > MOST_WORLDS:
+                    raise Violation("there is no end of worlds")
+                waiting.append(following)
+        except Violation as violation:
+            last = [*history(seen, world), steps.what]
+            return Result(len(seen), met, f"{violation}, after: {', '.join(step for step in last if step)}")
+    return Result(len(seen), met)
+
+
+def history(seen: Mapping[World, tuple[World | None, str]], world: World | None) -> list[str]:
+    """Returns what has led to a world."""
+    told: list[str] = []
+    while world is not None:
+        world, what = seen[world]
+        told.append(what)
+    return told[::-1]
