@@ -356,6 +356,7 @@ DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 """The phases in which an agent cannot know by itself whether a task is its own."""
 
 DECLINED: Final[Mapping[type, Rule]] = {
+    Born: _start_declined,
     Start: _start_declined,
     Adopt: _adoption_declined,
     Forget: _forgetting_declined,
