@@ -33,11 +33,12 @@ def test_a_plan_divides_kills_and_goes_to_each_point_in_turn() -> None:
 
 
 FORGETFUL = """
-from pancakes.migration import handoff, source
+from pancakes.hosting import machine
+from pancakes.migration import source
 from pancakes.migration.record import Phase
 
-recover = handoff.recover
-handoff.recover = lambda record, *others: recover(
+recover = machine.recover
+machine.recover = lambda record, *others: recover(
     source.taken_back(record) if record.phase is Phase.COMMITTED else record, *others
 )
 """
