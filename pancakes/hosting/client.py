@@ -133,7 +133,6 @@ class ClientService(Service):
     ) -> None:
         super().__init__(*args, **others)
         self._records = records
-        self._catalogue = catalogue
         self.outbox = outbox
         self.state = state
         self._carrier = Carrier(self, mesh)
@@ -455,7 +454,7 @@ class ClientService(Service):
         if slot is not None:
             self._refuse_elsewhere(body, slot)
         if isinstance(body, Migrate) and slot is not None:
-            self._mover.ask(slot, body, request)
+            self._mover.negotiate(slot, body, request)
         else:
             super().carry_out_command(body, slot, request)
 

@@ -69,7 +69,7 @@ class Mover:
 
     # Asking for a move -----------------------------------------------------------------------------------------
 
-    def ask(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
+    def negotiate(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
         """Has the Task Migrator ask the neighbours for bids.
 
         Args:
@@ -135,7 +135,7 @@ class Mover:
                 # What is to follow may exist only on the agent where the rule was written.
                 then = rule.then if rule.then in host.slots else ""
                 try:
-                    self.ask(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
+                    self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
                 except ControlRefused as error:
                     place.ask_again_s = host.kernel.host.now() + ASK_AGAIN_S
                     host.log("warning", f"the rule of {slot.address} could not move it: {error}")
