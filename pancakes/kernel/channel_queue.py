@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 from pancakes.kernel.keep import Keep
 from pancakes.packet import Packet
@@ -32,23 +32,25 @@ class _Bounded:
     def is_full(self, weight: int) -> bool:
         return self.keep.is_full(len(self.entries), self.bytes, weight)
 
-    def add(self, number: int, packet: Packet, weight: int) -> None:
-        entries = self.entries
-        while entries and not self.keep.reliable and self.is_full(weight):
-            self.bytes -= entries.popleft()[2]
-            self.lost += self.keep.counts_losses
-        entries.append((number, packet, weight))
-        self.bytes += weight
+    def make_room(self, weight: int) -> int:
+        """Lets the oldest packets fall out until there is room for one more. Returns how many fell out."""
+        fallen = 0
+        while self.entries and self.is_full(weight):
+            self.bytes -= self.entries.popleft()[2]
+            fallen += 1
+        if self.keep.counts_losses:
+            self.lost += fallen
+        return fallen
 
 
 class ChannelQueue:
     """What waits for one reader on one channel: in one order, with a bound for each type. Any thread.
 
     Args:
-        enlist: told of the queue when something has come and it was not `listed`.
+        enlist: called with the queue when a packet is put into it while it is not `listed`.
 
     Attributes:
-        listed: whether the reader has been told that something waits.
+        listed: whether the reader knows that something waits.
         handled: how many packets were taken out.
         refused: packets from other agents that found no room under a `reliable` subscription.
     """
@@ -88,21 +90,24 @@ class ChannelQueue:
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Puts a packet; `weight`: its bytes, where it is a heavy one."""
-        self.put_all((packet,), weight)
-
-    def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
-        """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""
         with self._lock:
-            bounded = self._bounded(packets[0])
-            before = len(bounded.entries)
-            for packet in packets:
-                self._last += 1
-                bounded.add(self._last, packet, weight)
-            self._waiting += len(bounded.entries) - before
-            enlist = not self.listed
+            bounded = self._by_type.get(packet.type) or self._by_type[None]
+            if bounded.entries and not bounded.keep.reliable:
+                self._waiting -= bounded.make_room(weight)
+            self._last += 1
+            bounded.entries.append((self._last, packet, weight))
+            bounded.bytes += weight
+            self._waiting += 1
+            if self.listed:
+                return
             self.listed = True
-        if enlist:
-            self._enlist(self)
+        self._enlist(self)
+
+    def still_waits(self) -> bool:
+        """Returns whether something waits. Where not, the queue is not listed any more."""
+        with self._lock:
+            self.listed = self._waiting > 0
+            return self.listed
 
     def take(self) -> Packet | None:
         """Takes the oldest packet out; None where nothing waits."""

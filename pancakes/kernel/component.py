@@ -337,10 +337,11 @@ class Component(PykkaActor):
             self.kernel.timer.cancel(timer)
 
     def __handle_control(self) -> None:
-        control = self.actor_inbox.control
+        mailbox = self.actor_inbox
+        control = mailbox.control
         # Only what waits now: one that tells itself something must not starve the others.
         for _ in range(len(control)):
-            if self.actor_stopped.is_set():
+            if mailbox.component is not self:
                 return
             item = control.popleft()
             if isinstance(item, TaskTimer):
@@ -359,10 +360,8 @@ class Component(PykkaActor):
             if not goes_on:
                 return
             queue = waiting.pop(0)
-            queue.listed = False
             goes_on = self.__work_off(queue, until_s)
-            if len(queue) and not queue.listed:
-                queue.listed = True
+            if queue.still_waits():
                 waiting.append(queue)
 
     def __work_off(self, queue: ChannelQueue, until_s: float) -> bool:
@@ -375,7 +374,7 @@ class Component(PykkaActor):
             self.__handle(packet)
             if mailbox.control:
                 self.__handle_control()
-                if self.actor_stopped.is_set():
+                if mailbox.component is not self:
                     return False
             if mailbox.paused or (until_s < math.inf and self.kernel.host.now() > until_s):
                 return False

@@ -130,11 +130,7 @@ class Mailbox:
     def list_all(self) -> None:
         """Lists every queue in which something waits: a new component begins with what its predecessor left."""
         self.waiting.clear()
-        for queue in self.queues.values():
-            queue.listed = False  # before the look, so that what is put meanwhile is either seen or listed
-            if len(queue):
-                queue.listed = True
-                self.waiting.append(queue)
+        self.waiting.extend(queue for queue in self.queues.values() if queue.still_waits())
 
     def dropped(self) -> int:
         """Returns how many packets were lost in all queues; see `ChannelQueue.dropped`."""

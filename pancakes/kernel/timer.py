@@ -179,7 +179,7 @@ class Timer(PykkaActor):
         # A tick whose host time has come is due, even where rounding puts the mission's clock a hair before it.
         due.extend(self._mission_schedule.due(self._mission.now() + 1e-9))
         due.extend(self._host_schedule.due(self._host.now()))
-        until_s = min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
+        until_s = 0.0 if guest is None else min(self._host.now() + ONE_BY_ONE_S, self._next_host_s())
         while due:
             item = due[0]
             if not isinstance(item, Due):

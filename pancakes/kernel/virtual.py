@@ -125,7 +125,7 @@ class VirtualDispatcher(Dispatcher):
             time_s, _, call = heapq.heappop(calls)
             if call.function is None:  # called off
                 continue
-            clock.now_s = max(time_s, clock.now_s)
+            clock.now_s = time_s
             call.function()
             if self._work:
                 self.settle()

@@ -10,15 +10,17 @@ from pancakes.sim.quantities import Positive
 from pancakes.sim.state import BodyState, WorldState
 from pancakes.sim.state_file import StateFile
 
+MOTION: Final = "%.6f,%.6f,%.6f,%.6f,%.6f"
+"""Where a body is, and how fast."""
 HEADER: Final = "t_s,name,x_m,y_m,theta_rad,v_mps,omega_radps,battery_v,driven_by"
 """The first row."""
 
 
 def row(time_s: float, body: BodyState) -> str:
     """Returns the row of a body, with fixed decimals, so that equal runs give equal files."""
-    motion = (body.x_m, body.y_m, body.theta_rad, body.v_mps, body.omega_radps)
+    numbers = MOTION % (body.x_m, body.y_m, body.theta_rad, body.v_mps, body.omega_radps)
     # No minus before a zero; with all six decimals, these can only be a whole cell.
-    numbers = ",".join(f"{value:.6f}" for value in motion).replace("-0.000000", "0.000000")
+    numbers = numbers.replace("-0.000000", "0.000000")
     battery = "" if body.battery_v is None else f"{body.battery_v:.4f}"
     return f"{time_s:.3f},{body.name},{numbers},{battery},{body.driven_by}"
 
