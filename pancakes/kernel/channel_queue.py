@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from pancakes.kernel.keep import Keep
 from pancakes.packet import Packet
@@ -90,14 +90,20 @@ class ChannelQueue:
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Puts a packet; `weight`: its bytes, where it is a heavy one."""
+        self.put_all((packet,), weight)
+
+    def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
+        """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""
         with self._lock:
-            bounded = self._by_type.get(packet.type) or self._by_type[None]
-            if bounded.entries and not bounded.keep.reliable:
-                self._waiting -= bounded.make_room(weight)
-            self._last += 1
-            bounded.entries.append((self._last, packet, weight))
-            bounded.bytes += weight
-            self._waiting += 1
+            bounded = self._bounded(packets[0])
+            entries, keep = bounded.entries, bounded.keep
+            for number, packet in enumerate(packets, self._last + 1):
+                if not keep.reliable and (weight or len(entries) >= keep.limit):
+                    self._waiting -= bounded.make_room(weight)
+                entries.append((number, packet, weight))
+                bounded.bytes += weight
+            self._last += len(packets)
+            self._waiting += len(packets)
             if self.listed:
                 return
             self.listed = True

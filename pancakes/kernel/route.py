@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import msgspec
@@ -107,6 +107,11 @@ class Route(msgspec.Struct, frozen=True):
             queue.put(packet, weight)
         for tap in self.taps:
             tap(packet)
+
+    def give_all(self, packets: Sequence[Packet], weight: int) -> None:
+        """Gives packets, where there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
+        for queue in self.queues:
+            queue.put_all(packets, weight)
 
     def give_where_room(self, packet: Packet, weight: int) -> None:
         """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""

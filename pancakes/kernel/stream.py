@@ -146,7 +146,7 @@ class InformationStream:
     ) -> None:
         """Publishes packets that came from another agent: on one channel, of one type and with one destination.
 
-        The stream looks once for the components that get them.
+        The stream looks once for the components that get them, and tells each once that something waits.
 
         Args:
             packets: the packets, in their order.
@@ -158,8 +158,7 @@ class InformationStream:
         route = self._routes.get((first.channel, first.type, destination))
         if route is not None and size is not None and route.queues and not route.reliable and not route.taps:
             each = size // len(packets)
-            for packet in packets:
-                route.give(packet, each if each > LIGHT_BYTES else 0)
+            route.give_all(packets, each if each > LIGHT_BYTES else 0)
             return
         for packet in packets:
             try:
