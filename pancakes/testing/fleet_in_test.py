@@ -26,10 +26,10 @@ class _Faulty(Agent):
         self._faults = faults
         super().__init__(config, plugins, virtual)
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+    def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         came = [packet for packet in packets for _ in range(self._faults.copies(self.name, packet))]
         if came:
-            super()._on_packets(peer, came, size * len(came) // len(packets))
+            super().receive(peer, came, size * len(came) // len(packets))
 
 
 class FleetInTest:
