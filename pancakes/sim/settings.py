@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 from pancakes.sim.battery import BatterySettings
 from pancakes.sim.models import robot_model
-from pancakes.sim.mover import MoverSettings
 from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.sim.wayfinder import MoverSettings
 
 
 @dataclass
