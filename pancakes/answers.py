@@ -70,7 +70,7 @@ class Answers:
         self._reply(request, Reply(not reason, reason, result, request.number))
 
     def refuse_all(self, reason: str) -> None:
-        """Tells all askers who still wait that what they asked for is not done."""
+        """Tells all askers that still wait that what they asked for is not done."""
         for request in list(self._owed.values()):
             self.give(request, reason)
 

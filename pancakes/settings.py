@@ -229,7 +229,7 @@ def _plain_key(key: Any) -> str:
 def _plain_number(value: Any) -> Any:
     if is_number(value):
         return value.item()
-    raise TypeError(f"it holds a value of the class {type(value).__name__}, which cannot be saved")
+    raise TypeError(f"it contains a value of the class {type(value).__name__}, which cannot be saved")
 
 
 def _convert(value: Any, kind: Any) -> Any:

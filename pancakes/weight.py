@@ -99,7 +99,7 @@ def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of(value: Any) -> Sequence[Any] | int:
-    """Returns what a value holds; its bytes where that is known, or where it holds nothing."""
+    """Returns what a value contains; its bytes where that is known, or where it contains nothing."""
     if isinstance(value, (list, tuple)):
         return value
     if isinstance(value, dict):
@@ -132,7 +132,7 @@ def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
         hints = get_type_hints(cls)
         large = [(name, hints.get(name, Any)) for name in names]
         return tuple((name, _bytes_of_items(hint)) for name, hint in large if not _is_small(hint))
-    except Exception:  # a type that is imported for checks only, or one that holds itself
+    except Exception:  # a type that is imported for checks only, or one that contains itself
         return tuple((name, 0) for name in names)
 
 

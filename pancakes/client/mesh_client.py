@@ -221,7 +221,7 @@ class Client:
         return self._clock.now()
 
     def wait(self, until_s: float, condition: Callable[[], bool]) -> bool:
-        """Waits until the condition holds, at most until a host time; returns whether it does.
+        """Waits until the condition is true, at most until a host time; returns whether it is.
 
         It is looked at whenever an agent comes, goes, answers or sends something, and now and then.
         """
@@ -465,7 +465,7 @@ class Client:
         return "\n".join([*lines, there])
 
     def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:
-        """Waits until the condition holds, or the time is up."""
+        """Waits until the condition is true, or the time is up."""
         while True:
             with self._lock:
                 if condition():

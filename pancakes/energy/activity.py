@@ -138,7 +138,7 @@ class RateSupervision(Decider):
     Args:
         settings: the rules.
         now_s: the mission time.
-        doubt: whether there was a supervisor before this one, so that nothing is known of the rates that hold.
+        doubt: whether there was a supervisor before this one, so that nothing is known of the rates that are in force.
 
     Attributes:
         busy: whether something happens, by the name of the rule.

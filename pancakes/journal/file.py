@@ -160,7 +160,7 @@ def empty(directory: Path) -> bool:
 
 
 def _locked(opened: StateDirectory) -> int:
-    """Locks a state directory for this process; returns what holds the lock until it is closed."""
+    """Locks a state directory for this process; returns the handle that keeps the lock until it is closed."""
     handle = os.open(_LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600, dir_fd=opened.handle)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -103,7 +103,7 @@ class Journal(ABC):
             try:
                 entry = unseal(self.uuid, self._load(name))
                 if _name_of(entry.kind, entry.key) != name:
-                    raise Unbelievable(f"holds the entry {entry.kind} {entry.key}, which is not what its name says")
+                    raise Unbelievable(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
             except Unbelievable as error:
                 aside.append(self._put_aside(name, str(error)))
             else:

@@ -26,7 +26,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class FleetTable:
-    """The table `[fleet]`: what holds for all of its agents.
+    """The table `[fleet]`: the settings that all of its agents share.
 
     Attributes:
         name: the fleet that they belong to; empty: each says so in its own file.

@@ -51,7 +51,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     reader = RecordingReader(path)
     findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:
-        raise RecordingError(f"{path} holds no packets" + _because(reader.notes()))
+        raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
     if task_id and not findings.course.lanes:
         raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
     notes = [

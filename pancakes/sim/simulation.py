@@ -60,7 +60,7 @@ class Simulation:
     """A world with everything that its settings put into it.
 
     Args:
-        settings: what it holds.
+        settings: its contents.
         random: all that is drawn is drawn from this.
     """
 

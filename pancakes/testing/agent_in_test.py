@@ -120,7 +120,7 @@ class AgentInTest:
         return packet.body.fields
 
     def wait_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S, what: str = "") -> None:
-        """Runs the agent, or waits for it, until a condition holds; fails where it does not in time."""
+        """Runs the agent, or waits for it, until a condition is true; fails where it is not in time."""
         if not self.probe.wait(condition, at_most_s):
             raise AssertionError(
                 f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{self.log_tail(15)}"

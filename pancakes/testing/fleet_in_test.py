@@ -166,7 +166,7 @@ class FleetInTest:
         self.fleet.run_for(duration_s)
 
     def run_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
-        """Runs all agents until a condition holds; returns whether it came to hold."""
+        """Runs all agents until a condition is true; returns whether it became true."""
         return self.fleet.run_while(lambda: not condition(), at_most_s)
 
     def connect(self, at_most_s: float = PATIENCE_S) -> None:

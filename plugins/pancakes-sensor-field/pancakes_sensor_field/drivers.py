@@ -39,7 +39,7 @@ class LineNodes(Sensor):
 
     @dataclass
     class Settings:
-        """Who speaks on a line.
+        """The nodes on a line.
 
         Attributes:
             nodes: the number of each tiny node, by the name that it shall have here.
@@ -146,7 +146,7 @@ class LineNodes(Sensor):
             self._station.ended()
         for number in heard.strangers:
             self.context.log(
-                "warning", f"a node with the number {number} speaks on {self.line_name()}; nobody named it"
+                "warning", f"a node with the number {number} speaks on {self.line_name()}; the settings do not name it"
             )
         for reading in heard.readings:
             self._show(reading)
@@ -191,7 +191,7 @@ class SerialNodes(LineNodes):
 class UdpNodes(LineNodes):
     """Tiny nodes that send datagrams (`sensor_field.udp`).
 
-    Who they are is not checked: whoever can reach the port can speak as any of them.
+    Their identity is not checked: any program that can reach the port can speak as any of them.
     """
 
     @dataclass
