@@ -1,4 +1,4 @@
-"""What a component owes to those who asked it for something: each gets an answer, and each gets one."""
+"""The answers that a component owes: each request gets one, and no more than one."""
 
 from __future__ import annotations
 

@@ -208,8 +208,9 @@ def _plain(value: Any) -> Any:
     cls = type(value)
     if cls in _LEAVES:
         return value
-    if has_fields(cls):
-        return {name: _plain(getattr(value, name)) for name in field_names(cls)}
+    names = _fields_of(cls)
+    if names is not None:
+        return {name: _plain(getattr(value, name)) for name in names}
     if cls is dict:
         return {_plain_key(key): _plain(item) for key, item in value.items()}
     if cls is list or cls is tuple:
@@ -220,6 +221,11 @@ def _plain(value: Any) -> Any:
         copied.flags.writeable = False
         return copied
     return msgspec.to_builtins(value, str_keys=True, enc_hook=_plain_number)
+
+
+@cache
+def _fields_of(cls: type) -> tuple[str, ...] | None:
+    return field_names(cls) if has_fields(cls) else None
 
 
 def _plain_key(key: Any) -> str:

@@ -19,7 +19,7 @@ from pancakes.packet import field_names
 LIGHT_BYTES: Final = 2048
 """A lighter body is not counted: the number of packets that may wait bounds them well enough."""
 BRIEF_BYTES: Final = 16 * 1024
-"""What is told of a value larger than this is how large it is."""
+"""Of a value larger than this only the size is shown."""
 SAMPLE: Final = 256
 """Of more things in a list or map so many are looked at, spread over it, and stand for the rest."""
 MOST_VALUES: Final = 1000
@@ -59,9 +59,7 @@ def weigh(value: Any) -> int:
             continue
         sample = parts[:: len(parts) // SAMPLE | 1]  # an odd step: of two kinds in turns it finds both
         each = times * len(parts) / max(1, len(sample))
-        large = (
-            [] if all(map(is_small, set(map(type, sample)))) else [it for it in sample if not is_small(it.__class__)]
-        )
+        large = [it for it in sample if not is_small(it.__class__)]
         size += each * NUMBER_BYTES * (len(sample) - len(large))
         waiting.extend([(part, each) for part in large])
     return int(size + NUMBER_BYTES * sum(times for _, times in waiting))
@@ -69,17 +67,7 @@ def weigh(value: Any) -> int:
 
 def weight_of(body: Any) -> int:
     """Returns the bytes of a packet's body where they count; 0 for a light one."""
-    fields = _large_fields(body.__class__)
-    if fields is None:
-        weight = weigh(body)
-    else:
-        weight = 0
-        for name, item_bytes in fields:  # of most bodies these are texts and rows of numbers, whose lengths say it all
-            part = getattr(body, name, None)
-            if item_bytes and isinstance(part, (str, bytes, list, tuple)):
-                weight += item_bytes * len(part)
-            else:
-                weight += weigh(part)
+    weight = 0 if is_small(body.__class__) else weigh(body)
     return weight if weight > LIGHT_BYTES else 0
 
 

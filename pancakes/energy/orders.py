@@ -70,7 +70,7 @@ class OrderBook:
         self._wanted.update(values)
 
     def due(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; `asked` must be told of each.
+        """Returns the orders that are due; the caller passes each that it publishes to `asked`.
 
         Several settings of one task become one order. Knobs in doubt are asked about first.
         """

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.journal.directory import StateDirectory
-from pancakes.journal.journal import BAD, SUFFIX, Journal
+from pancakes.journal.journal import SUFFIX, Journal
 from pancakes.journal.seal import JournalError
 
 _LOCK: Final = "lock"
@@ -116,17 +116,10 @@ class FileJournal(Journal):
             file.flush()
             os.fsync(file.fileno())
 
-    def _rename_bad(self, name: str) -> str:
+    def _rename(self, name: str, new: str) -> None:
         handle = self._handle
-        taken = set(os.listdir(handle))
-        bad = name + BAD
-        number = 1
-        while bad in taken:
-            number += 1
-            bad = f"{name}.{number}{BAD}"
-        os.rename(name, bad, src_dir_fd=handle, dst_dir_fd=handle)
+        os.rename(name, new, src_dir_fd=handle, dst_dir_fd=handle)
         os.fsync(handle)
-        return bad
 
 
 def empty(directory: Path) -> bool:

@@ -54,9 +54,7 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
         raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
     if task_id and not findings.course.lanes:
         raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
-    notes = [
-        f"{note}: what comes after is not in this report" if "cut off" in note else note for note in reader.notes()
-    ]
+    notes = [f"{note}: the rest of it is not in this report" if "cut off" in note else note for note in reader.notes()]
     if findings.strange:
         notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)

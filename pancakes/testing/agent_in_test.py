@@ -193,7 +193,7 @@ def threaded_agent(
     """Runs an agent on threads and in real time, as on a robot, and stops it at the end of the `with`.
 
     Args:
-        name, text, tasks, devices, services, agent: as for `FleetInTest.start`; it listens nowhere unless it is told.
+        name, text, tasks, devices, services, agent: as for `FleetInTest.start`; without `listen` it listens nowhere.
         classes: classes that `text` names, by name.
         state_dir: its state directory; None: one that is removed afterwards.
     """

@@ -103,7 +103,7 @@ class SerialLine(_ThreadLine):
 
         with serial.Serial(self._port, self._baud, write_timeout=0, exclusive=True) as port:
             self._cancel = port.cancel_read
-            port.reset_input_buffer()  # what came before this is old
+            port.reset_input_buffer()  # readings from before this are old
             listener.found()
 
             def reply(data: bytes) -> None:
