@@ -205,7 +205,7 @@ def plain_settings(settings: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    cls = type(value)
+    cls = value.__class__
     if cls in _LEAVES:
         return value
     names = _fields_of(cls)
