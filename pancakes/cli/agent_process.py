@@ -146,8 +146,7 @@ def _check(config: Config, plugins: Plugins) -> None:
     for group in GROUPS:
         for name in plugins.names(group):
             try:
-                if not name.endswith(".*"):
-                    plugins.get(group, name)
+                plugins.get(group, name)
             except PluginError:
                 continue  # `problems` has it
     for problem in plugins.problems():

@@ -108,17 +108,17 @@ def draw_all(findings: Findings, out: Path) -> list[Picture]:
     # Those that move or run tasks come first: they get the colours that are easiest to tell apart.
     busy = [*sorted(findings.paths.commands), *sorted(findings.paths.batteries), *findings.agents]
     palette = Palette([*busy, *findings.paths.truth])
-    traffic, clock = findings.traffic, findings.time.name
+    traffic = findings.traffic
     draws: tuple[Callable[[], Picture | None], ...] = (
         lambda: scenes.draw_paths(findings, palette, out),
-        lambda: scenes.draw_course(findings, palette, clock, out),
+        lambda: scenes.draw_course(findings, palette, out),
         lambda: scenes.draw_moves(findings, palette, out),
-        lambda: scenes.draw_batteries(findings, palette, clock, out),
+        lambda: scenes.draw_batteries(findings, palette, out),
         lambda: measures.draw_rates(findings, palette, out),
-        lambda: measures.draw_lateness(findings, palette, clock, out),
-        lambda: measures.draw_drops(findings, palette, clock, out),
-        lambda: measures.draw_traffic(findings, clock, out, "traffic-links", traffic.links, "link"),
-        lambda: measures.draw_traffic(findings, clock, out, "traffic-channels", traffic.channels, "channel"),
+        lambda: measures.draw_lateness(findings, palette, out),
+        lambda: measures.draw_drops(findings, palette, out),
+        lambda: measures.draw_traffic(findings, out, "traffic-links", traffic.links, "link"),
+        lambda: measures.draw_traffic(findings, out, "traffic-channels", traffic.channels, "channel"),
         lambda: measures.draw_reactions(findings, out),
     )
     return [picture for picture in (draw() for draw in draws) if picture is not None]
