@@ -59,7 +59,9 @@ def weigh(value: Any) -> int:
             continue
         sample = parts[:: len(parts) // SAMPLE | 1]  # an odd step: of two kinds in turns it finds both
         each = times * len(parts) / max(1, len(sample))
-        large = [it for it in sample if not is_small(it.__class__)]
+        large = (
+            [] if all(map(is_small, set(map(type, sample)))) else [it for it in sample if not is_small(it.__class__)]
+        )
         size += each * NUMBER_BYTES * (len(sample) - len(large))
         waiting.extend([(part, each) for part in large])
     return int(size + NUMBER_BYTES * sum(times for _, times in waiting))
@@ -67,7 +69,17 @@ def weigh(value: Any) -> int:
 
 def weight_of(body: Any) -> int:
     """Returns the bytes of a packet's body where they count; 0 for a light one."""
-    weight = 0 if is_small(body.__class__) else weigh(body)
+    fields = _large_fields(body.__class__)
+    if fields is None:
+        weight = weigh(body)
+    else:
+        weight = 0
+        for name, item_bytes in fields:  # of most bodies these are texts and rows of numbers, whose lengths say it all
+            part = getattr(body, name, None)
+            if item_bytes and isinstance(part, (str, bytes, list, tuple)):
+                weight += item_bytes * len(part)
+            else:
+                weight += weigh(part)
     return weight if weight > LIGHT_BYTES else 0
 
 
