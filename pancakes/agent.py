@@ -9,15 +9,14 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import msgspec
-from msgspec.structs import asdict
 
-from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse_address
+from pancakes.composition import Composition
+from pancakes.config import Config, parse_address
 from pancakes.control import CONTROLS
-from pancakes.errors import PancakesError, PluginError, describe, traceback_of
+from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
 from pancakes.hosting.client import ClientService
 from pancakes.hosting.courier import Courier
@@ -28,13 +27,13 @@ from pancakes.hosting.load import describe_process
 from pancakes.hosting.records import KIND as RECORD
 from pancakes.hosting.records import Records
 from pancakes.hosting.shared_outbox import SharedOutbox
+from pancakes.installed import Installed
 from pancakes.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
 from pancakes.kernel.component import Component
 from pancakes.kernel.dispatch import defer
 from pancakes.kernel.kernel import Kernel
 from pancakes.kernel.tell import tell
 from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.migration.cost import Cost
 from pancakes.migration.outbox import Outbox
 from pancakes.migration.rest import resting
 from pancakes.net.link_log import DROPS_REPORTED_EVERY_S
@@ -44,20 +43,17 @@ from pancakes.packet import Packet, body_class, join
 from pancakes.plugins import Plugins
 from pancakes.service import Service
 from pancakes.service_messages import Close, NoRoom, PeerDown
-from pancakes.service_spec import ServiceSpec
-from pancakes.services.device import DeviceService, DeviceSpec
+from pancakes.services.device import DeviceService
 from pancakes.services.fences import Fences
 from pancakes.services.log import LogService
 from pancakes.services.network import NetworkService
 from pancakes.services.root import Root
 from pancakes.services.wanted_recordings import wanted_recordings
 from pancakes.settings import make_settings
-from pancakes.task import Task, TaskSpec
+from pancakes.state_dir import state_dir_of
 from pancakes.wire.link import LinkTimes
 from pancakes.wire.link_messages import Hello, Identity
 
-FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
-"""Services of these classes start before all others, in this order; the tasks of the user need them."""
 _TOLD_ONCE = ("name", "role", "fleet", "listen")
 """What a description of the agent says by itself, and not again with its mesh."""
 CLOSE_S = 1.5
@@ -85,6 +81,7 @@ class Agent:
         config: its configuration.
         plugins: where its classes are found.
         virtual: run in virtual time; None: on threads and sockets.
+        arguments: what its tasks get besides their settings, by the task's name and by argument.
 
     Attributes:
         name: its name.
@@ -103,7 +100,13 @@ class Agent:
         PancakesError: a plug-in is missing, its journal is in use, ...; the message says which.
     """
 
-    def __init__(self, config: Config, plugins: Plugins | None = None, virtual: Virtual | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        plugins: Plugins | None = None,
+        virtual: Virtual | None = None,
+        arguments: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
         self.config = config
         self.name = config.agent.name
         self._plugins = plugins or Plugins()
@@ -130,13 +133,19 @@ class Agent:
         self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
         journal = virtual.journal if virtual is not None else self._open_journal()
         try:
-            self._compose(config, journal, virtual)
+            self._compose(config, journal, virtual, arguments or {})
         except BaseException:
             journal.close()
             self.kernel.stop()
             raise
 
-    def _compose(self, config: Config, journal: Journal, virtual: Virtual | None) -> None:
+    def _compose(
+        self,
+        config: Config,
+        journal: Journal,
+        virtual: Virtual | None,
+        arguments: Mapping[str, Mapping[str, Any]],
+    ) -> None:
         network = self._network_settings()
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
@@ -155,14 +164,8 @@ class Agent:
         self.records = Records(disk)
         self.resting = self._resting()
         self.ledgers = Ledgers(disk, self.kernel.log)
-        self.host_state = HostState(self.kernel, self.config.agent.role, self._has_type, self._costs, self.records)
-        # Each kind of record on disk, the services that work with it, and the argument by which they get it.
-        self._kept: tuple[tuple[Any, type[Service], str], ...] = (
-            (self.records, ClientService, "records"),
-            (self.ledgers, NetworkService, "ledgers"),
-            (Fences(disk), DeviceService, "fences"),
-            (wanted_recordings(disk), LogService, "wanted"),
-        )
+        installed = Installed(self._plugins)
+        self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
         lost = self.records.all_lost()
         told = {(RECORD, str(one.task_id)) for one in lost}
         self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
@@ -174,7 +177,7 @@ class Agent:
             config.agent.peers,
             self.kernel.random_for("mesh"),
             self.kernel.host,
-            on_packets=self._on_packets,
+            on_packets=self.receive,
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
@@ -188,7 +191,19 @@ class Agent:
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
         for channel in config.channels:
             self.kernel.stream.open(channel)
-        self._specs = self._services()
+        shared: dict[type[Service], dict[str, Any]] = {
+            LogService: {"wanted": wanted_recordings(disk)},
+            DeviceService: {"fences": Fences(disk)},
+            NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
+            ClientService: {
+                "mesh": self.mesh,
+                "state": self.host_state,
+                "records": self.records,
+                "outbox": self.outbox,
+                "catalogue": installed,
+            },
+        }
+        self._specs = Composition(config, self._plugins, installed, shared, arguments, self.skipped).services()
 
     # Life ------------------------------------------------------------------------------------------------------
 
@@ -385,7 +400,8 @@ class Agent:
                 return
             say()
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+    def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+        """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
         self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
@@ -426,12 +442,8 @@ class Agent:
     # Composition -----------------------------------------------------------------------------------------------
 
     def _open_journal(self) -> Journal:
-        agent = self.config.agent
-        if agent.role != "agent":
-            # A world or a terminal owns no task that could move: nothing of it has to outlive the process.
-            return MemoryJournal({}, str(uuid.uuid4()))
-        directory = Path(agent.state_dir) if agent.state_dir else default_state_dir(agent.fleet, agent.name)
-        return FileJournal(directory)
+        directory = state_dir_of(self.config)
+        return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
         agent = self.config.agent
@@ -450,128 +462,7 @@ class Agent:
         known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transport") if name in given}
         return make_settings(NetworkService.Settings, known)
 
-    def _services(self) -> list[ServiceSpec]:
-        by_service: dict[str, list[TaskSpec]] = {}
-        for task in self.config.tasks.values():
-            spec = self._task(task)
-            if spec is not None:
-                by_service.setdefault(task.service, []).append(spec)
-        configs = self.config.services
-        made = [self._service(config, tuple(by_service.get(name, ()))) for name, config in configs.items()]
-        specs = sorted([spec for spec in made if spec is not None], key=_turn_of)
-        hosts = [spec.name for spec in specs if issubclass(spec.cls, DeviceService)]
-        for device in self.config.devices.values():
-            if device.service not in hosts:
-                self.skipped.append(f"the device {device.name} does not run: no device service {device.service!r} does")
-        return specs
-
-    def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
-        try:
-            cls = self._plugins.get("pancakes.services", config.type)
-        except PluginError as error:
-            self._skip(f"the service {config.name}", error)
-            return None
-        if cls.only_name not in ("", config.name):
-            self.skipped.append(
-                f"the service {config.name} does not run: an agent has one {cls.__name__}, and that is {cls.only_name}"
-            )
-            return None
-        return ServiceSpec(
-            config.name, cls, config.settings, tasks, config.restart, self._arguments_of(config.name, cls)
-        )
-
-    def _arguments_of(self, name: str, cls: type[Service]) -> dict[str, Any]:
-        """Returns what a service is given besides its settings and tasks: that goes by its class, not by its name."""
-        arguments = {argument: kept for kept, service, argument in self._kept if issubclass(cls, service)}
-        if issubclass(cls, DeviceService):
-            devices = [self._device(device) for device in self.config.devices.values() if device.service == name]
-            arguments["devices"] = tuple(device for device in devices if device is not None)
-        elif issubclass(cls, LogService):
-            # The table [record] is for one recorder: all packets need not be recorded twice.
-            record = self.config.record if name == "log" else None
-            arguments["record"] = asdict(record) if record is not None else None
-        elif issubclass(cls, NetworkService):
-            arguments["mesh"] = self.mesh
-            arguments["state"] = self.host_state
-        if issubclass(cls, ClientService):
-            arguments["catalogue"] = self
-            arguments["outbox"] = self.outbox
-            arguments["mesh"] = self.mesh
-            arguments["state"] = self.host_state
-        return arguments
-
-    def _device(self, config: DeviceConfig) -> DeviceSpec | None:
-        try:
-            cls = self._plugins.get("pancakes.drivers", config.driver)
-        except PluginError as error:
-            self._skip(f"the device {config.name}", error)
-            return None
-        return DeviceSpec(
-            config.name, cls, config.driver, config.settings, config.rate_hz, config.hold_after_s, config.restart
-        )
-
-    def _task(self, config: TaskConfig) -> TaskSpec | None:
-        try:
-            cls, version = self.find(config.type)
-        except PluginError as error:
-            self._skip(f"the task {config.name}", error)
-            return None
-        return TaskSpec(
-            name=config.name,
-            cls=cls,
-            type=config.type,
-            version=version,
-            settings=config.settings,
-            rate_hz=config.rate_hz,
-            start=config.start,
-            restart=config.restart,
-            durability=config.durability,
-            rule=config.migrate,
-        )
-
     def _resting(self) -> dict[str, str]:
         services = {task.name: task.service for task in self.config.tasks.values() if task.start}
         found = resting(self.name, services, self.records.all())
         return {f"{services[name]}/{name}": why for name, why in found.items()}
-
-    def _skip(self, what: str, error: PluginError) -> None:
-        """One bad plug-in is named, and the rest runs."""
-        self.skipped.append(f"{what} does not run: {error}")
-
-    def find(self, type_name: str) -> tuple[type[Task], str]:
-        """Returns a task's class, and the version of its distribution.
-
-        Raises:
-            PluginError: there is none of this name, or it cannot be imported.
-        """
-        cls = self._plugins.get("pancakes.tasks", type_name)
-        return cls, self._plugins.version("pancakes.tasks", type_name).version
-
-    def _has_type(self, name: str) -> str | None:
-        """Returns the version in which a task type is installed and can be imported; None where it is not."""
-        try:
-            return self.find(name)[1]
-        except PluginError:
-            return None
-
-    def _costs(self) -> Mapping[str, Cost]:
-        costs: dict[str, Cost] = {}
-        for name in self._plugins.names("pancakes.costs"):
-            try:
-                costs[name] = self._plugins.get("pancakes.costs", name)()
-            except Exception:  # one that cannot be made, for whatever reason, is one that this agent does not know
-                continue
-        return costs
-
-
-def _turn_of(spec: ServiceSpec) -> int:
-    """Returns the place of a service in the order in which services start; those of one place keep their order."""
-    return next((place for place, cls in enumerate(FIRST) if issubclass(spec.cls, cls)), len(FIRST))
-
-
-def default_state_dir(fleet: str, name: str) -> Path:
-    """Returns where an agent keeps what must outlive it, if its configuration does not say."""
-    import os
-
-    base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
-    return Path(base) / "pancakes" / fleet / name

@@ -1,4 +1,4 @@
-"""What a component owes to those who asked it for something: each gets an answer, and each gets one."""
+"""The answers that a component owes: each request gets one, and no more than one."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Answers:
         self._reply(request, Reply(not reason, reason, result, request.number))
 
     def refuse_all(self, reason: str) -> None:
-        """Tells all askers who still wait that what they asked for is not done."""
+        """Tells all askers that still wait that what they asked for is not done."""
         for request in list(self._owed.values()):
             self.give(request, reason)
 

@@ -18,7 +18,7 @@ from pancakes import codecs
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
 
 ARRAY_EXTENSION: Final = 1
-"""Number of the msgpack extension type that holds a numpy array: its dtype, shape and raw bytes."""
+"""Number of the msgpack extension type of a numpy array: its dtype, shape and raw bytes."""
 
 _DTYPE = re.compile(r"\A(?:\|b1|\|[iu]1|[<>][iu][248]|[<>]f[248]|[<>]c(?:8|16))\Z")
 
@@ -26,7 +26,7 @@ _Side = Annotated[int, msgspec.Meta(ge=0, le=2**31)]
 
 
 class _ArrayRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
-    """What the extension type of numpy arrays holds."""
+    """The content of a numpy array's extension type."""
 
     dtype: str
     shape: Annotated[tuple[_Side, ...], msgspec.Meta(max_length=32)]
@@ -67,7 +67,7 @@ def extension_from_array(array: Any, where: str) -> msgspec.msgpack.Ext:
         where: what leads to it, for the sentence of an error.
 
     Raises:
-        LocalProtocolError: it holds anything but numbers and booleans.
+        LocalProtocolError: it contains anything but numbers and booleans.
     """
     dtype = array.dtype.str
     if not _DTYPE.match(dtype):
@@ -82,7 +82,7 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
         RemoteProtocolError: the bytes are no array of numbers or booleans.
     """
     if code != ARRAY_EXTENSION:
-        raise RemoteProtocolError(f"a frame holds an extension type that is not ours: {code}")
+        raise RemoteProtocolError(f"a frame contains an extension type that is not ours: {code}")
     limit = len(data)
     try:
         array = codecs.convert(
@@ -90,11 +90,11 @@ def array_from_extension(code: int, data: bytes | memoryview) -> Any:
             _ArrayRow,
         )
     except (ValueError, TypeError) as error:  # msgspec's ValidationError is a ValueError
-        raise RemoteProtocolError(f"a frame holds a malformed array: {error}") from None
+        raise RemoteProtocolError(f"a frame contains a malformed array: {error}") from None
     if not _DTYPE.match(array.dtype):
-        raise RemoteProtocolError(f"a frame holds an array of {array.dtype!r}, and only numbers and booleans travel")
+        raise RemoteProtocolError(f"a frame contains an array of {array.dtype!r}, and only numbers and booleans travel")
     if math.prod(array.shape) * int(array.dtype[2:]) != len(array.raw):
-        raise RemoteProtocolError(f"a frame holds an array of the shape {array.shape} in {len(array.raw)} bytes")
+        raise RemoteProtocolError(f"a frame contains an array of the shape {array.shape} in {len(array.raw)} bytes")
     import numpy
 
     return numpy.frombuffer(array.raw, dtype=array.dtype).reshape(array.shape)
@@ -107,7 +107,7 @@ def saved_array(value: Any) -> msgspec.msgpack.Ext:
         TypeError: it is no array, or one of anything but numbers and booleans.
     """
     if not is_array(value):
-        raise TypeError(f"it holds a value of the class {type(value).__name__}, which cannot be saved")
+        raise TypeError(f"it contains a value of the class {type(value).__name__}, which cannot be saved")
     check_items(value)
     return extension_from_array(value, "an array")
 
@@ -116,10 +116,10 @@ def check_items(array: Any) -> None:
     """Refuses an array that cannot be saved.
 
     Raises:
-        TypeError: it holds anything but numbers and booleans.
+        TypeError: it contains anything but numbers and booleans.
     """
     if not _DTYPE.match(array.dtype.str):
-        raise TypeError(f"it holds an array of {array.dtype}, and only arrays of numbers and booleans can be saved")
+        raise TypeError(f"it contains an array of {array.dtype}, and only arrays of numbers and booleans can be saved")
 
 
 # As values of settings and state -------------------------------------------------------------------------------
@@ -184,12 +184,12 @@ def array_of(kind: Any, value: Any) -> Any:
         with numpy.errstate(all="ignore"):  # what does not fit is found below
             made = given.astype(wanted)
     except OverflowError:
-        raise ValueError(f"has a number that {wanted} cannot hold") from None
+        raise ValueError(f"has a number that {wanted} cannot represent") from None
     except ValueError:
         raise ValueError("expected lists of the same length") from None
     fits = (made == given).all() if wanted.kind in "iu" else (numpy.isfinite(made) == numpy.isfinite(given)).all()
     if not fits:
-        raise ValueError(f"has a number that {wanted} cannot hold")
+        raise ValueError(f"has a number that {wanted} cannot represent")
     return made
 
 

@@ -92,23 +92,3 @@ class MissionClock:
     def host_time(self, mission_s: float) -> float:
         """Returns the host time at which the mission reaches `mission_s`; infinity while it is held."""
         return self._origin_s + mission_s / self.speed
-
-
-class VirtualMissionClock(MissionClock):
-    """A mission clock on a virtual one. It asks that without a call: a second of a mission asks 400 times.
-
-    Args:
-        host: the clock it stands on.
-        speed: as above.
-        held: likewise.
-    """
-
-    __slots__ = ("_host",)
-
-    def __init__(self, host: VirtualClock, speed: float = 1.0, held: bool = False) -> None:
-        super().__init__(host, speed, held)
-        self._host = host
-
-    def now(self) -> float:
-        elapsed_s = self._host.now_s - self._origin_s
-        return elapsed_s * self.speed if elapsed_s > 0.0 else 0.0

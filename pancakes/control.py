@@ -200,9 +200,9 @@ class Channels(msgspec.Struct, frozen=True):
 class History(msgspec.Struct, frozen=True):
     """Asks the Log Service what was said on `log`; the `result` is a list of records, oldest first.
 
-    A record is what a line of the service's file holds: `t_s` (mission time), `agent`, `source`, `kind`, and what
+    A record has what a line of the service's file has: `t_s` (mission time), `agent`, `source`, `kind`, and what
     belongs to that kind (`line`: `level` and `text`); and its `entry`, which counts what was said since the service
-    began. A reply holds as many as fit: a client that wants the rest asks again, with the last `entry` as `after`,
+    began. A reply has as many as fit: a client that wants the rest asks again, with the last `entry` as `after`,
     until the list is empty.
 
     Attributes:

@@ -88,10 +88,10 @@ class VirtualFleet:
         self.run_until(self.now() + duration_s)
 
     def run_while(self, condition: Callable[[], bool], at_most_s: float) -> bool:
-        """Runs while `condition` holds, for no more than `at_most_s` of virtual time.
+        """Runs while `condition` is true, for no more than `at_most_s` of virtual time.
 
         Returns:
-            Whether it ceased to hold.
+            Whether it became false.
         """
         return self.dispatcher.run_while(condition, self.now() + at_most_s)
 

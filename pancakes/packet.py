@@ -51,7 +51,7 @@ class Fence(msgspec.Struct, frozen=True, array_like=True):
 
     Attributes:
         task_id: the task's durable identity, `birthplace/name`.
-        epoch: how often it was handed over, and who minted that number; compared in this order.
+        epoch: how often it was handed over, and the agent that minted that number; compared in this order.
     """
 
     task_id: str
@@ -178,7 +178,7 @@ def body_to_plain(body: Any) -> Any:
     """Returns a body, or a part of one, as mappings, lists (or tuples), strings and numbers; arrays become lists.
 
     Raises:
-        TypeError: it holds what no packet may hold.
+        TypeError: it contains what no packet may contain.
     """
     return msgspec.to_builtins(body, enc_hook=as_list, str_keys=True)
 

@@ -235,7 +235,7 @@ def _oddity(status: os.stat_result) -> str:
 
 
 def is_locked(file: int | BinaryIO) -> bool:
-    """Returns whether another process holds the lock on a file."""
+    """Returns whether another process has the lock on a file."""
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -40,7 +40,7 @@ _CONTAINERS: Final = (_I.ListType, _I.SetType, _I.FrozenSetType, _I.VarTupleType
 
 
 def check_saved(owner: type, *names: str) -> None:
-    """Refuses a class whose settings or state hold what cannot be saved.
+    """Refuses a class whose settings or state contain what cannot be saved.
 
     What is named by an annotation that cannot be resolved yet is judged when it is first used.
 
@@ -140,7 +140,7 @@ def _fault_in(kind: Any, inside: frozenset[type]) -> str:
             " list[float] or dict[str, float]"
         )
     if isinstance(info, (_I.RawType, _I.ExtType)):
-        return "holds what only msgspec can read: write bytes"
+        return "contains what only msgspec can read: write bytes"
     if isinstance(info, _I.CustomType):
         return _fault_of_class(info.cls)
     if isinstance(info, _I.DictType) and not isinstance(_unwrapped(info.key_type), (*_KEYS, _I.AnyType)):

@@ -205,11 +205,12 @@ def plain_settings(settings: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    cls = type(value)
+    cls = value.__class__
     if cls in _LEAVES:
         return value
-    if has_fields(cls):
-        return {name: _plain(getattr(value, name)) for name in field_names(cls)}
+    names = _fields_of(cls)
+    if names is not None:
+        return {name: _plain(getattr(value, name)) for name in names}
     if cls is dict:
         return {_plain_key(key): _plain(item) for key, item in value.items()}
     if cls is list or cls is tuple:
@@ -222,6 +223,11 @@ def _plain(value: Any) -> Any:
     return msgspec.to_builtins(value, str_keys=True, enc_hook=_plain_number)
 
 
+@cache
+def _fields_of(cls: type) -> tuple[str, ...] | None:
+    return field_names(cls) if has_fields(cls) else None
+
+
 def _plain_key(key: Any) -> str:
     return key if type(key) is str else next(iter(msgspec.to_builtins({key: None}, str_keys=True)))
 
@@ -229,7 +235,7 @@ def _plain_key(key: Any) -> str:
 def _plain_number(value: Any) -> Any:
     if is_number(value):
         return value.item()
-    raise TypeError(f"it holds a value of the class {type(value).__name__}, which cannot be saved")
+    raise TypeError(f"it contains a value of the class {type(value).__name__}, which cannot be saved")
 
 
 def _convert(value: Any, kind: Any) -> Any:

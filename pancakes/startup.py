@@ -17,7 +17,7 @@ STARTED_AT_ONCE: Final = 64
 class Startup:
     """Starts the tasks that start with their service. All in the service's actor.
 
-    In one turn ten thousand would hold a thread of the pool for half a second, and fight with those that run already
+    In one turn ten thousand would occupy a thread of the pool for half a second, and fight with those that run already
     for the interpreter. What is asked of a task meanwhile waits.
 
     Args:

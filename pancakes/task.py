@@ -17,7 +17,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -34,7 +33,7 @@ from pancakes.life.restart import RestartSpec
 from pancakes.migration.cost import CostChoice
 from pancakes.migration.post import Incoming
 from pancakes.migration.rule import MigrationRule
-from pancakes.packet import SYSCTRL, Fence, Packet, field_names
+from pancakes.packet import SYSCTRL, Fence, Packet
 from pancakes.saved_types import check_saved
 from pancakes.settings import change_settings, make_settings, plain_settings
 from pancakes.task_messages import (
@@ -62,20 +61,6 @@ __all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
 @dataclass
 class Nothing:
     """Settings or state of a task that has none."""
-
-
-_LEAVES = frozenset((str, int, float, bool, type(None)))
-
-
-_field_names = cache(field_names)
-
-
-def _plain(record: Any) -> dict[str, Any]:
-    """Returns settings or state as plain values."""
-    values = {name: getattr(record, name) for name in _field_names(record.__class__)}
-    if _LEAVES.issuperset(map(type, values.values())):
-        return values  # as nearly all are; every task's is looked at once in a second
-    return plain_settings(record)
 
 
 _NONE: Final[Mapping[str, Any]] = MappingProxyType({})
@@ -225,7 +210,7 @@ class Task(Component):
         """Returns what the task would carry to another actor now, as plain values. In the actor."""
         return Carried(
             self.__plain_settings(),
-            _plain(self.state),
+            plain_settings(self.state),
             {name: timer.period_s for name, timer in self.timers.items()},
             self.__heard.heard(),
         )
@@ -251,7 +236,7 @@ class Task(Component):
         # They are replaced as a whole where they are changed: so they are written down once, and not each second.
         settings, plain = self.__settings_written
         if settings is not self.settings:
-            settings, plain = self.settings, _plain(self.settings)
+            settings, plain = self.settings, plain_settings(self.settings)
             self.__settings_written = (settings, plain)
         return plain
 

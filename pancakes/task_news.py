@@ -1,4 +1,4 @@
-"""What `log` is told of the life of a task."""
+"""The events and lines on `log` about the life of a task."""
 
 from __future__ import annotations
 

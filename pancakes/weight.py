@@ -19,7 +19,7 @@ from pancakes.packet import field_names
 LIGHT_BYTES: Final = 2048
 """A lighter body is not counted: the number of packets that may wait bounds them well enough."""
 BRIEF_BYTES: Final = 16 * 1024
-"""What is told of a value larger than this is how large it is."""
+"""Of a value larger than this only the size is shown."""
 SAMPLE: Final = 256
 """Of more things in a list or map so many are looked at, spread over it, and stand for the rest."""
 MOST_VALUES: Final = 1000
@@ -99,7 +99,7 @@ def in_brief(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _parts_of(value: Any) -> Sequence[Any] | int:
-    """Returns what a value holds; its bytes where that is known, or where it holds nothing."""
+    """Returns what a value contains; its bytes where that is known, or where it contains nothing."""
     if isinstance(value, (list, tuple)):
         return value
     if isinstance(value, dict):
@@ -132,7 +132,7 @@ def _large_fields(cls: type) -> tuple[tuple[str, int], ...] | None:
         hints = get_type_hints(cls)
         large = [(name, hints.get(name, Any)) for name in names]
         return tuple((name, _bytes_of_items(hint)) for name, hint in large if not _is_small(hint))
-    except Exception:  # a type that is imported for checks only, or one that holds itself
+    except Exception:  # a type that is imported for checks only, or one that contains itself
         return tuple((name, 0) for name in names)
 
 

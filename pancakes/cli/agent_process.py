@@ -60,7 +60,7 @@ def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, rea
 class Orders:
     """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
 
-    From then on it has `STOP_S` to end: one that a stuck task or driver holds up is ended all the same. Before it has
+    From then on it has `STOP_S` to end: one that a stuck task or driver delays is ended all the same. Before it has
     begun there is nothing to end in order, and the process ends at once.
     """
 
@@ -146,8 +146,7 @@ def _check(config: Config, plugins: Plugins) -> None:
     for group in GROUPS:
         for name in plugins.names(group):
             try:
-                if not name.endswith(".*"):
-                    plugins.get(group, name)
+                plugins.get(group, name)
             except PluginError:
                 continue  # `problems` has it
     for problem in plugins.problems():

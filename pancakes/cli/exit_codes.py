@@ -73,7 +73,7 @@ def end_unread() -> NoReturn:
 
 
 def forget_output() -> None:
-    """Discards the text that Python still holds for standard output: its end would else report an error."""
+    """Discards the text that Python still has for standard output: its end would else report an error."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 

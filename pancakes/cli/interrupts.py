@@ -31,7 +31,7 @@ def event_at(*signals: signal.Signals, again: int | None = None) -> Interrupted:
     """Returns an event that is set when one of these signals comes. Main thread, and once in a process.
 
     It is set by a thread that reads what Python writes for each signal at once, and not by a handler. That runs in the
-    main thread between any two of its steps, also within the event's own `wait`, which holds the lock that `set` needs.
+    main thread between any two of its steps, also within the event's own `wait`, which has the lock that `set` needs.
     And where the signal comes in the moment before the main thread sleeps there, or in another thread, it does not run
     until something else ends the sleep: of 120 views that were ended on a busy machine, 3 went on.
 

@@ -52,7 +52,7 @@ def show(rows: Sequence[Mapping[str, Any]], columns: Sequence[str], format_: str
     if format_ == "json":
         show_json(picked)
         return
-    _print(_table(picked, columns))
+    show_drawn(_table(picked, columns))
 
 
 def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[str, Any]] | str]) -> None:
@@ -77,7 +77,7 @@ def show_sections(sections: Mapping[str, Mapping[str, Any] | Sequence[Mapping[st
                 table.add_row(Text(printable(f"  {name}")), Text(_text(value) or "-"))
         else:
             table = _table(content, list(content[0]))
-        _print(Text(title, style="bold"), table)
+        show_drawn(Text(title, style="bold"), table)
 
 
 def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
@@ -93,7 +93,8 @@ def _table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> Table:
     return table
 
 
-def _print(*things: Any) -> None:
+def show_drawn(*things: Any) -> None:
+    """Prints tables and texts of rich to standard output."""
     from rich.console import Console
 
     # Into a file or a pipe nothing is cut off or folded.

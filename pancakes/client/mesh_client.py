@@ -150,7 +150,7 @@ class Client:
         until_s = self._until_s(timeout_s)
         door = self._door_of(agent, until_s)
         number = door.request(agent, body)
-        self._wait(until_s, lambda: door.answer(number) is not None)
+        self.wait(until_s, lambda: door.answer(number) is not None)
         answer = door.answer(number)
         door.forget(number)
         if isinstance(answer, Reply):
@@ -221,12 +221,18 @@ class Client:
         return self._clock.now()
 
     def wait(self, until_s: float, condition: Callable[[], bool]) -> bool:
-        """Waits until the condition holds, at most until a host time; returns whether it does.
+        """Waits until the condition is true, at most until a host time; returns whether it is.
 
         It is looked at whenever an agent comes, goes, answers or sends something, and now and then.
         """
-        self._wait(until_s, condition)
-        return condition()
+        while True:
+            with self._lock:
+                if condition():
+                    return True
+            left_s = until_s - self._clock.now()
+            if left_s <= 0:
+                return False
+            self._no_news.acquire(timeout=min(left_s, LOOK_S))
 
     def doors(self) -> list[Door]:
         """Returns the doors of the fleets that are known by now."""
@@ -416,7 +422,7 @@ class Client:
                     take(key, door, answer)
             return enough(answers) or all(why for _, why in silent())
 
-        self._wait(until_s, done)
+        self.wait(until_s, done)
         with self._lock:
             for door, number in asked.values():
                 door.forget(number)
@@ -463,17 +469,6 @@ class Client:
         if not names:
             there = self._nowhere() if not lines else f"no agent knows of an agent {agent!r}"
         return "\n".join([*lines, there])
-
-    def _wait(self, until_s: float, condition: Callable[[], bool]) -> None:
-        """Waits until the condition holds, or the time is up."""
-        while True:
-            with self._lock:
-                if condition():
-                    return
-            left_s = until_s - self._clock.now()
-            if left_s <= 0:
-                return
-            self._no_news.acquire(timeout=min(left_s, LOOK_S))
 
     def _changed(self) -> None:
         """There is news. In the transports' threads."""

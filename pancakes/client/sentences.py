@@ -32,38 +32,38 @@ def is_quiet(record: Mapping[str, Any]) -> bool:
 def sentence_of(record: Mapping[str, Any]) -> str:
     """Returns a record of a log as a short line."""
     kind = record["kind"]
-    who = str(record["agent"])
+    agent = str(record["agent"])
     make = _SENTENCES.get(kind)
     if make is not None:
         try:
-            return make(who, record)
+            return make(agent, record)
         except (KeyError, TypeError, ValueError):
             pass  # an event of a user's own that bears the same name
     rest = ", ".join(f"{key} {_short(value)}" for key, value in record.items() if key not in _ENVELOPE)
-    return f"{who}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
+    return f"{agent}: {str(kind).replace('_', ' ')}" + (f" ({rest})" if rest else "")
 
 
-def _migration(who: str, record: Mapping[str, Any]) -> str:
+def _migration(agent: str, record: Mapping[str, Any]) -> str:
     only = f" (only {record['to']} was asked)" if record.get("to") else ""
     return f"{record['task']} {record['outcome']}" + (f" to {record['winner']}" if record["winner"] else "") + only
 
 
-def _asked(who: str, record: Mapping[str, Any]) -> str:
-    return f"{who} asks {'only ' + record['to'] if record.get('to') else 'all neighbours'} to take {record['task']}"
+def _asked(agent: str, record: Mapping[str, Any]) -> str:
+    return f"{agent} asks {'only ' + record['to'] if record.get('to') else 'all neighbours'} to take {record['task']}"
 
 
 _SENTENCES: Final = {
-    "line": lambda who, it: f"{who}: {it['text']}",
-    "task_started": lambda who, it: f"{who} runs {it['task']}",
-    "task_stopped": lambda who, it: f"{who} stopped {it['task']}: {it['reason']}",
+    "line": lambda agent, it: f"{agent}: {it['text']}",
+    "task_started": lambda agent, it: f"{agent} runs {it['task']}",
+    "task_stopped": lambda agent, it: f"{agent} stopped {it['task']}: {it['reason']}",
     "migration_asked": _asked,
-    "migration_bid": lambda who, it: f"{who} bids {it['cost']:g} for {it['task']}",
-    "migration_refused": lambda who, it: f"{who} refuses {it['task']}: {it['reason']}",
+    "migration_bid": lambda agent, it: f"{agent} bids {it['cost']:g} for {it['task']}",
+    "migration_refused": lambda agent, it: f"{agent} refuses {it['task']}: {it['reason']}",
     "migration": _migration,
-    "task_arrived": lambda who, it: f"{who} took {it['task']} from {it['source_agent']} with its state",
-    "task_handed_over": lambda who, it: f"{who} handed {it['task']} over to {it['to']}",
-    "rate_changed": lambda who, it: f"{who} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
-    "collision": lambda who, it: f"collision: {' and '.join(it['names'])}",
+    "task_arrived": lambda agent, it: f"{agent} took {it['task']} from {it['source_agent']} with its state",
+    "task_handed_over": lambda agent, it: f"{agent} handed {it['task']} over to {it['to']}",
+    "rate_changed": lambda agent, it: f"{agent} runs {it['task']} at {it['rate_hz']:g} Hz, asked by {it['by']}",
+    "collision": lambda agent, it: f"collision: {' and '.join(it['names'])}",
 }
 
 

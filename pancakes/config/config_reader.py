@@ -9,7 +9,7 @@ from typing import Any, Final, TypeVar
 
 from pancakes import codecs
 from pancakes.address import parse_address
-from pancakes.config.key_places import NAMED_TABLES, Places
+from pancakes.config.key_places import NAMED_TABLES, KeyPlaces
 from pancakes.config.override import apply_set
 from pancakes.config.plugin_check import check_plugins
 from pancakes.config.rule_check import faults_of_rule
@@ -88,7 +88,7 @@ def parse(
 class _ConfigReader:
     """Makes a `Config` and collects faults. What is at fault is left at its default, so that the rest is checked."""
 
-    def __init__(self, values: dict[str, Any], places: Places) -> None:
+    def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
         self._places = places
         self.faults: list[Fault] = []

@@ -13,7 +13,7 @@ NAMED_TABLES: Final = ("channel", "device", "service", "task")
 """The tables whose keys are names: `[task.ScanTarget]`."""
 
 
-class Places:
+class KeyPlaces:
     """Says where a key stands, as `agent1.toml:12` or `--set agent.name=x`.
 
     Args:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import tomllib
 from typing import Any
 
-from pancakes.config.key_places import Places, key_text
+from pancakes.config.key_places import KeyPlaces, key_text
 from pancakes.config.scanner import key_at
 from pancakes.errors import Fault
 
 EXAMPLE = "write it as table.key=value, such as clock.speed=5"
 
 
-def apply_set(text: str, values: dict[str, Any], places: Places) -> Fault | None:
+def apply_set(text: str, values: dict[str, Any], places: KeyPlaces) -> Fault | None:
     """Puts one override into the values of a configuration.
 
     A value that reads as TOML is taken as such (`5`, `true`, `["a"]`, `{ x = 1 }`), anything else as a string.

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pancakes.address import parse_address
-from pancakes.config.key_places import Places
+from pancakes.config.key_places import KeyPlaces
 from pancakes.config.scanner import KeyPath
 from pancakes.config.tables import Config, TaskConfig
 from pancakes.errors import Fault, PluginError
@@ -48,7 +48,7 @@ class _Check:
         self._config = config
         self._must_load = must_load
         self._plugins = plugins
-        self._places: Places = config.places
+        self._places: KeyPlaces = config.places
         self._broken = False  # whether something could not be imported, so that not all is known
         self.faults: list[Fault] = []
 

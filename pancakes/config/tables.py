@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, field
 
-from pancakes.config.key_places import Places
+from pancakes.config.key_places import KeyPlaces
 from pancakes.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.migration.rule import MigrationRule
 from pancakes.recording.settings import RecordingSettings
@@ -166,4 +166,4 @@ class Config(Struct, frozen=True):
     services: Mapping[str, ServiceConfig]
     tasks: Mapping[str, TaskConfig]
     path: str
-    places: Places
+    places: KeyPlaces

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pancakes.config.key_places import NAMED_TABLES, Places, key_text
+from pancakes.config.key_places import NAMED_TABLES, KeyPlaces, key_text
 from pancakes.config.scanner import lines_of_keys
 from pancakes.config.tables import SCHEMA
 from pancakes.errors import ConfigError, Fault
@@ -18,7 +18,7 @@ from pancakes.suggestion import suggestion
 _POSITION = r"\s*\(at (?:line (?P<line>\d+), column \d+|end of document)\)$"
 
 
-def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], Places]:
+def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tuple[dict[str, Any], KeyPlaces]:
     """Reads TOML.
 
     Args:
@@ -33,7 +33,7 @@ def tables_of(text: str, where: str, named: Sequence[str] = NAMED_TABLES) -> tup
         ConfigError: it is no TOML.
     """
     try:
-        return tomllib.loads(text), Places(where, lines_of_keys(text), named)
+        return tomllib.loads(text), KeyPlaces(where, lines_of_keys(text), named)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError([_syntax_fault(error, text, where)]) from None
     except RecursionError:

@@ -49,8 +49,6 @@ class Launcher(Agent):
     """The launcher's own agent: a client of the mesh with one task, the conductor."""
 
     def __init__(self, plan: DemoPlan, mission: Mission, virtual: Any = None) -> None:
-        self._plan = plan
-        self._mission = mission
         peers = ", ".join(f'"{address}"' for address in plan.peers())
         text = f"""
             schema = 1
@@ -69,18 +67,14 @@ class Launcher(Agent):
             type = "pancakes.conductor"
         """
         plugins = Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
-        super().__init__(parse(text, where="the launcher"), plugins, virtual)
+        arguments = {"Conductor": {"mission": mission, "events": plan.out / "events.jsonl"}}
+        super().__init__(parse(text, where="the launcher"), plugins, virtual, arguments)
 
     def end(self, reason: str) -> None:
         """Ends the mission before its time. Any thread."""
         conductor = self.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
         if isinstance(conductor, Conductor):
             conductor.call(lambda: conductor.end(reason))
-
-    def _task(self, config: Any) -> Any:
-        spec = super()._task(config)
-        assert spec is not None
-        return replace(spec, arguments={"mission": self._mission, "events": self._plan.out / "events.jsonl"})
 
 
 class Processes:

@@ -9,7 +9,7 @@ class Pace:
     """Lets through at most so many of the things that come, evenly.
 
     A thing that is a quarter of a period early counts as being in time, so that a source of the same rate that is not
-    quite regular does not lose every other one; in the long run the rate holds all the same.
+    quite regular does not lose every other one; in the long run the rate is kept all the same.
 
     Args:
         rate_hz: how many a second may pass.

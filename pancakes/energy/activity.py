@@ -138,7 +138,7 @@ class RateSupervision(Decider):
     Args:
         settings: the rules.
         now_s: the mission time.
-        doubt: whether there was a supervisor before this one, so that nothing is known of the rates that hold.
+        doubt: whether there was a supervisor before this one, so that nothing is known of the rates that are in force.
 
     Attributes:
         busy: whether something happens, by the name of the rule.
@@ -165,7 +165,7 @@ class RateSupervision(Decider):
         self._activities[rule].read(number_of(getattr(body, self._rules[rule].field)), now_s)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; `asked` must be told of each."""
+        """Returns the orders that are due; the caller passes each that it publishes to `asked`."""
         self.busy = {name: activity.busy(now_s) for name, activity in self._activities.items()}
         fast = {
             Knob(target, timer=pace.timer): None

@@ -103,7 +103,7 @@ class Governing(Decider):
             self._feedback.load(cpu)
 
     def decide(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; `asked` must be told of each."""
+        """Returns the orders that are due; the caller passes each that it publishes to `asked`."""
         if math.isnan(self.level):
             return []
         if self._feedback is not None:

@@ -1,8 +1,8 @@
 """The book of orders: what has been asked of which task, what was answered, what is still to be asked (pure).
 
-It keeps two promises. What holds already is not asked for again: where that is in doubt, because a task has started
-anew, the task is first asked what holds. What was refused is said once, and asked for again only where there is a new
-reason to: another value, or a task that has started anew.
+It keeps two promises. What is in force already is not asked for again: where that is in doubt, because a task has
+started anew, the task is first asked what is in force. What was refused is said once, and asked for again only where
+there is a new reason to: another value, or a task that has started anew.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Order:
 
 
 class OrderBook:
-    """What is wanted of the knobs, and what holds.
+    """What is wanted of the knobs, and what is in force.
 
     Args:
         normal: where each knob stands before any order.
@@ -70,7 +70,7 @@ class OrderBook:
         self._wanted.update(values)
 
     def due(self, now_s: float) -> list[Order]:
-        """Returns the orders that are due; `asked` must be told of each.
+        """Returns the orders that are due; the caller passes each that it publishes to `asked`.
 
         Several settings of one task become one order. Knobs in doubt are asked about first.
         """
@@ -151,7 +151,7 @@ class OrderBook:
         return news
 
     def started(self, service: str, task: str) -> None:
-        """A task has started: what was refused before may work now, and what held may have been forgotten."""
+        """A task has started: what was refused before may work now, and what was in force may have been forgotten."""
         for knob in self._wanted:
             if knob.target in (task, f"{service}/{task}"):
                 self._refused.pop(knob, None)

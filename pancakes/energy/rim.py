@@ -28,7 +28,7 @@ class AdjustingTask(Task):
             self.decider.asked(packet.seq, order, self.now())
 
     def give_last(self, orders: Sequence[Order]) -> None:
-        """Publishes the orders of a task that ends. A mailbox that refuses one is told in the log."""
+        """Publishes the orders of a task that ends. The log names a mailbox that refuses one."""
         try:
             self.give(orders)
         except PancakesError as error:

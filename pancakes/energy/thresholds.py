@@ -56,7 +56,7 @@ def faults_of(steps: Sequence[Step], hysteresis: float) -> str:
         if lower.below >= higher.below or lower.effort >= higher.effort:
             return "the thresholds must go down, each with a lower effort than the one before"
     if steps and steps[0].effort >= 1.0:
-        return "an effort of 1 is what holds above all thresholds; the first threshold must ask for less"
+        return "an effort of 1 is in force above all thresholds; the first threshold must ask for less"
     if steps and steps[0].below + hysteresis > 1.0:
-        return f"a full battery never rises {hysteresis:g} above {steps[0].below:g}: that threshold would hold for good"
+        return f"a full battery never rises {hysteresis:g} above {steps[0].below:g}: that threshold would never end"
     return ""

@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 from pancakes.arrays import alike
 from pancakes.errors import PancakesError
-from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.courier_messages import SendUnsent
 from pancakes.hosting.host_state import HostState
 from pancakes.hosting.hosting_effect import AskRoom
@@ -20,6 +19,7 @@ from pancakes.hosting.machine import unborn
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
 from pancakes.hosting.snapshots import carried_of, settings_now, spec_of
+from pancakes.installed import Installed
 from pancakes.life.life import CLOSES
 from pancakes.life.life_event import Admitted, LeaveRefused
 from pancakes.migration.candidate import would_take
@@ -48,7 +48,7 @@ class Arrivals:
         state: says whether this agent can take a task.
     """
 
-    def __init__(self, host: HostingService, catalogue: Catalogue, records: Records, state: HostState) -> None:
+    def __init__(self, host: HostingService, catalogue: Installed, records: Records, state: HostState) -> None:
         self._host = host
         self._catalogue = catalogue
         self._records = records

@@ -15,7 +15,6 @@ from pancakes.errors import ControlRefused
 from pancakes.hosting.arrivals import Arrivals
 from pancakes.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.hosting.carrier import Carrier
-from pancakes.hosting.catalogue import Catalogue
 from pancakes.hosting.checkpointing import Checkpointing
 from pancakes.hosting.courier_messages import COURIER, CameFor
 from pancakes.hosting.decisions import Decisions
@@ -53,6 +52,7 @@ from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.hosting.snapshots import carried_of, snapshot_of
 from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
+from pancakes.installed import Installed
 from pancakes.kernel.component import Component
 from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
@@ -125,7 +125,7 @@ class ClientService(Service):
         self,
         *args: Any,
         records: Records,
-        catalogue: Catalogue,
+        catalogue: Installed,
         outbox: SharedOutbox,
         state: HostState,
         mesh: Mesh,

@@ -65,7 +65,7 @@ class Decisions:
         host, task_id, peer = self._host, record.task_id, record.peer
         if not host.has_migrator():
             raise ControlRefused(
-                f"{task_id} is not adopted: the Network Service of {host.agent} is stopped, so nobody knows whether"
+                f"{task_id} is not adopted: the Network Service of {host.agent} is stopped, so it is unknown whether"
                 f" {peer} is there"
             )
         if host.connected(peer):

@@ -128,4 +128,4 @@ def receiver_of(packet: Packet) -> TaskId:
     try:
         return TaskId.parse(packet.destination.removeprefix(TO_TASK))
     except MigrationError as error:
-        raise LocalProtocolError(f"{packet.source} published {packet.type!r} to nobody: {error}") from None
+        raise LocalProtocolError(f"{packet.source} published {packet.type!r} to no task: {error}") from None

@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 
 from pancakes import codecs
 from pancakes.arrays import alike
-from pancakes.hosting.catalogue import Catalogue
+from pancakes.installed import Installed
 from pancakes.life.restart import RestartSpec
 from pancakes.migration.record import TaskId
 from pancakes.migration.rule import MigrationRule
@@ -57,7 +57,7 @@ def snapshot_of(
     )
 
 
-def spec_of(snapshot: Snapshot, catalogue: Catalogue) -> TaskSpec:
+def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
     """Returns how to start a task of which nothing is known here but its snapshot.
 
     Raises:

@@ -16,7 +16,7 @@ _GONE: Final = (errno.ENOENT, errno.ENOTDIR, errno.ESTALE, errno.ELOOP)
 
 
 class StateDirectory:
-    """The directory, held open: what is done by its handle is done in it, whatever has its name meanwhile.
+    """The directory, kept open: what is done by its handle is done in it, whatever has its name meanwhile.
 
     Args:
         path: where it lies; it is made there if need be, for its owner alone (0700). A symbolic link is followed.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.journal.directory import StateDirectory
-from pancakes.journal.journal import BAD, SUFFIX, Journal
+from pancakes.journal.journal import SUFFIX, Journal
 from pancakes.journal.seal import JournalError
 
 _LOCK: Final = "lock"
@@ -116,17 +116,10 @@ class FileJournal(Journal):
             file.flush()
             os.fsync(file.fileno())
 
-    def _rename_bad(self, name: str) -> str:
+    def _rename(self, name: str, new: str) -> None:
         handle = self._handle
-        taken = set(os.listdir(handle))
-        bad = name + BAD
-        number = 1
-        while bad in taken:
-            number += 1
-            bad = f"{name}.{number}{BAD}"
-        os.rename(name, bad, src_dir_fd=handle, dst_dir_fd=handle)
+        os.rename(name, new, src_dir_fd=handle, dst_dir_fd=handle)
         os.fsync(handle)
-        return bad
 
 
 def empty(directory: Path) -> bool:
@@ -160,7 +153,7 @@ def empty(directory: Path) -> bool:
 
 
 def _locked(opened: StateDirectory) -> int:
-    """Locks a state directory for this process; returns what holds the lock until it is closed."""
+    """Locks a state directory for this process; returns the handle that keeps the lock until it is closed."""
     handle = os.open(_LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600, dir_fd=opened.handle)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from itertools import chain, count
 from typing import Final, NamedTuple
 from urllib.parse import quote, unquote
 
@@ -103,7 +104,7 @@ class Journal(ABC):
             try:
                 entry = unseal(self.uuid, self._load(name))
                 if _name_of(entry.kind, entry.key) != name:
-                    raise Unbelievable(f"holds the entry {entry.kind} {entry.key}, which is not what its name says")
+                    raise Unbelievable(f"has the entry {entry.kind} {entry.key}, which is not what its name says")
             except Unbelievable as error:
                 aside.append(self._put_aside(name, str(error)))
             else:
@@ -116,7 +117,11 @@ class Journal(ABC):
 
     def _put_aside(self, name: str, reason: str) -> SetAside:
         kind, key = _parts_of(name)
-        return SetAside(self._place(name), self._place(self._rename_bad(name)), reason, kind, key)
+        taken = self._names(BAD)
+        numbered = (f"{name}.{number}{BAD}" for number in count(2))
+        bad = next(bad for bad in chain((name + BAD,), numbered) if bad not in taken)
+        self._rename(name, bad)
+        return SetAside(self._place(name), self._place(bad), reason, kind, key)
 
     def _missing(self) -> tuple[SetAside, ...]:
         """Returns what lies aside and has no entry in its place; of several of one name the newest."""
@@ -158,8 +163,8 @@ class Journal(ABC):
         """Stores each value under its name for good, each atomically."""
 
     @abstractmethod
-    def _rename_bad(self, name: str) -> str:
-        """Gives `name` a name that ends with `BAD` and is free, and returns that."""
+    def _rename(self, name: str, new: str) -> None:
+        """Gives what lies at `name` another name, which is free."""
 
 
 class _JournalIdentity(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.journal.journal import BAD, Journal
+from pancakes.journal.journal import Journal
 from pancakes.journal.seal import JournalError
 
 
@@ -51,11 +51,5 @@ class MemoryJournal(Journal):
             raise JournalError(self.fault)
         self._disk.update(contents)
 
-    def _rename_bad(self, name: str) -> str:
-        bad = name + BAD
-        number = 1
-        while bad in self._disk:
-            number += 1
-            bad = f"{name}.{number}{BAD}"
-        self._disk[bad] = self._disk.pop(name)
-        return bad
+    def _rename(self, name: str, new: str) -> None:
+        self._disk[new] = self._disk.pop(name)

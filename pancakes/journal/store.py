@@ -1,7 +1,7 @@
-"""Writing to the journal without waiting for it: an entry goes in, a call comes back when it is on disk.
+"""Writing to the journal without waiting for it: the store calls a function once an entry is on disk.
 
 Each write is an fsync, and an actor may not wait. So the rim of a hand-off gives its records to a store and
-goes on when it is told.
+goes on when the store calls it.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from pancakes.clock import Clock, MissionClock, MonotonicClock, VirtualMissionClock
+from pancakes.clock import Clock, MissionClock, MonotonicClock
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
@@ -66,13 +66,8 @@ class Kernel:
         self.agent = agent
         self.seed = seed
         self.virtual = virtual
-        self.host: Clock
-        self.mission: MissionClock
-        if virtual is not None:
-            self.host, self.mission = virtual.clock, VirtualMissionClock(virtual.clock, speed, hold)
-        else:
-            self.host = MonotonicClock()
-            self.mission = MissionClock(self.host, speed, hold)
+        self.host: Clock = virtual.clock if virtual is not None else MonotonicClock()
+        self.mission = MissionClock(self.host, speed, hold)
         self.now = self.mission.now
         self.stream = InformationStream(agent)
         self.registry: Registry[Component] = Registry()

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from pancakes.agent import default_state_dir
 from pancakes.client import Client
 from pancakes.config import Config
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.journal import empty
 from pancakes.runtime_dir import entries
+from pancakes.state_dir import state_dir_of
 
 ASK_S: Final = 2.0
 """How long the peers of a fleet have to name themselves."""
@@ -60,14 +60,6 @@ def empty_state(config: Config) -> Path | None:
     """
     directory = state_dir_of(config)
     return directory if directory is not None and empty(directory) else None
-
-
-def state_dir_of(config: Config) -> Path | None:
-    """Returns the state directory of an agent; None where its role has none."""
-    agent = config.agent
-    if agent.role != "agent":
-        return None
-    return Path(agent.state_dir).absolute() if agent.state_dir else default_state_dir(agent.fleet, agent.name)
 
 
 def _at(addresses: Sequence[str]) -> list[tuple[str, str, str]]:

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 from pancakes import codecs
 from pancakes.config.config_schema import closed, named_tables, schema_document
-from pancakes.config.key_places import Places
+from pancakes.config.key_places import KeyPlaces
 from pancakes.config.scanner import KeyPath
 from pancakes.config.toml_source import fault_of_schema, tables_of, text_of
 from pancakes.errors import ConfigError
@@ -26,7 +26,7 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True)
 class FleetTable:
-    """The table `[fleet]`: what holds for all of its agents.
+    """The table `[fleet]`: the settings that all of its agents share.
 
     Attributes:
         name: the fleet that they belong to; empty: each says so in its own file.
@@ -68,7 +68,7 @@ class FleetFile:
 
     fleet: FleetTable
     agents: Mapping[str, MemberTable]
-    places: Places = field(repr=False, compare=False)
+    places: KeyPlaces = field(repr=False, compare=False)
 
 
 def is_fleet(values: Mapping[str, Any]) -> bool:
@@ -100,7 +100,7 @@ def fleet_schema() -> dict[str, Any]:
 class _FleetReader:
     """Makes a `FleetFile` and collects faults."""
 
-    def __init__(self, values: dict[str, Any], places: Places) -> None:
+    def __init__(self, values: dict[str, Any], places: KeyPlaces) -> None:
         self._values = values
         self.places = places
         self.faults: list[Any] = []

@@ -12,13 +12,13 @@ from pancakes.config.key_places import set_text
 from pancakes.config.toml_source import tables_of, text_of
 from pancakes.config.toml_text import value_text
 from pancakes.errors import ConfigError, Fault, PancakesError
-from pancakes.launch.afresh import state_dir_of
 from pancakes.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
 from pancakes.launch.member import Member, Policy, ProcessRestart
 from pancakes.launch.overrides import overrides, whose
 from pancakes.launch.ports import Claim, listening_fault
 from pancakes.plugins import Plugins
 from pancakes.runtime_dir import entries
+from pancakes.state_dir import state_dir_of
 
 _EVERYWHERE = ("0.0.0.0", "::")
 

@@ -138,7 +138,7 @@ def _kind(scheme: str) -> socket.SocketKind:
 
 
 def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
-    """Takes a free port; the socket holds it until it is closed, so that no two calls return the same."""
+    """Takes a free port; the socket keeps it until it is closed, so that no two calls return the same."""
     held = socket.socket(type=_kind(scheme))
     held.bind((host, 0))
     return held, held.getsockname()[1]

@@ -198,7 +198,7 @@ class Runner:
                 place.rests[task] = why
 
     def _ended(self, name: str, place: _Process, code: int) -> None:
-        """A process has ended. What it printed last is read; a child that it left may hold the pipe open for ever."""
+        """A process has ended. What it printed last is read; a child that it left may keep the pipe open for ever."""
         del self._processes[name]
         registered = self._selector.get_map()
         if place.ready in registered:

@@ -94,7 +94,7 @@ class EmptyBattery(Cost):
         return {"battery used": 1.0 - load.battery_level}
 
 
-class MeasuredLoad(Cost):
+class BusyHost(Cost):
     """How busy it is: processors that the agent takes, load of its computer for each processor, lateness in periods."""
 
     name = "load"
@@ -126,7 +126,7 @@ class Weighted(Cost):
     name = "weighted"
 
     def __init__(self, parts: Mapping[str, tuple[Cost, float]] | None = None) -> None:
-        core = (ActiveTasks(), EmptyBattery(), MeasuredLoad(), RoundTrip())
+        core = (ActiveTasks(), EmptyBattery(), BusyHost(), RoundTrip())
         self._parts = dict(parts) if parts is not None else {cost.name: (cost, 1.0) for cost in core}
 
     def terms(self, load: HostLoad) -> Mapping[str, float]:

@@ -51,12 +51,10 @@ def make_report(path: Path, out: Path, task_id: str = "") -> Made:
     reader = RecordingReader(path)
     findings = Findings.of(reader.entries(), task_id, reader.mission_time())
     if not findings.packets:
-        raise RecordingError(f"{path} holds no packets" + _because(reader.notes()))
+        raise RecordingError(f"{path} has no packets" + _because(reader.notes()))
     if task_id and not findings.course.lanes:
         raise PancakesError(f"no task {task_id!r} is in {path}: `pancakes record info` lists those that are")
-    notes = [
-        f"{note}: what comes after is not in this report" if "cut off" in note else note for note in reader.notes()
-    ]
+    notes = [f"{note}: the rest of it is not in this report" if "cut off" in note else note for note in reader.notes()]
     if findings.strange:
         notes.append(f"{findings.strange} packets are of types that are unknown here, or were others once: left out")
     virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
@@ -110,17 +108,17 @@ def draw_all(findings: Findings, out: Path) -> list[Picture]:
     # Those that move or run tasks come first: they get the colours that are easiest to tell apart.
     busy = [*sorted(findings.paths.commands), *sorted(findings.paths.batteries), *findings.agents]
     palette = Palette([*busy, *findings.paths.truth])
-    traffic, clock = findings.traffic, findings.time.name
+    traffic = findings.traffic
     draws: tuple[Callable[[], Picture | None], ...] = (
         lambda: scenes.draw_paths(findings, palette, out),
-        lambda: scenes.draw_course(findings, palette, clock, out),
+        lambda: scenes.draw_course(findings, palette, out),
         lambda: scenes.draw_moves(findings, palette, out),
-        lambda: scenes.draw_batteries(findings, palette, clock, out),
+        lambda: scenes.draw_batteries(findings, palette, out),
         lambda: measures.draw_rates(findings, palette, out),
-        lambda: measures.draw_lateness(findings, palette, clock, out),
-        lambda: measures.draw_drops(findings, palette, clock, out),
-        lambda: measures.draw_traffic(findings, clock, out, "traffic-links", traffic.links, "link"),
-        lambda: measures.draw_traffic(findings, clock, out, "traffic-channels", traffic.channels, "channel"),
+        lambda: measures.draw_lateness(findings, palette, out),
+        lambda: measures.draw_drops(findings, palette, out),
+        lambda: measures.draw_traffic(findings, out, "traffic-links", traffic.links, "link"),
+        lambda: measures.draw_traffic(findings, out, "traffic-channels", traffic.channels, "channel"),
         lambda: measures.draw_reactions(findings, out),
     )
     return [picture for picture in (draw() for draw in draws) if picture is not None]

@@ -72,7 +72,7 @@ def _timer_name(timer: TimerRates) -> str:
     return f"{timer.agent} {timer.task.rpartition('/')[2]}"
 
 
-def draw_lateness(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
+def draw_lateness(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws how late ticks were. None where nothing was, or no figures were recorded."""
     timers = [timer for _, timer in sorted(findings.rates.timers.items()) if timer.ticks]
     late = sorted((timer for timer in timers if timer.lateness_max_s > NEGLIGIBLE_S), key=lambda it: -it.lateness_max_s)
@@ -103,14 +103,14 @@ def draw_lateness(findings: Findings, palette: Palette, clock: str, out: Path) -
         right.set_yscale("log")
         label_log(right.yaxis)
         right.set_ylabel("mean lateness [ms]")
-        time_axis(right, findings.begin_s, findings.end_s, clock)
+        time_axis(right, findings)
         made.legend(loc="outside upper right", ncols=3, handlelength=1.8)
         return save(
             made, out, "lateness", "How late ticks were; right: the means of a second each, of the latest tasks."
         )
 
 
-def draw_drops(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
+def draw_drops(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws the packets that fell out of mailboxes. None where none did."""
     drops = sorted((it for it in findings.rates.drops.values() if it.total), key=lambda it: -it.total)[:MOST_LINES]
     if not drops:
@@ -125,17 +125,16 @@ def draw_drops(findings: Findings, palette: Palette, clock: str, out: Path) -> P
             plot_line(axes, it.over_time.whole(), number, colour, label, lw=1.0, drawstyle="steps-post")
         axes.set_ylabel("packets dropped")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        time_axis(axes, findings.begin_s, findings.end_s, clock)
+        time_axis(axes, findings)
         made.legend(loc="outside upper center", ncols=2, handlelength=1.8)
         return save(made, out, "drops", "Packets that fell out of mailboxes because their readers were slow, so far.")
 
 
-def draw_traffic(findings: Findings, clock: str, out: Path, name: str, flow: Flow, of: str) -> Picture | None:
+def draw_traffic(findings: Findings, out: Path, name: str, flow: Flow, of: str) -> Picture | None:
     """Draws packets and bytes over time. None where nothing travelled.
 
     Args:
         findings: from when to when the recording is.
-        clock: what time is called.
         out: the folder.
         name: of the files.
         flow: what travelled.
@@ -157,7 +156,7 @@ def draw_traffic(findings: Findings, clock: str, out: Path, name: str, flow: Flo
         right.set_ylabel(unit)
         for axes in (left, right):
             axes.set_ylim(bottom=0.0)
-            time_axis(axes, begin_s, findings.end_s, clock)
+            time_axis(axes, findings)
         handles, labels = left.get_legend_handles_labels()
         made.legend(handles, labels, loc="outside upper center", ncols=4, handlelength=1.8)
         less = f"; {len(others)} with less are left out" if others else ""

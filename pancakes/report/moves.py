@@ -112,7 +112,7 @@ class Moves:
                 return
 
     def _settle(self, agent: str, task: str, t_s: float) -> None:
-        """A task runs: it may be one whose move was told of before, as two agents tell each for itself."""
+        """A task runs. Its move may be known already, because each of the two agents reports it."""
         for move in reversed(self.moves[-20:]):
             awaited = (move.task, move.winner, move.outcome) == (task, agent, "moved") and move.started_s is None
             if awaited and t_s - move.at_s < AWAIT_S:

@@ -113,7 +113,7 @@ class Rates:
     """How tasks and links fared.
 
     Attributes:
-        samples: how many samples there were; 0: the recording holds none.
+        samples: how many samples there were; 0: the recording has none.
         timers: by agent, task and timer.
         drops: by agent and task.
         links: the newest figures of each link, by the agent that counts and its peer.

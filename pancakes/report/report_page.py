@@ -131,7 +131,7 @@ def _seconds(seconds: float) -> str:
 
 
 _NO_FIGURES: Final = (
-    "The recording holds no figures of tasks: they are sampled by recorders that record all channels, or the channel"
+    "The recording has no figures of tasks: they are sampled by recorders that record all channels, or the channel"
     " named recording as well."
 )
 

@@ -118,7 +118,7 @@ def _path_legend(bodies: Sequence[Body], tasks: Sequence[str], palette: Palette)
     return handles, labels
 
 
-def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
+def draw_course(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws which agent ran which task. None where no task of a mission ran."""
     lanes = [lane for _, lane in sorted(findings.course.lanes.items()) if lane.spans][:MOST_LANES]
     if not lanes:
@@ -135,7 +135,7 @@ def draw_course(findings: Findings, palette: Palette, clock: str, out: Path) -> 
         for move in findings.moves.moves:
             _arrow(axes, move, lanes)
         label_rows(axes, [f"{lane.agent}  {lane.task}" for lane in lanes])
-        time_axis(axes, findings.begin_s, findings.end_s, clock)
+        time_axis(axes, findings)
         moved = " Arrows: moves." if any(move.outcome == "moved" for move in findings.moves.moves) else ""
         return save(made, out, "tasks", f"Which agent ran which task. Crosses: failures.{moved}")
 
@@ -153,7 +153,7 @@ def _arrow(axes: Axes, move: TaskMove, lanes: Sequence[TaskLane]) -> None:
         )
 
 
-def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) -> Picture | None:
+def draw_batteries(findings: Findings, palette: Palette, out: Path) -> Picture | None:
     """Draws what was left in the batteries. None where no agent has one."""
     batteries = findings.paths.batteries
     if not batteries:
@@ -168,7 +168,7 @@ def draw_batteries(findings: Findings, palette: Palette, clock: str, out: Path) 
                 axes.axvline(move.at_s, color=FAINT, lw=0.7, zorder=0)
         axes.set_ylabel("battery [%]")
         axes.margins(y=0.08)
-        time_axis(axes, findings.begin_s, findings.end_s, clock)
+        time_axis(axes, findings)
         made.legend(loc="outside upper center", ncols=min(4, len(batteries)), handlelength=1.6)
         return save(made, out, "batteries", "What is left of the batteries' range. Vertical lines: moves of tasks.")
 

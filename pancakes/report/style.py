@@ -11,6 +11,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from pancakes.report.findings import Findings
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
@@ -115,10 +117,10 @@ def _as_wide_as_room(size: re.Match[str]) -> str:
     return f'{broad} style="max-width: {float(size[1]) * ON_SCREEN:.0f}px"'
 
 
-def time_axis(axes: Axes, begin_s: float, end_s: float, clock: str) -> None:
-    """Makes the horizontal axis one of time."""
-    axes.set_xlim(begin_s, max(end_s, begin_s + 1e-3))
-    axes.set_xlabel(f"{clock} [s]")
+def time_axis(axes: Axes, findings: Findings) -> None:
+    """Makes the horizontal axis one of the recording's time."""
+    axes.set_xlim(findings.begin_s, max(findings.end_s, findings.begin_s + 1e-3))
+    axes.set_xlabel(f"{findings.time.name} [s]")
 
 
 def plot_line(axes: Axes, points: Sequence[tuple[Any, ...]], number: int, colour: str, label: str, **how: Any) -> None:

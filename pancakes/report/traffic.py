@@ -27,6 +27,12 @@ class Flow:
         self.packets.add(t_s, name)
         self.bytes.add(t_s, name, size)
 
+    def take(self, other: Flow, name: str) -> None:
+        """Adds what another flow has counted under a name."""
+        for counts, of in ((self.packets, other.packets), (self.bytes, other.bytes)):
+            for slot, number in of.slots[name].items():
+                counts.add((slot + 0.5) * of.slot_s, name, number)
+
     def names(self) -> list[str]:
         """Returns the names, those with the most bytes first."""
         return sorted(self.packets.slots, key=lambda name: (-self.bytes.total(name), name))
@@ -79,14 +85,7 @@ class Traffic:
             to = name.rpartition(" → ")[2]
             if to in self.heard or (to == NEIGHBOURS and len(self.heard) > 1):
                 continue
-            _merge(self.links.packets, self._leaving.packets, name)
-            _merge(self.links.bytes, self._leaving.bytes, name)
+            self.links.take(self._leaving, name)
             for channel in self._leaving_channels[name].packets.slots:
-                _merge(self.channels.packets, self._leaving_channels[name].packets, channel)
-                _merge(self.channels.bytes, self._leaving_channels[name].bytes, channel)
+                self.channels.take(self._leaving_channels[name], channel)
         self._leaving, self._leaving_channels = Flow(), {}
-
-
-def _merge(into: Counts, of: Counts, kind: str) -> None:
-    for slot, number in of.slots[kind].items():
-        into.add((slot + 0.5) * of.slot_s, kind, number)

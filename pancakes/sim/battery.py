@@ -19,7 +19,7 @@ DEFAULT_SAMPLE_J: Final = {"ir": 0.01, "sonar": 0.03, "pose": 0.0, "battery": 0.
 
 @dataclass
 class BatterySettings:
-    """What a battery holds and what takes from it.
+    """The charge of a battery, and what draws on it.
 
     Attributes:
         capacity_j: energy between full and empty. The default, a Khepera III's pack, lasts for hours.
@@ -47,7 +47,7 @@ class BatteryModel:
     """The charge of one battery.
 
     Args:
-        settings: what it holds and what takes from it.
+        settings: its charge, and what draws on it.
         full_v: voltage when full.
         empty_v: voltage when empty; in between, the voltage follows the charge in a straight line.
 

@@ -10,9 +10,9 @@ from pancakes.errors import PancakesError
 from pancakes.sim.battery import BatteryModel
 from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
-from pancakes.sim.mover import Mover, MoverSettings, Obstacle
 from pancakes.sim.robot import IrRing, RobotModel, SonarRing
 from pancakes.sim.settings import MotionSettings
+from pancakes.sim.wayfinder import MoverSettings, Obstacle, Wayfinder
 
 
 class Robot:
@@ -129,12 +129,12 @@ class Walker:
 
     Attributes:
         disc: the body.
-        mover: what decides where it goes.
+        wayfinder: decides where it goes.
         settings: how it walks.
         standing: the obstacles that never move.
     """
 
     disc: Disc
-    mover: Mover
+    wayfinder: Wayfinder
     settings: MoverSettings
     standing: Sequence[Obstacle]

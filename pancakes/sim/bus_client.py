@@ -49,7 +49,7 @@ class BusClient:
         self._transport = transport
         self._address = address
         self._log = log
-        self._lock = Lock()  # guards the two below; never held over a call
+        self._lock = Lock()  # guards the two below; never kept over a call
         self._attachments: dict[str, Attachment] = {}
         self._closed = False
         self._connection: Connection | None = None

@@ -1,4 +1,4 @@
-"""Numbers that settings of the simulator may hold; the reader of a configuration checks them."""
+"""Numbers that settings of the simulator may have; the reader of a configuration checks them."""
 
 from __future__ import annotations
 

@@ -22,7 +22,6 @@ class _Look:
 
     x_m: float
     y_m: float
-    ahead: tuple[float, float]
     rays: tuple[tuple[float, float], ...]
 
 
@@ -43,13 +42,9 @@ class Fan:
     def __init__(self, sensors: Sequence[RangeSensor], cone_rad: float, rays: int, max_range_m: float) -> None:
         self.bearings_rad = tuple(sensor.bearing_rad for sensor in sensors)
         self._max_range_m = max_range_m
-        self._slope = math.tan(min(0.5 * cone_rad, 1.5))
         self.reach_m = max_range_m + max(math.hypot(sensor.x_m, sensor.y_m) for sensor in sensors)
         self._looks = tuple(
-            _Look(
-                sensor.x_m, sensor.y_m, _along(sensor.bearing_rad), tuple(_spread(sensor.bearing_rad, cone_rad, rays))
-            )
-            for sensor in sensors
+            _Look(sensor.x_m, sensor.y_m, tuple(_spread(sensor.bearing_rad, cone_rad, rays))) for sensor in sensors
         )
 
     def ranges(self, disc: Disc, others: Sequence[Disc], half_width_m: float, half_height_m: float) -> list[float]:
@@ -78,52 +73,30 @@ class Fan:
             # Turned as the body is.
             at_x_m, at_y_m = look.x_m * cos - look.y_m * sin, look.x_m * sin + look.y_m * cos
             nearest_m = math.inf
-            seen = self._in_cone(look, at_x_m, at_y_m, cos, sin, near) if near else near
-            if seen or walled:
-                right_m, left_m = half_width_m - x_m - at_x_m, half_width_m + x_m + at_x_m
-                top_m, bottom_m = half_height_m - y_m - at_y_m, half_height_m + y_m + at_y_m
-                for ray_x, ray_y in look.rays:
-                    along_x, along_y = ray_x * cos - ray_y * sin, ray_x * sin + ray_y * cos
-                    if walled:
-                        if along_x:
-                            way_m = right_m / along_x if along_x > 0.0 else -left_m / along_x
-                            if way_m < nearest_m:
-                                nearest_m = way_m
-                        if along_y:
-                            way_m = top_m / along_y if along_y > 0.0 else -bottom_m / along_y
-                            if way_m < nearest_m:
-                                nearest_m = way_m
-                    # To the edge of each disc, whose centre lies at (dx_m, dy_m) from the ray's beginning. Not a
-                    # function: this is done a hundred times for each second of a mission.
-                    for dx_m, dy_m, radius_m in seen:
-                        along_m = dx_m * along_x + dy_m * along_y
-                        square = along_m * along_m - dx_m * dx_m - dy_m * dy_m + radius_m * radius_m
-                        if square >= 0.0:
-                            way_m = along_m - sqrt(square)
-                            if -_INSET_M <= way_m < nearest_m:
-                                nearest_m = way_m
+            discs = [(dx_m - at_x_m, dy_m - at_y_m, radius_m) for dx_m, dy_m, radius_m in near]
+            right_m, left_m = half_width_m - x_m - at_x_m, half_width_m + x_m + at_x_m
+            top_m, bottom_m = half_height_m - y_m - at_y_m, half_height_m + y_m + at_y_m
+            for ray_x, ray_y in look.rays:
+                along_x, along_y = ray_x * cos - ray_y * sin, ray_x * sin + ray_y * cos
+                if walled:
+                    if along_x:
+                        way_m = right_m / along_x if along_x > 0.0 else -left_m / along_x
+                        if way_m < nearest_m:
+                            nearest_m = way_m
+                    if along_y:
+                        way_m = top_m / along_y if along_y > 0.0 else -bottom_m / along_y
+                        if way_m < nearest_m:
+                            nearest_m = way_m
+                # To the edge of each disc, whose centre lies at (dx_m, dy_m) from the ray's beginning. Not a function:
+                # this is done a hundred times for each second of a mission.
+                for dx_m, dy_m, radius_m in discs:
+                    along_m = dx_m * along_x + dy_m * along_y
+                    square = along_m * along_m - dx_m * dx_m - dy_m * dy_m + radius_m * radius_m
+                    if square >= 0.0:
+                        way_m = along_m - sqrt(square)
+                        if -_INSET_M <= way_m < nearest_m:
+                            nearest_m = way_m
             found.append(math.inf if nearest_m > max_range_m else nearest_m if nearest_m > 0.0 else 0.0)
-        return found
-
-    def _in_cone(
-        self,
-        look: _Look,
-        at_x_m: float,
-        at_y_m: float,
-        cos: float,
-        sin: float,
-        near: Sequence[tuple[float, float, float]],
-    ) -> list[tuple[float, float, float]]:
-        """Returns the discs that rays of one sensor may meet, as seen from the sensor."""
-        ahead_x, ahead_y = look.ahead[0] * cos - look.ahead[1] * sin, look.ahead[0] * sin + look.ahead[1] * cos
-        found = []
-        for dx_m, dy_m, radius_m in near:
-            from_x_m, from_y_m = dx_m - at_x_m, dy_m - at_y_m
-            along_m = from_x_m * ahead_x + from_y_m * ahead_y
-            aside_m = abs(from_x_m * ahead_y - from_y_m * ahead_x)
-            # A disc that a cone touches lies within its radius, and a little for the slope, of the cone's edge.
-            if along_m > -radius_m and aside_m <= (along_m + radius_m) * self._slope + radius_m + _INSET_M:
-                found.append((from_x_m, from_y_m, radius_m))
         return found
 
 

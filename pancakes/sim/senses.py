@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Sequence
+from functools import cache
 
 from pancakes.devices.types import Battery, Infrared, Motion, Sonar
 from pancakes.sim.arena import Arena
@@ -17,6 +18,11 @@ from pancakes.sim.settings import NoiseSettings
 _IR_RAYS = 3
 _SONAR_RAYS = 5
 _IR_MAX_RAW = 4095  # its converter has 12 bits
+
+
+@cache
+def _fan(ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
+    return Fan(ring.sensors, ring.cone_rad, rays, limit_m)
 
 
 class Senses:
@@ -32,7 +38,6 @@ class Senses:
         self._arena = arena
         self._noise = noise
         self._normal = random.gauss
-        self._fans: dict[tuple[str, int], Fan] = {}  # by the kind of robot, and the rays of a sensor
 
     def battery(self, robot: Robot, noise_v: float) -> Battery:
         """Measures a robot's battery."""
@@ -48,7 +53,7 @@ class Senses:
         ring = robot.infrared_ring()
         normal, curve = self._normal, ring.curve
         ir_share, ir_raw = self._noise.ir_share, self._noise.ir_raw
-        fan = self._fans.get((robot.model.name, _IR_RAYS)) or self._fan(robot, ring, _IR_RAYS, curve.farthest_m)
+        fan = _fan(ring, _IR_RAYS, curve.farthest_m)
         raw = []
         for distance_m in self._arena.ranges(robot.disc, fan):
             noisy = ir_raw * normal()
@@ -65,17 +70,13 @@ class Senses:
         """
         ring = robot.sonar_ring()
         limit_m, sonar_m, normal = ring.max_range_m, self._noise.sonar_m, self._normal
-        fan = self._fans.get((robot.model.name, _SONAR_RAYS)) or self._fan(robot, ring, _SONAR_RAYS, limit_m)
+        fan = _fan(ring, _SONAR_RAYS, limit_m)
         ranges_m = []
         for distance_m in self._arena.ranges(robot.disc, fan):
             if distance_m < math.inf:
                 distance_m += sonar_m * normal()
             ranges_m.append(0.0 if distance_m < 0.0 else distance_m if distance_m < limit_m else limit_m)
         return Sonar(fan.bearings_rad, tuple(ranges_m), limit_m)
-
-    def _fan(self, robot: Robot, ring: IrRing | SonarRing, rays: int, limit_m: float) -> Fan:
-        fan = self._fans[robot.model.name, rays] = Fan(ring.sensors, ring.cone_rad, rays, limit_m)
-        return fan
 
     def motion(self, sensor: SensorNode, discs: Sequence[Disc]) -> Motion:
         """Asks a motion sensor which of some discs move where it looks.

@@ -1,4 +1,4 @@
-"""What a simulated world holds: its arena, its robots, its sensor nodes, its walking persons.
+"""The contents of a simulated world: its arena, its robots, its sensor nodes, its walking persons.
 
 Tables are keyed by name, and a name is the body's: a simulated device of the agent of the same name finds its
 body by it.
@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 from pancakes.sim.battery import BatterySettings
 from pancakes.sim.models import robot_model
-from pancakes.sim.mover import MoverSettings
 from pancakes.sim.quantities import NotNegative, Positive
+from pancakes.sim.wayfinder import MoverSettings
 
 
 @dataclass
@@ -116,7 +116,7 @@ class NoiseSettings:
 
 @dataclass
 class ContentSettings:
-    """All that a simulated world holds, by name.
+    """All that is in a simulated world, by name.
 
     Attributes:
         arena: the floor.

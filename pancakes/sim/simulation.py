@@ -20,10 +20,10 @@ from pancakes.sim.body import Robot, SensorNode, Walker
 from pancakes.sim.disc import Disc
 from pancakes.sim.drive import Wheels
 from pancakes.sim.models import robot_model
-from pancakes.sim.mover import DECIDE_EVERY_S, Mover, Obstacle
 from pancakes.sim.senses import Senses
 from pancakes.sim.settings import ContentSettings
 from pancakes.sim.state import BodyState, Spent, WorldState
+from pancakes.sim.wayfinder import DECIDE_EVERY_S, Obstacle, Wayfinder
 
 _T = TypeVar("_T")
 
@@ -60,7 +60,7 @@ class Simulation:
     """A world with everything that its settings put into it.
 
     Args:
-        settings: what it holds.
+        settings: its contents.
         random: all that is drawn is drawn from this.
     """
 
@@ -104,12 +104,12 @@ class Simulation:
         for name, walker in self._settings.movers.items():
             disc = self._arena.add(name, walker.x_m, walker.y_m, 0.0, walker.radius_m, _WALKER_KG)
             disc.walk(0.0, 0.0)
-            mover = Mover(walker, self._arena.half_width_m, self._arena.half_height_m, _branch(self._walk_random))
+            way = Wayfinder(walker, self._arena.half_width_m, self._arena.half_height_m, _branch(self._walk_random))
             standing = [
                 _obstacle(sensor.disc, max(walker.keep_out_m, walker.radius_m + sensor.disc.radius_m))
                 for sensor in self._sensors.values()
             ]
-            self._walkers[name] = Walker(disc, mover, walker, standing)
+            self._walkers[name] = Walker(disc, way, walker, standing)
 
     @property
     def time_s(self) -> float:
@@ -158,7 +158,7 @@ class Simulation:
             for other in self._walkers.values()
             if other is not walker
         ]
-        walker.disc.walk(*walker.mover.decide(time_s, walker.disc.x_m, walker.disc.y_m, robots, fixed))
+        walker.disc.walk(*walker.wayfinder.decide(time_s, walker.disc.x_m, walker.disc.y_m, robots, fixed))
 
     def _watch_bounds(self) -> None:
         for name, robot in self._robots.items():

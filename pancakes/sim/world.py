@@ -28,7 +28,7 @@ class World(Task):
 
     @dataclass
     class Settings(ContentSettings):
-        """What the world holds, and how it is reached. The contents are read once, when the task starts.
+        """The contents of the world, and its address. The contents are read once, when the task starts.
 
         Attributes:
             bus: address at which simulated devices reach it.
@@ -64,7 +64,7 @@ class World(Task):
         self.on_stop()
 
     def on_settings(self) -> None:
-        self.log("warning", "a world that runs keeps what it holds: its new settings count from its next start")
+        self.log("warning", "a world that runs keeps its contents: its new settings count from its next start")
 
     def initial_period_s(self, method: str, period_s: float) -> float:
         # Exactly when a state is due. A request in between lets the world go on to its moment.

@@ -120,7 +120,7 @@ class AgentInTest:
         return packet.body.fields
 
     def wait_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S, what: str = "") -> None:
-        """Runs the agent, or waits for it, until a condition holds; fails where it does not in time."""
+        """Runs the agent, or waits for it, until a condition is true; fails where it is not in time."""
         if not self.probe.wait(condition, at_most_s):
             raise AssertionError(
                 f"{self.name}: {what or 'it'} did not come within {at_most_s:g} s; last on log:\n{self.log_tail(15)}"
@@ -193,7 +193,7 @@ def threaded_agent(
     """Runs an agent on threads and in real time, as on a robot, and stops it at the end of the `with`.
 
     Args:
-        name, text, tasks, devices, services, agent: as for `FleetInTest.start`; it listens nowhere unless it is told.
+        name, text, tasks, devices, services, agent: as for `FleetInTest.start`; without `listen` it listens nowhere.
         classes: classes that `text` names, by name.
         state_dir: its state directory; None: one that is removed afterwards.
     """

@@ -26,10 +26,10 @@ class _Faulty(Agent):
         self._faults = faults
         super().__init__(config, plugins, virtual)
 
-    def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+    def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         came = [packet for packet in packets for _ in range(self._faults.copies(self.name, packet))]
         if came:
-            super()._on_packets(peer, came, size * len(came) // len(packets))
+            super().receive(peer, came, size * len(came) // len(packets))
 
 
 class FleetInTest:
@@ -166,7 +166,7 @@ class FleetInTest:
         self.fleet.run_for(duration_s)
 
     def run_until(self, condition: Callable[[], bool], at_most_s: float = PATIENCE_S) -> bool:
-        """Runs all agents until a condition holds; returns whether it came to hold."""
+        """Runs all agents until a condition is true; returns whether it became true."""
         return self.fleet.run_while(lambda: not condition(), at_most_s)
 
     def connect(self, at_most_s: float = PATIENCE_S) -> None:

@@ -23,7 +23,7 @@ DESCRIPTORS = "/proc/self/fd"
 class Leaks:
     """Compares what there is with what there was when this object was made.
 
-    Threads and open files count for the whole process; actors only for the agents that it is told of.
+    Threads and open files count for the whole process; actors only for the agents that it watches.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Leaks:
         self._agents.append(agents)
 
     def agents(self) -> list[AgentInTest]:
-        """Returns the agents that it was told of."""
+        """Returns the agents that it watches."""
         return [agent for ask in self._agents for agent in ask()]
 
     def left(self, at_most_s: float = PATIENCE_S) -> str:
@@ -88,7 +88,7 @@ def _open_descriptors() -> list[tuple[int, str]]:
 def no_leak(at_most_s: float = PATIENCE_S) -> Iterator[Leaks]:
     """Fails where threads, sockets or files that came to be inside of the `with` are still there shortly after it.
 
-    Agents that the `Leaks` is told of must have ended too, with all of their actors.
+    Agents that the `Leaks` watches must have ended too, with all of their actors.
 
     Args:
         at_most_s: how long, in seconds of the host, they may take to end.

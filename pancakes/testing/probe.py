@@ -100,7 +100,7 @@ class Probe(Component):
             self._heard.clear()
 
     def wait(self, condition: Callable[[], bool], at_most_s: float) -> bool:
-        """Waits until a condition holds; not to be called from an actor.
+        """Waits until a condition is true; not to be called from an actor.
 
         In virtual time it runs all actors meanwhile. On threads it looks at the condition with each packet, and every
         now and then.
@@ -110,7 +110,7 @@ class Probe(Component):
             at_most_s: how long to wait: virtual seconds, or seconds of the host.
 
         Returns:
-            Whether it came to hold in time.
+            Whether it became true in time.
         """
         virtual = self.kernel.virtual
         if virtual is not None:

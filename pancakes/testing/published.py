@@ -92,6 +92,6 @@ def _document(agent: str, packet: Packet, before: str = "") -> str:
     to = f" to {packet.destination}" if packet.destination else ""
     try:
         text = text_of(record_of(agent, packet))
-    except (TypeError, ValueError):  # what is published on one agent alone may hold anything
+    except (TypeError, ValueError):  # what is published on one agent alone may contain anything
         text = f"type: {packet.type}\nsource: {packet.source}\nstamp: {packet.stamp:.9g}\nbody: {packet.body!r}\n---"
     return f"# {before}on {packet.channel}{to}\n{text}"

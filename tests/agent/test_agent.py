@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import pytest
 
-from pancakes.agent import Agent, default_state_dir
+from pancakes.agent import Agent
 from pancakes.clock import Clock
 from pancakes.config import parse
 from pancakes.control import Describe
@@ -16,6 +16,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.net.memory import Quality
 from pancakes.net.tcp import TcpTransport
 from pancakes.service import Service
+from pancakes.state_dir import default_state_dir
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published, config_of, no_thread_left, registered, threaded_agent
 

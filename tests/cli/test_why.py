@@ -137,8 +137,8 @@ def test_all_commands_are_listed_each_in_a_line(why, found):
 @pytest.mark.parametrize(
     ("options", "code", "sentence"),
     [
-        (("--agent", "b"), 1, "holds no such command, only such to a gripper, a motors of a/Scan"),
-        (("--task", "a/Other"), 1, "holds no such command"),
+        (("--agent", "b"), 1, "has no such command, only such to a gripper, a motors of a/Scan"),
+        (("--task", "a/Other"), 1, "has no such command"),
         (("--at", "10ms"), 1, "there is no such command before 0.01 s of mission time"),
         (("--seq", "99"), 1, "there is no such command with the number 99"),
         (("--type", "gripper", "--slowest", "1"), 1, "no such command that answers a packet that was recorded"),

@@ -57,9 +57,9 @@ def test_it_fails_where_the_task_never_moved(mission: Any) -> None:
     assert "never moved" in reasons(mission)
 
 
-def test_it_fails_where_nobody_ran_the_task(mission: Any) -> None:
+def test_it_fails_where_no_agent_ran_the_task(mission: Any) -> None:
     mission.events = []
-    assert "nobody ever ran ScanTarget" in reasons(mission)
+    assert "no agent ever ran ScanTarget" in reasons(mission)
 
 
 def test_it_fails_off_the_circle(mission: Any) -> None:
@@ -80,9 +80,9 @@ def test_the_first_30_s_on_the_circle_do_not_count(mission: Any) -> None:
     assert judge_encirclement(mission.write())["verdict"] == "PASS"
 
 
-def test_it_fails_where_nobody_drove_for_too_long(mission: Any) -> None:
+def test_it_fails_where_no_robot_drove_for_too_long(mission: Any) -> None:
     mission.gap_s = 0.7
-    assert "nobody drove for 0.80 s" in reasons(mission)
+    assert "no robot drove for 0.80 s" in reasons(mission)
 
 
 def test_it_fails_where_two_agents_drove_at_once(mission: Any) -> None:

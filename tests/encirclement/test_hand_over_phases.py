@@ -14,9 +14,9 @@ import pytest
 
 from pancakes.devices.types import Pose, Twist
 from pancakes.sim.models import robot_model
-from pancakes.sim.mover import MoverSettings
 from pancakes.sim.settings import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
 from pancakes.sim.simulation import Simulation
+from pancakes.sim.wayfinder import MoverSettings
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.avoidance import Avoidance
 from pancakes_encirclement.circle import curvature

@@ -54,9 +54,9 @@ def test_it_fails_where_nothing_moved(intrusion: Any) -> None:
     assert "never sensed any motion" in reasons(intrusion)
 
 
-def test_it_fails_where_nobody_came(intrusion: Any) -> None:
+def test_it_fails_where_no_person_came(intrusion: Any) -> None:
     intrusion.forget("task_started")
-    assert "nobody started ScanTarget" in reasons(intrusion)
+    assert "no agent started ScanTarget" in reasons(intrusion)
 
 
 def test_it_fails_where_the_robot_came_late(intrusion: Any) -> None:

@@ -42,7 +42,7 @@ KNOB = {"rates": {"device/ir": {"full": 10, "least": 1}}}
         ({**KNOB, "thresholds": [{"below": 0.3, "effort": 0.5}, {"below": 0.6, "effort": 0.0}]}, "must go down"),
         ({**KNOB, "thresholds": [{"below": 0.6, "effort": 0.2}, {"below": 0.3, "effort": 0.5}]}, "must go down"),
         ({**KNOB, "thresholds": [{"below": 0.6, "effort": 1.0}]}, "the first threshold must ask for less"),
-        ({**KNOB, "thresholds": [{"below": 0.99, "effort": 0.5}]}, "would hold for good"),
+        ({**KNOB, "thresholds": [{"below": 0.99, "effort": 0.5}]}, "would never end"),
         ({**KNOB, **NOTHING, "policy": "hope"}, "expected one of 'thresholds', 'feedback'"),
     ],
 )

@@ -6,7 +6,6 @@ import threading
 
 import pytest
 
-from pancakes.clock import MissionClock, VirtualMissionClock
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.kernel.component import Component
@@ -264,22 +263,6 @@ def test_calls_come_in_the_order_of_their_times_and_those_of_one_time_as_they_we
     dispatcher.run_until(10.0)
     assert len(came) > 200
     assert came == sorted((time_s, number) for time_s, number, wanted in asked if wanted)
-
-
-@pytest.mark.parametrize("speed", [1.0, 0.5, 5.0])
-@pytest.mark.parametrize("held", [False, True])
-def test_a_virtual_mission_clock_says_what_any_mission_clock_would(speed, held):
-    host = VirtualClock(2.0)
-    clocks = VirtualMissionClock(host, speed, held), MissionClock(host, speed, held)
-    for time_s in (2.0, 3.5):
-        host.advance_to(time_s)
-        assert clocks[0].now() == clocks[1].now() == (0.0 if held else (time_s - 2.0) * speed)
-    for clock in clocks:
-        clock.begin(0.5)
-    for time_s in (3.75, 4.0, 6.1):
-        host.advance_to(time_s)
-        assert clocks[0].now() == clocks[1].now()
-    assert clocks[0].now() > 0.0
 
 
 def test_a_virtual_clock_never_goes_back():

@@ -12,10 +12,10 @@ from pancakes.errors import MigrationError
 from pancakes.migration.capability import Capability
 from pancakes.migration.cost import (
     ActiveTasks,
+    BusyHost,
     Cost,
     EmptyBattery,
     HostLoad,
-    MeasuredLoad,
     RoundTrip,
     Weighted,
     cost_of,
@@ -28,7 +28,7 @@ from pancakes.migration.record import TaskId
 from pancakes.packet import body_from_plain
 
 ROBOT = HostLoad(3, battery_level=0.6, agent_share=0.25, host_share=0.5, lateness_share=0.01, rtt_s=0.02)
-KNOWN: dict[str, Cost] = {cost.name: cost for cost in (ActiveTasks(), EmptyBattery(), MeasuredLoad(), RoundTrip())}
+KNOWN: dict[str, Cost] = {cost.name: cost for cost in (ActiveTasks(), EmptyBattery(), BusyHost(), RoundTrip())}
 
 
 @pytest.mark.parametrize(

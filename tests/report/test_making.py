@@ -175,7 +175,7 @@ def test_a_fleet_without_a_world_or_anything_that_moves_has_a_report_too(tmp_pat
     assert {file.name for file, _ in made.files} == {"report.html", "report.json"}
     text = Page(made.page.read_text()).text
     assert "Nothing in the recording has a place." in text
-    assert "The recording holds no figures of tasks" in text
+    assert "The recording has no figures of tasks" in text
     assert "No actuator was commanded." in text
 
 
@@ -208,7 +208,7 @@ def test_a_place_that_cannot_be_written_and_an_empty_recording_are_sentences(rec
     (tmp_path / "file").write_text("")
     with pytest.raises(PancakesError, match="the report cannot be written to .*: Not a directory"):
         make_report(recording, tmp_path / "file" / "out")
-    with pytest.raises(PancakesError, match="holds no packets"):
+    with pytest.raises(PancakesError, match="has no packets"):
         make_report(written(tmp_path / "empty.mcap", []), tmp_path / "out")
 
 

@@ -59,7 +59,7 @@ def test_a_node_is_busy_while_anything_happens_and_a_while_longer() -> None:
     assert duty.decide(1.0) and duty.busy and duty.calm_in(1.0) is None
     duty.noticed("gate", True, 2.0)
     duty.noticed("shed", False, 3.0)
-    assert not duty.decide(30.0) and duty.busy and duty.who == ["gate"]
+    assert not duty.decide(30.0) and duty.busy and duty.observers == ["gate"]
     duty.noticed("gate", False, 40.0)
     assert not duty.decide(49.9) and duty.busy and duty.calm_in(49.0) == pytest.approx(1.0)
     assert duty.decide(50.0) and not duty.busy and duty.calm_in(50.0) is None

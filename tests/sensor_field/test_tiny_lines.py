@@ -100,7 +100,7 @@ def test_a_stranger_is_named_once(bench: Any) -> None:
     bench.send(temperature(1, 20.0, node=8) + temperature(2, 20.0, node=8) + temperature(1, 20.0))
     bench.gateway.wait_for(LineReport, lambda body: body.unknown == 2 and body.frames == 3)
     warnings = [line for line in bench.gateway.lines("warning") if "number 8 speaks" in line]
-    assert len(warnings) == 1 and warnings[0].endswith("; nobody named it")
+    assert len(warnings) == 1 and warnings[0].endswith("; the settings do not name it")
 
 
 def test_an_unplugged_line_is_named_and_found_again(plugged: Any) -> None:

@@ -155,7 +155,7 @@ def test_while_the_network_sleeps_nobody_knows_who_is_there(fleet):
     a.component("network").close()
     fleet.run_for(1.0)
 
-    assert "nobody knows whether b is there" in a.ask(Adopt("Count", force=True)).reason
+    assert "it is unknown whether b is there" in a.ask(Adopt("Count", force=True)).reason
 
 
 def test_there_must_be_a_doubt(fleet):

@@ -146,10 +146,10 @@ BAD = [
     ({"gains": np.array(["a"])}, "gains: expected an array of numbers or booleans"),
     ({"gains": [[1, 2], [3, 4]]}, "gains must be one row"),
     ({"kernel": [True, False]}, "kernel: expected a list of numbers"),
-    ({"kernel": [1e300]}, "kernel: has a number that float32 cannot hold"),
+    ({"kernel": [1e300]}, "kernel: has a number that float32 cannot represent"),
     ({"kernel": np.array([1 + 2j])}, "kernel: expected an array of float32, not of complex128"),
     ({"steps": {"x": [1.5]}}, "steps.x: expected whole numbers"),
-    ({"steps": {"x": [70_000]}}, "steps.x: has a number that int16 cannot hold"),
+    ({"steps": {"x": [70_000]}}, "steps.x: has a number that int16 cannot represent"),
     ({"steps": {"x": [2**70]}}, "steps.x: "),
 ]
 

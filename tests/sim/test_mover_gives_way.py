@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from pancakes.sim.mover import DECIDE_EVERY_S, Mover, MoverSettings, Obstacle
+from pancakes.sim.wayfinder import DECIDE_EVERY_S, MoverSettings, Obstacle, Wayfinder
 
 ROBOT_RADIUS_M = 0.065
 HALF_WIDTH_M, HALF_HEIGHT_M = 2.5, 2.0
@@ -16,7 +16,7 @@ def walk(settings, seed, robots_at, duration_s, sensor_radius_m=0.06):
 
     `robots_at` returns (x, y, vx, vy) of each robot at a time.
     """
-    mover = Mover(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(seed))
+    mover = Wayfinder(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(seed))
     x_m, y_m = settings.x_m, settings.y_m
     keep_m = max(settings.keep_out_m, settings.radius_m + sensor_radius_m)
     sensor = Obstacle(0.0, 0.0, 0.0, 0.0, keep_m)
@@ -80,7 +80,7 @@ def test_it_keeps_off_the_sensor_and_the_walls():
 
 def test_it_steps_aside_for_a_robot_that_comes_while_it_rests():
     settings = MoverSettings(0.0, 0.0, starts_s=1000.0)
-    mover = Mover(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(1))
+    mover = Wayfinder(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(1))
     coming = Obstacle(-0.6, 0.0, 0.1, 0.0, 0.565)
     far_away = Obstacle(-2.0, 0.0, 0.0, 0.0, 0.565)
     assert mover.decide(0.0, 0.0, 0.0, [far_away], []) == (0.0, 0.0)
@@ -91,7 +91,7 @@ def test_it_steps_aside_for_a_robot_that_comes_while_it_rests():
 
 def test_it_walks_to_its_waypoints_in_turn_and_begins_when_it_is_told():
     settings = MoverSettings(0.0, 0.0, waypoints=((1.0, 0.0), (1.0, 1.0)), starts_s=5.0, max_pause_s=0.0)
-    mover = Mover(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(1))
+    mover = Wayfinder(settings, HALF_WIDTH_M, HALF_HEIGHT_M, random.Random(1))
     x_m = y_m = 0.0
     reached: list[tuple[float, float]] = []
     for step in range(400):

@@ -12,7 +12,6 @@ from pancakes.settings import SettingsError, check_settings, make_settings
 from pancakes.sim.battery import BatterySettings
 from pancakes.sim.drive import Wheels
 from pancakes.sim.khepera import KHEPERA_III
-from pancakes.sim.mover import MoverSettings
 from pancakes.sim.settings import (
     ArenaSettings,
     ContentSettings,
@@ -22,6 +21,7 @@ from pancakes.sim.settings import (
     SensorSettings,
 )
 from pancakes.sim.simulation import Simulation
+from pancakes.sim.wayfinder import MoverSettings
 
 QUIET = NoiseSettings(wheel=0.0, ir_share=0.0, ir_raw=0.0, sonar_m=0.0)
 

@@ -108,7 +108,7 @@ def check_runtime_dir() -> Iterator[Finding]:
 
 def state_base() -> Path:
     """Returns the directory below which agents have their state, where their configuration does not say another."""
-    from pancakes.agent import default_state_dir
+    from pancakes.state_dir import default_state_dir
 
     return default_state_dir("fleet", "agent").parents[1]
 

@@ -12,7 +12,7 @@ from pancakes.cli.name_types import AGENT_NAME, TaskName, a_task, agents
 from pancakes.cli.options import Ask, asks_agents, asks_agents_for, dry_run_option, orders_agents
 from pancakes.cli.output import DRY_RUN, show, show_json, show_text
 from pancakes.cli.verbs.task_completion import costs, tasks_beside
-from pancakes.control import Adopt, Forget, Migrate, Migrations
+from pancakes.control import Adopt, Forget, Migrate, Migrations, Reply
 from pancakes.errors import ControlRefused, NoAnswer
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -132,14 +132,7 @@ def adopt(name: TaskName, force: bool, birthplace: str, dry_run: bool, ask: Ask)
     with ask.client() as client:
         name = meant(client, name)
         reply = accepted(client, name.agent, Adopt(name.target, force, birthplace, dry_run))
-    row = {
-        "agent": name.agent,
-        "task_id": reply.result["task_id"],
-        "done": DRY_RUN if dry_run else "adopted",
-        "instead_of": reply.result["peer"],
-        "number": reply.number,
-    }
-    ask.show([row], tuple(row))
+    _show_decided(ask, name, reply, DRY_RUN if dry_run else "adopted", instead_of=reply.result["peer"])
 
 
 @click.command()
@@ -163,12 +156,11 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
     """
     with ask.client() as client:
         reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run))
-    row = {
-        "agent": name.agent,
-        "task_id": reply.result["task_id"],
-        "done": DRY_RUN if dry_run else "forgotten",
-        "number": reply.number,
-    }
+    _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
+
+
+def _show_decided(ask: Ask, name: TaskName, reply: Reply, done: str, **others: Any) -> None:
+    row = {"agent": name.agent, "task_id": reply.result["task_id"], "done": done, **others, "number": reply.number}
     ask.show([row], tuple(row))
 
 

@@ -28,7 +28,7 @@ _ABOUT: Final = {
         "pancakes new driver wind-speed --into ..",
     ),
     "service": (
-        "Begin a service: it counts who publishes how much, with a task and a channel of its own.",
+        "Begin a service: it counts the packets of each publisher, with a task and a channel of its own.",
         "Begin a service.",
         "pancakes new service bookkeeping",
     ),

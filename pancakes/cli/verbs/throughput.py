@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import statistics
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from msgspec.structs import replace
 
@@ -27,15 +27,21 @@ def size_of(packet: Packet) -> int:
     return len(_ENCODER.packet(replace(packet, destination="")))
 
 
+class _Arrival(NamedTuple):
+    """One packet: its time, for the intervals; the host time at which it came; its size."""
+
+    time_s: float
+    at_s: float
+    size: int
+
+
 @dataclass(slots=True)
 class _PacketSeries:
     """The newest packets of one source and type."""
 
-    times_s: deque[float]
-    arrivals_s: deque[float]
-    sizes: deque[int]
+    newest: deque[_Arrival]
     packets: int = 0
-    new: int = field(default=0)
+    new: int = 0
 
 
 class Throughput:
@@ -60,17 +66,10 @@ class Throughput:
         key = (packet.source, packet.type)
         it = self._series.get(key)
         time_s = at_s if self._arrivals else packet.stamp
-        if it is None or (it.times_s and time_s < it.times_s[-1]):
+        if it is None or time_s < it.newest[-1].time_s:
             # A mission time that goes back is that of an agent that was started anew.
-            kept = (
-                deque[float](maxlen=self._window),
-                deque[float](maxlen=self._window),
-                deque[int](maxlen=self._window),
-            )
-            it = self._series[key] = _PacketSeries(*kept)
-        it.times_s.append(time_s)
-        it.arrivals_s.append(at_s)
-        it.sizes.append(size)
+            it = self._series[key] = _PacketSeries(deque(maxlen=self._window))
+        it.newest.append(_Arrival(time_s, at_s, size))
         it.packets += 1
         it.new += 1
         self.packets += 1
@@ -90,14 +89,14 @@ class Throughput:
         rows = []
         for (source, kind), it in sorted(self._series.items()):
             if it.new or not new_only:
-                head = {"source": source, "type": kind, "packets": it.packets, "window": len(it.times_s)}
-                rows.append({**head, **_intervals(it.times_s), **_sizes(it, self._began_s, now_s)})
+                head = {"source": source, "type": kind, "packets": it.packets, "window": len(it.newest)}
+                rows.append({**head, **_intervals(it.newest), **_sizes(it, self._began_s, now_s)})
             it.new = 0
         return rows
 
 
-def _intervals(times_s: deque[float]) -> dict[str, float | None]:
-    intervals = [after - before for before, after in pairwise(times_s)]
+def _intervals(newest: deque[_Arrival]) -> dict[str, float | None]:
+    intervals = [after.time_s - before.time_s for before, after in pairwise(newest)]
     whole_s = sum(intervals)
     if not intervals or whole_s <= 0.0:  # a mission that is held stands at 0
         return {"rate_hz": None, "min_s": None, "max_s": None, "std_dev_s": None}
@@ -106,11 +105,11 @@ def _intervals(times_s: deque[float]) -> dict[str, float | None]:
 
 
 def _sizes(it: _PacketSeries, began_s: float, now_s: float) -> dict[str, float | None]:
-    sizes = list(it.sizes)
+    sizes = [arrival.size for arrival in it.newest]
     if it.packets == len(sizes):
         whole, since_s = sum(sizes), began_s
     else:  # the window begins with its first packet, which therefore does not count
-        whole, since_s = sum(sizes[1:]), it.arrivals_s[0]
+        whole, since_s = sum(sizes[1:]), it.newest[0].at_s
     return {
         "bytes_per_s": whole / (now_s - since_s) if now_s > since_s else None,
         "min_bytes": min(sizes),

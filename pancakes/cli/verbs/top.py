@@ -11,7 +11,7 @@ import click
 from pancakes.cli.asking import surveyed
 from pancakes.cli.name_types import agents as some_agents
 from pancakes.cli.options import Ask, Duration, asks_agents
-from pancakes.cli.output import show_json, show_text
+from pancakes.cli.output import show_drawn, show_json, show_text
 from pancakes.cli.streaming import one_line, until_ended
 from pancakes.client import Client
 from pancakes.client.looks import Looks
@@ -101,7 +101,8 @@ def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask
                     for row in rows:
                         show_text(one_line(_sorted_in(row, sort)))
         elif once or not sys.stdout.isatty():
-            _print(looks, sort)
+            for rows in looks:
+                show_drawn(picture(rows, sort))
         else:
             _live(looks, sort)
 
@@ -140,16 +141,6 @@ def _live(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
     with Live(console=console, screen=True, auto_refresh=False) as live:
         for rows in looks:
             live.update(picture(rows, sort, console.size.height), refresh=True)
-
-
-def _print(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
-    from rich.console import Console
-
-    # Into a file or a pipe nothing is cut off or folded.
-    console = Console(width=None if sys.stdout.isatty() else 200)
-    for rows in looks:
-        console.print(picture(rows, sort))
-        console.file.flush()
 
 
 def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Group:

@@ -112,8 +112,8 @@ class _CommandQuestion:
     def nothing(self) -> str:
         """Says that there is no command, and which ones there are."""
         if not self._others:
-            return f"{self._reader.path} holds no command to an actuator"
-        return f"{self._reader.path} holds no such command, only such to {', '.join(sorted(self._others))}"
+            return f"{self._reader.path} has no command to an actuator"
+        return f"{self._reader.path} has no such command, only such to {', '.join(sorted(self._others))}"
 
     def _meant(self, commands: list[ActuatorCommand]) -> Iterator[ActuatorCommand]:
         for command in commands:

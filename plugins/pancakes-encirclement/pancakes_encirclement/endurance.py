@@ -82,7 +82,7 @@ def read_endurance(run: Run) -> Endurance:
     record, scenario = read_record(run.out), read_scenario(run.configs)
     robot = scenario.first
     if not scenario.movers or robot not in scenario.battery_v:
-        raise PancakesError("the energy demo needs a robot in its world, and somebody who walks there")
+        raise PancakesError("the energy demo needs a robot in its world, and a person that walks there")
     drains = [drain for name, drain in _drains(run.out / "consumption.csv") if name == robot]
     return endurance(record, scenario, robot, drains, run.ended_s)
 

@@ -1,4 +1,4 @@
-"""`paths.png`: a mission as the paper shows it (Figures 4 to 6), with who ran what and the batteries below."""
+"""`paths.png`: a mission as the paper shows it (Figures 4 to 6), with each agent's tasks and the batteries below."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def _gantt(
     panels: Sequence[tuple[str, float, float]],
     end_s: float,
 ) -> None:
-    """Draws who ran what."""
+    """Draws which agent ran which task, and when."""
     for place, (agent, task, spans) in enumerate(lanes):
         known = agent in scenario.robots
         colour = COLOURS[scenario.robots.index(agent) % len(COLOURS)] if known else "#777777"

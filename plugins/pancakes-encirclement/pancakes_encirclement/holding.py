@@ -1,4 +1,4 @@
-"""Who ran a task, and when: from what the agents said, and from what the wheels did."""
+"""Which agents ran a task, and when: from what the agents said, and from what the wheels did."""
 
 from __future__ import annotations
 

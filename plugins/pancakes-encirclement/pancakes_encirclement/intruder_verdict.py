@@ -104,7 +104,7 @@ def _reasons_to_fail(summary: Mapping[str, Any], scenario: Scenario, limits: Int
     if summary["detected_s"] is None:
         return [f"{scenario.sensor} never sensed any motion"]
     if not summary["holders"]:
-        return [f"motion was sensed, but nobody started {scenario.scan}"]
+        return [f"motion was sensed, but no agent started {scenario.scan}"]
     reasons = []
     if summary["start_delay_s"] < 0.0 or summary["drove_before_start"]:
         reasons.append(f"{robot} drove before any motion was sensed")

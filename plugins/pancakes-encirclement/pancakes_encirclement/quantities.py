@@ -1,4 +1,4 @@
-"""Numbers that settings may hold; whoever reads a configuration checks them."""
+"""Numbers that settings may have; the reader of a configuration checks them."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class Scenario:
         first: the agent that holds `ScanTarget` at first.
         robots: all robots, by the world's order.
         sensor: the sensor node.
-        movers: who walks through the arena.
+        movers: the persons that walk through the arena.
         scan: the name of the task that goes round.
         home: the name of the task that goes home; empty where there is none.
         radius_m: the radius of the circle.

@@ -104,7 +104,7 @@ def _reasons_to_fail(summary: Mapping[str, Any], scenario: Scenario, limits: Lim
     reasons = []
     scan = scenario.scan
     if not summary["holders"]:
-        reasons.append(f"nobody ever ran {scan}")
+        reasons.append(f"no agent ever ran {scan}")
     elif not new:
         reasons.append(f"{scan} never moved: {old} held it to the end")
     elif len(summary["holders"]) > 2:
@@ -114,7 +114,7 @@ def _reasons_to_fail(summary: Mapping[str, Any], scenario: Scenario, limits: Lim
     if new and gap is None:
         reasons.append(f"the wheels of {old} and {new} did not both follow {scan}")
     elif gap is not None and gap > limits.gap_s:
-        reasons.append(f"nobody drove for {gap:.2f} s at the hand-over, more than {limits.gap_s:g} s")
+        reasons.append(f"no robot drove for {gap:.2f} s at the hand-over, more than {limits.gap_s:g} s")
     if summary["overlap_s"] > 0.0:
         reasons.append(f"two agents ran {scan} at once, for {summary['overlap_s']:.2f} s")
     home_error = summary["home_error_m"]
@@ -169,7 +169,7 @@ def place(record: Record, name: str) -> tuple[float, float] | None:
 
 
 def mishaps(record: Record, scenario: Scenario) -> dict[str, Any]:
-    """Returns `collisions` and `out_of_bounds` (how many), and who `collided`."""
+    """Returns `collisions` and `out_of_bounds` (how many), and which bodies `collided`."""
     collided = [" with ".join(event.fields.get("names", ("?",))) for event in record.told("collision")]
     outside = [
         robot

@@ -28,7 +28,7 @@ class Alarm(Task):
         """What counts how much, and how often it gives account.
 
         Attributes:
-            repeat_s: an alarm is said again after so long, for as long as it lasts: who slept shall hear of it too.
+            repeat_s: an alarm is said again after so long, for as long as it lasts: a node may have slept.
             tally_s: seconds between two tallies.
         """
 

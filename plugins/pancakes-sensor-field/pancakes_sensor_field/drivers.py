@@ -29,7 +29,7 @@ NodeNumber = Annotated[int, Meta(ge=1, le=254)]
 PeriodS = Annotated[float, Meta(ge=0.1, le=3276.7)]
 
 
-class TinyNodes(Sensor):
+class LineNodes(Sensor):
     """A line with tiny nodes; a kind of line is a subclass.
 
     Its own readings say how well they are heard. A `ReportPeriod` that is sent to it goes on to the nodes.
@@ -39,7 +39,7 @@ class TinyNodes(Sensor):
 
     @dataclass
     class Settings:
-        """Who speaks on a line.
+        """The nodes on a line.
 
         Attributes:
             nodes: the number of each tiny node, by the name that it shall have here.
@@ -146,7 +146,7 @@ class TinyNodes(Sensor):
             self._station.ended()
         for number in heard.strangers:
             self.context.log(
-                "warning", f"a node with the number {number} speaks on {self.line_name()}; nobody named it"
+                "warning", f"a node with the number {number} speaks on {self.line_name()}; the settings do not name it"
             )
         for reading in heard.readings:
             self._show(reading)
@@ -166,11 +166,11 @@ class TinyNodes(Sensor):
         self.context.send(SYSTEM, body, join(self.context.agent, "device", device))
 
 
-class SerialNodes(TinyNodes):
+class SerialNodes(LineNodes):
     """Tiny nodes on a serial port (`sensor_field.serial`)."""
 
     @dataclass
-    class Settings(TinyNodes.Settings):
+    class Settings(LineNodes.Settings):
         """Where they are.
 
         Attributes:
@@ -188,14 +188,14 @@ class SerialNodes(TinyNodes):
         return f"the serial port {self.settings.port}"
 
 
-class UdpNodes(TinyNodes):
+class UdpNodes(LineNodes):
     """Tiny nodes that send datagrams (`sensor_field.udp`).
 
-    Who they are is not checked: whoever can reach the port can speak as any of them.
+    Their identity is not checked: any program that can reach the port can speak as any of them.
     """
 
     @dataclass
-    class Settings(TinyNodes.Settings):
+    class Settings(LineNodes.Settings):
         """Where they send to.
 
         Attributes:
@@ -205,7 +205,7 @@ class UdpNodes(TinyNodes):
         listen: str
 
         def __post_init__(self) -> None:
-            TinyNodes.Settings.__post_init__(self)
+            LineNodes.Settings.__post_init__(self)
             if parse_address(self.listen).scheme != "udp":
                 raise ValueError(f"listen = {self.listen!r} is no address such as 'udp://127.0.0.1:7421'")
 
@@ -217,14 +217,14 @@ class UdpNodes(TinyNodes):
         return f"the UDP port {self.settings.listen.removeprefix('udp://')}"
 
 
-class TcpNodes(TinyNodes):
+class TcpNodes(LineNodes):
     """Tiny nodes on a serial port at the far end of a TCP connection, as `ser2net` offers it (`sensor_field.tcp`).
 
     It runs in virtual time too.
     """
 
     @dataclass
-    class Settings(TinyNodes.Settings):
+    class Settings(LineNodes.Settings):
         """Where they are.
 
         Attributes:
@@ -234,7 +234,7 @@ class TcpNodes(TinyNodes):
         address: str
 
         def __post_init__(self) -> None:
-            TinyNodes.Settings.__post_init__(self)
+            LineNodes.Settings.__post_init__(self)
             if parse_address(self.address).scheme != "tcp":
                 raise ValueError(f"address = {self.address!r} is no address such as 'tcp://192.168.1.20:4001'")
 

@@ -6,7 +6,7 @@ import math
 
 
 class Duty:
-    """Whether something happens at a node: so much for each of those who look, and for a while after the last.
+    """Whether something happens at a node: so much for each observer that sees it, and for a while after the last.
 
     Args:
         linger_s: how long a node stays busy when nothing happens any more.
@@ -18,32 +18,32 @@ class Duty:
     def __init__(self, linger_s: float) -> None:
         self.linger_s = linger_s
         self.busy = False
-        self._who: dict[str, None] = {}
+        self._observers: dict[str, None] = {}
         self._calm_s = -math.inf
 
     @property
-    def who(self) -> list[str]:
-        """Those at whom something happens right now."""
-        return list(self._who)
+    def observers(self) -> list[str]:
+        """The observers that see something happen right now."""
+        return list(self._observers)
 
-    def noticed(self, who: str, busy: bool, now_s: float) -> None:
-        """Somebody who looks says whether something happens."""
+    def noticed(self, observer: str, busy: bool, now_s: float) -> None:
+        """An observer says whether something happens."""
         if busy:
-            self._who[who] = None
-        elif who in self._who:
-            del self._who[who]
+            self._observers[observer] = None
+        elif observer in self._observers:
+            del self._observers[observer]
             self.stirred(now_s)
 
     def stirred(self, now_s: float) -> None:
-        """Something happens just now, such as an alarm elsewhere, that nobody will say the end of."""
+        """Something happens just now, such as an alarm elsewhere, whose end no observer will say."""
         self._calm_s = max(self._calm_s, now_s + self.linger_s)
 
     def decide(self, now_s: float) -> bool:
         """Works out whether the node is busy at `now_s`; returns whether that has changed."""
-        busy = bool(self._who) or now_s < self._calm_s - 1e-9
+        busy = bool(self._observers) or now_s < self._calm_s - 1e-9
         changed, self.busy = busy != self.busy, busy
         return changed
 
     def calm_in(self, now_s: float) -> float | None:
         """Returns in how many seconds it will be calm if nothing else happens; None: not by itself, or it is."""
-        return None if self._who or not self.busy else max(0.0, self._calm_s - now_s)
+        return None if self._observers or not self.busy else max(0.0, self._calm_s - now_s)

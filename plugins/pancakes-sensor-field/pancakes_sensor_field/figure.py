@@ -1,4 +1,4 @@
-"""`paths.png`: a mission in a sensor field. Where all stand, how warm it got, who had the alarm, and what was saved."""
+"""`paths.png`: a mission in a sensor field. Places, temperatures, alarms, and what was saved."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def draw_sensor_field(run: Run, summary: Mapping[str, Any]) -> None:
 
 
 def _map(axes: Axes, field: Table, colours: Mapping[str, str]) -> None:
-    """Draws who stands where, who walks where, and what burns."""
+    """Draws where nodes stand, where persons walk, and what burns."""
     from matplotlib.patches import Circle
 
     axes.set_aspect("equal")
@@ -143,7 +143,7 @@ def _heat(axes: Axes, record: Record, colours: Mapping[str, str], summary: Table
 
 
 def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Table, end_s: float) -> None:
-    """Draws when each node saw motion, when its radio listened, and who had the alarm."""
+    """Draws when each node saw motion, when its radio listened, and which agent had the alarm."""
     names = [name for name in record.nodes if name != "gateway"]
     lanes = ["alarm", *names]
     for holder in summary["holders"]:
@@ -160,7 +160,9 @@ def _awake(axes: Axes, record: Record, colours: Mapping[str, str], summary: Tabl
     axes.set_ylim(len(lanes) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.tick_params(axis="x", labelbottom=False)
-    axes.set_title("who has the alarm; whose radio listens (colour), who has motion before it (black)", loc="left")
+    axes.set_title(
+        "which agent has the alarm; whose radio listens (colour), which node has motion before it (black)", loc="left"
+    )
     _alarms(axes, summary, end_s)
     _bare(axes)
 

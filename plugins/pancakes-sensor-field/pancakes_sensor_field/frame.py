@@ -3,7 +3,7 @@
     byte    0      1      2      3      4 5      6 7
             sync   node   kind   number value    crc
 
-`sync` is 0xA5. `node` is the node's number, 1 to 254: its own in what it sends, whom it is for in what is sent to it.
+`sync` is 0xA5. `node` is the node's number, 1 to 254: the sender's in a frame from it, else the receiver's.
 `value` is a signed number, `crc` the CRC-16/CCITT-FALSE of bytes 1 to 5; both have the higher byte first.
 
 | kind | from a node | to a node |

@@ -19,11 +19,11 @@ LONGEST_PAUSE_S: Final = 5.0
 """How long, in host time, a line that is not there is left alone before it is tried again."""
 
 Reply = Callable[[bytes], object]
-"""Sends bytes back to whoever has just spoken. They are lost where the line is gone."""
+"""Sends bytes back to the node that has just spoken. They are lost where the line is gone."""
 
 
 class Listener(Protocol):
-    """Who hears a line. Called in the line's thread."""
+    """Hears a line. Called in the line's thread."""
 
     def found(self) -> None:
         """The line is there."""
@@ -103,7 +103,7 @@ class SerialLine(_ThreadLine):
 
         with serial.Serial(self._port, self._baud, write_timeout=0, exclusive=True) as port:
             self._cancel = port.cancel_read
-            port.reset_input_buffer()  # what nobody heard is old
+            port.reset_input_buffer()  # readings from before this are old
             listener.found()
 
             def reply(data: bytes) -> None:
@@ -191,7 +191,7 @@ class TcpLine(Line):
         self._pause_s = FIRST_PAUSE_S
 
     def ended(self, listener: Listener) -> bool:
-        """A connection is gone, or never stood; returns whether somebody cares."""
+        """A connection is gone, or never stood; returns whether the line is still wanted."""
         self._connection = None
         if self._closed:
             return False

@@ -19,7 +19,7 @@ class LineReport(msgspec.Struct, frozen=True):
         skipped_bytes: bytes that belonged to no frame.
         missed: frames that never came.
         repeated: frames that came twice, or too late.
-        unknown: frames of nodes that nobody named, or of an unknown kind.
+        unknown: frames of nodes that the settings do not name, or of an unknown kind.
     """
 
     connected: bool

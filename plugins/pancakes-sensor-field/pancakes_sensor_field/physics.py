@@ -1,4 +1,4 @@
-"""A simulated field: what is hot in it and who walks there, at each moment of a script. Pure."""
+"""A simulated field: what is hot in it and which persons walk there, at each moment of a script. Pure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class NodeSettings:
 
 @dataclass
 class WalkerSettings:
-    """Somebody who walks through the field; before and after, nobody is there.
+    """A person that walks through the field, and is not there before and after.
 
     Attributes:
         way: moments and places, as (seconds, x, y); in between they go straight, and where two places are the same
@@ -74,8 +74,8 @@ class SceneSettings:
     """A field and what happens in it.
 
     Attributes:
-        nodes: who stands there, tiny nodes too.
-        walkers: who walks there.
+        nodes: the nodes that stand there, tiny ones too.
+        walkers: the persons that walk there.
         fires: what burns there.
         ambient_c: the temperature of the air at first.
         drift_c_per_hour: by how much that changes.
@@ -122,7 +122,7 @@ class Scene:
         return celsius
 
     def moving(self, node: str, time_s: float) -> bool:
-        """Returns whether somebody moves before a node."""
+        """Returns whether a person moves before a node."""
         place = self._settings.nodes[node]
         return any(
             walker.speed_mps > 0 and math.hypot(walker.x_m - place.x_m, walker.y_m - place.y_m) <= place.sees_m
@@ -130,7 +130,7 @@ class Scene:
         )
 
     def walkers(self, time_s: float) -> list[Walker]:
-        """Returns who is in the field."""
+        """Returns the persons that are in the field."""
         there = (_walker(name, settings, time_s) for name, settings in self._settings.walkers.items())
         return [walker for walker in there if walker is not None]
 

@@ -34,7 +34,7 @@ class Heard:
     Attributes:
         readings: the readings in them, in their order.
         answer: what is to be sent back at once, while the nodes listen.
-        strangers: numbers of nodes that nobody has named, each told once.
+        strangers: numbers of nodes that the settings do not name, each told once.
     """
 
     readings: list[Reading] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Station:
     Attributes:
         missed: frames that never came, as the numbers of later ones show.
         repeated: frames that came twice, or too late.
-        unknown: frames of an unknown kind, or of nobody who was named.
+        unknown: frames of an unknown kind, or of a node that the settings do not name.
     """
 
     def __init__(self, nodes: Mapping[str, int], period_s: float | None = None) -> None:

@@ -4,7 +4,7 @@
     python -m pancakes_sensor_field.tiny_node --node 9 --udp 127.0.0.1:7421 --period 2
 
 What its sensors feel comes on standard input, a line for each change: `t 21.5` is a temperature in degrees Celsius,
-`m 1` something that moves, `m 0` that nothing does. It ends with its standard input, and so with whoever holds the
+`m 1` something that moves, `m 0` that nothing does. It ends with its standard input, and so with the program at the
 other end, however that ends. It imports nothing of Pancakes.
 """
 
@@ -38,7 +38,7 @@ class PtyWire:
         self._link.symlink_to(os.ttyname(self._far))
 
     def send(self, data: bytes) -> None:
-        with suppress(BlockingIOError):  # nobody reads at the far end: as on a wire, it is lost
+        with suppress(BlockingIOError):  # no program reads at the far end: as on a wire, it is lost
             os.write(self.file, data)
 
     def receive(self) -> bytes:
@@ -59,7 +59,7 @@ class UdpWire:
         self.file = self._socket.fileno()
 
     def send(self, data: bytes) -> None:
-        with suppress(OSError):  # nobody listens there
+        with suppress(OSError):  # no program listens there
             self._socket.send(data)
 
     def receive(self) -> bytes:
@@ -118,7 +118,7 @@ def main() -> None:
     parser.add_argument("--garble", type=float, default=0.0, help="share of what it sends that is spoilt on the wire")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for whoever started us
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C is for the program that started this one
     wire = PtyWire(arguments.pty) if arguments.pty else UdpWire(arguments.udp)
     print(f"the tiny node {arguments.node} speaks at {arguments.pty or arguments.udp}", flush=True)
     try:

@@ -160,7 +160,7 @@ class SimulatedTinyNodes(Task):
 
 
 class _SimulatedNode:
-    """A tiny node at the end of a simulated line. All in its task's actor, but what comes in."""
+    """A tiny node at the end of a simulated line. It runs in its task's actor."""
 
     def __init__(self, task: SimulatedTinyNodes, settings: TinyNodeSettings) -> None:
         self._task = task

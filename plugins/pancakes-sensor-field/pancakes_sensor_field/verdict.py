@@ -17,8 +17,8 @@ class Limits:
     """What a mission must keep to.
 
     Attributes:
-        raised_within_s: time from a fire's start to the alarm; it may come before, as who lays a fire is seen first.
-        gap_s: time in which nobody ran the alarm, at a move.
+        raised_within_s: time from a fire's start to the alarm; it may come before, as motion is seen first.
+        gap_s: time in which no agent ran the alarm, at a move.
         overlap_s: how well the mission clocks of two agents agree.
         saved_share: what a node that sleeps must save, as a share of what it would use always on; one that ran the
             alarm had to stay awake for that.
@@ -161,7 +161,7 @@ def _energy(record: Record, configs: Mapping[str, Table], field: Table) -> dict[
 
 
 def _alarm_reasons(summary: Table, limits: Limits) -> list[str]:
-    reasons = [f"nobody was alarmed of the fire {name}" for name in summary["missed_fires"]]
+    reasons = [f"no alarm told of the fire {name}" for name in summary["missed_fires"]]
     if not summary["alarms"]:
         reasons.append("there never was an alarm")
     for alarm in summary["alarms"]:
@@ -178,7 +178,7 @@ def _alarm_reasons(summary: Table, limits: Limits) -> list[str]:
 def _move_reasons(summary: Table, name: str, held: Sequence[Holder], limits: Limits) -> list[str]:
     reasons = []
     if not held:
-        return [f"nobody ever ran {name}"]
+        return [f"no agent ever ran {name}"]
     if summary["battery_fell_s"] is None:
         reasons.append(f"the battery of {held[0].agent} never fell so far that {name} had to move")
     elif len(held) == 1:
@@ -186,7 +186,7 @@ def _move_reasons(summary: Table, name: str, held: Sequence[Holder], limits: Lim
     if len(held) > 2:
         reasons.append(f"{name} had {len(held)} holders, not two")
     if summary["gap_s"] is not None and summary["gap_s"] > limits.gap_s:
-        reasons.append(f"nobody ran {name} for {summary['gap_s']:.2f} s, more than {limits.gap_s:g} s")
+        reasons.append(f"no agent ran {name} for {summary['gap_s']:.2f} s, more than {limits.gap_s:g} s")
     if summary["overlap_s"] > limits.overlap_s:
         reasons.append(f"two agents ran {name} at once, for {summary['overlap_s']:.2f} s")
     if len(held) > 1 and summary["state_moved"] is None:
@@ -200,10 +200,10 @@ def _move_reasons(summary: Table, name: str, held: Sequence[Holder], limits: Lim
 def _report_reasons(summary: Table, nodes: Sequence[str], gateway: str, ended_s: float) -> list[str]:
     told_s, reports = summary["reports_told_s"], summary["reports"]
     if told_s is None:
-        return ["nobody gave account of the reports"]
+        return ["no agent gave account of the reports"]
     reasons = []
     if ended_s - told_s > 25.0:
-        reasons.append(f"nobody gave account of the reports after {told_s:.0f} s")
+        reasons.append(f"no agent gave account of the reports after {told_s:.0f} s")
     reasons += [f"no report of {node} ever came" for node in nodes if node != gateway and node not in reports]
     for node, (received, highest) in reports.items():
         if received < highest:

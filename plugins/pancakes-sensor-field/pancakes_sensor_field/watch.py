@@ -23,7 +23,7 @@ class Watch(Task):
 
     @dataclass
     class Settings:
-        """Whom it watches.
+        """The device that it watches.
 
         Attributes:
             alarm: identity of the alarm task: the agent that it was born on, and its name there.

@@ -81,7 +81,7 @@ class Obstacle(msgspec.Struct, frozen=True, gc=False):
     distance_m: float
 
 
-class Mover:
+class Wayfinder:
     """Decides where a person walks.
 
     Args:
