@@ -62,7 +62,7 @@ def chosen(
 
 
 def meaning(record: Record, me: str) -> str:
-    """Returns what adopting a task would mean, for whoever has not yet said `force`."""
+    """Returns what adopting a task would mean, for a person who has not yet said `force`."""
     task_id, peer = record.task_id, record.peer
     if record.phase is Phase.COMMITTED:
         doubt = f"{task_id} was given to {peer} (offer {record.offer}), which does not say that it has it"

@@ -50,7 +50,7 @@ class Component(PykkaActor):
     Attributes:
         agent: the agent's name.
         name: the last part of the address.
-        after_turn: called in the actor after each of its turns; None: nobody asks.
+        after_turn: called in the actor after each of its turns; None: nothing is.
     """
 
     blocking: bool = False
@@ -100,7 +100,7 @@ class Component(PykkaActor):
         Args:
             channel: where.
             body: an instance of a registered packet type.
-            to: its destination (see `pancakes.packet`); empty: whoever subscribes on this agent.
+            to: its destination (see `pancakes.packet`); empty: the subscribers on this agent.
             cause: the packet that led to this one; None: the one that is being handled, if any.
 
         Returns:
@@ -139,7 +139,7 @@ class Component(PykkaActor):
         try:
             self.publish(LOG, body)
         except PancakesError:
-            # Nobody may fail because a reader of `log` has no room, or because the stream is being taken down.
+            # No component may fail because a reader of `log` has no room, or because the stream is being taken down.
             self.kernel.stream.undelivered += 1
 
     def subscribe(

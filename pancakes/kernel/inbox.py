@@ -8,7 +8,7 @@ from collections import deque
 from typing import Any, Final
 
 LONGEST_S: Final = 3600.0
-"""Nobody waits longer at a time: further than some centuries ahead the system cannot."""
+"""A thread waits no longer at a time: the system cannot wait further than some centuries ahead."""
 
 
 class Inbox:
@@ -16,12 +16,12 @@ class Inbox:
 
     Not a `queue.SimpleQueue`, whose timed `get` may wait for ever (Python 3.11 and 3.12): where a message was taken
     just before, and the time is up before it has come to wait, it waits without any limit. Counted on a busy machine,
-    with waits of 1 ns to 20 µs: once in some thousand. The timer then ticked nobody until somebody told it something.
+    with waits of 1 ns to 20 µs: once in some thousand. The timer then gave no ticks until a message came.
     """
 
     def __init__(self) -> None:
         self._messages: deque[Any] = deque()
-        # Held while nobody has rung.
+        # Held while no message has been put.
         self._bell = threading.Lock()
         self._bell.acquire()
 

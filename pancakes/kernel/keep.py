@@ -48,5 +48,5 @@ def queue(limit: int) -> Keep:
 
 
 def reliable(limit: int) -> Keep:
-    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and nobody gets the packet."""
+    """Up to `limit` packets wait; then publishing raises `MailboxFull`, and no subscriber gets the packet."""
     return Keep(limit, reliable=True)

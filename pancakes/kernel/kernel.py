@@ -102,13 +102,13 @@ class Kernel:
 
         Args:
             cls: its class.
-            address: its address; nobody else may run there.
+            address: its address; no other component may run there.
             exited: called in the component's thread when it has ended, with the error if it failed; None: its
                 subscriptions end with it.
             arguments: what else its class wants.
 
         Raises:
-            ValueError: somebody runs at this address already.
+            ValueError: a component runs at this address already.
         """
         component = cls(self, address, **arguments)
         component.exited = exited or self._release
@@ -173,7 +173,7 @@ class Kernel:
         try:
             self.stream.publish(packet)
         except PancakesError:
-            # As in `Component.log`: whoever has something to say, in whatever thread, must not fail for a reader.
+            # As in `Component.log`: a thread that logs must not fail because of a reader.
             self.stream.undelivered += 1
 
     def stop(self) -> None:
@@ -195,7 +195,7 @@ class Kernel:
         self.stream.unsubscribe(component.address)
 
     def _hogged(self, address: str, held_s: float) -> None:
-        if address == f"{self.agent}/kernel":  # who starts and ends the services: nobody can write it otherwise
+        if address == f"{self.agent}/kernel":  # the root: no user can write it otherwise
             return
         self.log(
             "warning",

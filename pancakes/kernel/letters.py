@@ -11,7 +11,7 @@ from pancakes.packet import Packet
 ATTEMPTS = 3
 """How often a reliable packet is handled before it is given up as a dead letter."""
 MOST_KNOWN = 1024
-"""So many packets that failed are remembered. One whose task is given up never comes again, and nobody says so."""
+"""So many packets that failed are remembered. One whose task is given up does not come again, and nothing says so."""
 
 
 class DeadLetters:

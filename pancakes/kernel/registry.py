@@ -113,7 +113,7 @@ class Registry(Generic[Member]):
     def reserve(self, address: str, types: tuple[str, ...]) -> str:
         """Keeps the actuators among the device types for a task that arrives or is to start: all of them or none.
 
-        It does not hold them yet, so that they obey nobody. `hold` for the same address takes them, `unreserve` gives
+        It does not hold them yet, so that they obey no task. `hold` for the same address takes them, `unreserve` gives
         them back.
 
         Returns:
@@ -155,7 +155,7 @@ class Registry(Generic[Member]):
         return "" if kept_for == address else f"{device} is kept for {kept_for}, which is about to start"
 
     def claim(self, device: str, address: str) -> str:
-        """Grants one actuator that nobody holds or is about to; returns who holds it then, or is about to."""
+        """Grants an actuator that no task holds or is about to; returns the address that does so then."""
         with self._lock:
             kept_for = self._reserved.get(device, address)
             return self._holders.setdefault(device, address) if kept_for == address else kept_for

@@ -15,7 +15,7 @@ class Due(msgspec.Struct, frozen=True, gc=False):
     """A tick.
 
     Attributes:
-        targets: whom it is for; whoever ticks them takes them out.
+        targets: what is to be ticked; the timer takes each out as it ticks it.
         deadline_s: when it was due.
         missed: how many ticks before it never happened because the timer itself was late.
     """

@@ -192,7 +192,7 @@ class InformationStream:
             self._forget(channel)
 
     def tap_outgoing(self, tap: Tap) -> None:
-        """Calls `tap` with every packet published here for somebody elsewhere, as `tap` does."""
+        """Calls `tap` with every packet published here for another agent, as `tap` does."""
         check_called(tap, ("packet",), "a tap is called with each packet", "def hear(packet: Packet) -> None")
         with self._lock:
             self._outgoing = (*self._outgoing, tap)
@@ -230,7 +230,7 @@ class InformationStream:
                     self._forget(channel)
 
     def silence(self) -> None:
-        """Ends all subscriptions and taps: what is published from now on reaches nobody."""
+        """Ends all subscriptions and taps: no subscriber gets what is published from now on."""
         with self._lock:
             for readers in self._readers.values():
                 readers.clear()
@@ -271,17 +271,17 @@ class InformationStream:
         return self._routes.get((packet.channel, packet.type, destination)) or self._new_route(packet, destination)
 
     def _new_route(self, packet: Packet, destination: str) -> Route:
-        """Makes the snapshot for packets like this one; an empty destination means whoever subscribes here."""
+        """Makes the snapshot for packets like this one; an empty destination means all subscribers here."""
         with self._lock:
             readers = self._readers.get(packet.channel)
             if readers is None:
                 raise self._unknown(packet)
-            names_somebody = destination not in ("", self.agent)
+            is_addressed = destination not in ("", self.agent)
             listeners = [
                 reader
                 for reader in readers.values()
                 if (not destination or covers(destination, reader.address))
-                and reader.reads(packet.type, addressed=names_somebody)
+                and reader.reads(packet.type, addressed=is_addressed)
             ]
             # A stable order of those that are told, which decides the order of their turns in virtual time.
             listeners.sort(key=lambda reader: len(reader.bounds) > 1)

@@ -104,7 +104,7 @@ def recover(record: Record, times: Times = TIMES) -> list[Effect]:
         case Phase.OWNER:
             return owner.recover(record)
         case Phase.FROZEN:
-            # Presumed abort: nobody can have got a COMMIT.
+            # Presumed abort: no candidate can have got a COMMIT.
             back = source.taken_back(record)
             return [Persist(back), *owner.recover(back)]
         case Phase.COMMITTED:
@@ -139,7 +139,7 @@ def _received(me: str, record: Record, volatile: Volatile, event: Received, time
         case Unknown():
             return source.unknown(record, peer, message)
         case _:
-            # MOVED is news for whoever sends packets to the task; it changes nobody's right to run it.
+            # MOVED is news for the senders of packets to the task; it changes no agent's right to run it.
             return []
 
 
@@ -164,7 +164,7 @@ def _persist_failed(record: Record, volatile: Volatile, event: PersistFailed, ti
     """Goes on after a write that failed.
 
     The disk may hold the old record or the new one; `record` is the old one. Nothing that was to follow has
-    happened, in particular nobody was told. Both are as safe as a crash just before, or just after. The journal's
+    happened, in particular no message was sent. Both are as safe as a crash just before, or just after. The journal's
     store tells people.
     """
     if record.phase is Phase.OWNER and volatile.freezing:

@@ -125,7 +125,7 @@ class Decline(msgspec.Struct, frozen=True):
     """Refuse what an event of this agent's own services asked for; nothing has changed.
 
     Attributes:
-        reason: a sentence for whoever asked.
+        reason: a sentence for the asker.
         moved_to: where the task is, as far as known here; empty where it did not move.
     """
 

@@ -1,6 +1,6 @@
 """The bidding for one task: asks the neighbours, compares what they say, and keeps the account. Pure.
 
-Nobody waits for a silent neighbour: the window closes after half a second, or as soon as all have
+No agent waits for a silent neighbour: the window closes after half a second, or as soon as all have
 answered. The cheapest is chosen, ties by name; where its hand-off comes to nothing, the next one is. The
 task runs on all through this.
 """
@@ -28,8 +28,8 @@ class Exhausted(msgspec.Struct, frozen=True):
     """No neighbour can take the task, or the one asking wanted to know nothing but who could.
 
     Attributes:
-        error: what to tell whoever asked; its message has each neighbour's reason. None after a dry run that
-            found somebody.
+        error: what to tell the asker; its message has each neighbour's reason. None after a dry run that
+            found a candidate.
     """
 
     error: NoCandidate | None
@@ -91,7 +91,7 @@ class Negotiation:
         return self._chosen
 
     def begin(self, now_s: float) -> Outcome | None:
-        """Begins. To be called before the answers come; decides at once where there is nobody to ask."""
+        """Begins. To be called before the answers come; decides at once where there is no neighbour to ask."""
         return None if self.asked else self._close(now_s)
 
     def bid(self, peer: str, cost: float, terms: Mapping[str, float], now_s: float) -> Outcome | None:

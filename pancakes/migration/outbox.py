@@ -16,9 +16,9 @@ from pancakes.migration.snapshot import Posted
 class Outbox:
     """The streams of one agent.
 
-    A stream to which nobody adds any more, because its task has gone on in another one, is kept until all of it is
+    A stream to which no task adds any more, because its task has gone on in another one, is kept until all of it is
     acknowledged. What a task sends on its way out (a thread of its own, its `on_stop`) goes in the common stream: of
-    streams of its own, one for each move, there would be ever more where nobody acknowledges them.
+    streams of its own, one for each move, there would be ever more where no agent acknowledges them.
 
     Args:
         name: begins the names of all streams that are begun here; no other start of any agent ever had it.
@@ -42,7 +42,7 @@ class Outbox:
         """Takes a packet, and returns what is to be sent now.
 
         Args:
-            sender: the task that sends it, as `birthplace/name`; empty: somebody who does not move.
+            sender: the task that sends it, as `birthplace/name`; empty: the sender does not move.
             task_id: whom it is for.
             packet: the packet, as the wire writes it.
             host: where that task is, as far as is known; used for the first packet of this sender to it only.
@@ -89,7 +89,7 @@ class Outbox:
     # A sender that moves ---------------------------------------------------------------------------------------
 
     def leave(self, sender: str) -> Posted | None:
-        """A sender stands still and is about to leave: returns its stream, to which nobody may add from now on.
+        """A sender stands still and is about to leave: returns its stream, to which nothing may be added from now on.
 
         What is in it is sent all the same: its new host will send it again under the same numbers.
         """

@@ -61,7 +61,7 @@ def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
 
 
 def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[Effect]:
-    """Writes down what failed to be written, and goes on from there, unless somebody has decided otherwise since."""
+    """Writes down what failed to be written, and goes on from there, unless something else was decided since."""
     if record != event.old or volatile.running or volatile.again != event.record:
         return []
     return [Remember(Volatile()), Persist(event.record), *recover(event.record)]

@@ -2,7 +2,7 @@
 
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next one of each stream, so that what comes late, twice or out of order has no effect twice and overtakes nothing.
-Where the task has moved, whoever had it says where it went (`docs/protocol.md`, packets).
+Where the task has moved, the agent that had it says where it went (`docs/protocol.md`, packets).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ IN_FLIGHT: Final = 64
 RESEND_S: Final = 0.3
 """First pause before what is on its way is sent again, in host time; it doubles ..."""
 LONGEST_S: Final = 2.4
-"""... up to this; from then on everybody is asked, because whoever knew where the task is may be gone."""
+"""... up to this; from then on all agents are asked, because the one that knew where the task is may be gone."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
 MOST_HOPS: Final = 8
@@ -66,7 +66,7 @@ class Receipt(msgspec.Struct, frozen=True):
         task_id: the task.
         stream: the stream.
         seq: up to which number.
-        epoch_n: how many hand-offs the task has behind it; it is with whoever sends this.
+        epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
     """
 
     task_id: str

@@ -7,7 +7,7 @@ import msgspec
 from pancakes.migration.cost import CostChoice
 
 ASK_AGAIN_S = 60.0
-"""After nobody could take the task, the rule asks again only after this time."""
+"""After no agent could take the task, the rule asks again only after this time."""
 
 
 class MigrationRule(msgspec.Struct, frozen=True):

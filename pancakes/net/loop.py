@@ -169,7 +169,7 @@ class Loop:
         timers, now, wait = self._timers, self._now, self.busy_poll.wait
         while not self._ended:
             self._forgotten.clear()
-            # Without the lock: only this thread takes timers out, and whoever puts in one that is earlier wakes it.
+            # Without the lock: only this thread takes timers out, and a thread that puts in an earlier one wakes it.
             ready = wait(timers[0][0] if timers else None)
             if guest is None and self._make_guest is not None:
                 guest = self._make_guest(self._take_over)

@@ -19,7 +19,7 @@ what comes meanwhile. Nearly all ticks come at multiples of 5 ms: what is sent b
 SOON_SHARE: Final = 0.25
 """The same as a share of the time between two sendings, where that is less."""
 LEAST_HZ: Final = 0.001
-"""Nobody may ask for less: so long the next sending is kept in mind also for who has gone meanwhile."""
+"""No follower may ask for less: so long the next sending is kept in mind, also where it has gone meanwhile."""
 MOST_KEPT: Final = 4096
 """So many sources and types are told apart; a peer that makes up one after the other must not fill the memory."""
 

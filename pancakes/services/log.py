@@ -46,7 +46,7 @@ KEEP = queue(4096)
 
 
 class Console(LogWriter):
-    """Shows lines and events to whoever looks at the terminal."""
+    """Shows lines and events on the terminal."""
 
     class Settings(msgspec.Struct):
         """What is shown: lines of this level and above; see `LogService.Settings`."""
@@ -83,7 +83,7 @@ class Console(LogWriter):
 
 
 REMEMBERED = 2000
-"""So much of what was said on `log` is still known when somebody asks, where nothing else is configured."""
+"""So much of what was said on `log` is still known when a client asks, where nothing else is configured."""
 REMEMBERED_BYTES = 4 * 1024 * 1024
 """All that is still known of what was said on `log` takes no more than this, about; the last is always known."""
 PAGE = 60_000
@@ -119,7 +119,7 @@ class LogService(Service):
             share_kib_s: of what one source says, so many KiB a second of host time are written to the file, and as much
                 to the console, counted over 5 s; its warnings and errors have as much again. The rest is left out, and
                 a line says how much that was. 0: there is no limit.
-            remembered: so many of the newest lines and events are still known when somebody asks, at most 2000; fewer
+            remembered: so many of the newest lines and events are still known when a client asks, at most 2000; fewer
                 where they are large.
         """
 

@@ -51,7 +51,7 @@ class NetworkClient(Task):
     def send(self, packet: Packet) -> None:
         """Sends a packet. In the publisher's thread.
 
-        A packet for an agent that is away is dropped and counted, as news for nobody is on any channel.
+        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel.
 
         Raises:
             LocalProtocolError: it cannot travel.
@@ -136,7 +136,7 @@ class NetworkService(Service):
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         super().on_failure(exception_type, exception_value, traceback)
-        # Its successor knows nothing of them, and whoever follows anew would get everything twice.
+        # Its successor knows nothing of them, and an agent that follows anew would get everything twice.
         for channel, by in list(self._followers):
             self._unfollow(channel, by)
 
@@ -186,7 +186,7 @@ class NetworkService(Service):
         destination = agent_of(by)
         role = next((hello.role for hello in self._mesh.connected() if hello.name == destination), "")
         if not role:
-            # It has asked and gone, and nobody would ever end what it began.
+            # It has asked and gone, and no agent would ever end what it began.
             raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
         if body.foreign and role != "client":
             # Two agents that follow each other would send one packet to and fro for ever.

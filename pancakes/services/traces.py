@@ -1,4 +1,4 @@
-"""What led to the commands of an agent's actuators, for who watches: noted only while somebody asks for it."""
+"""What led to the commands of an agent's actuators, for people who watch: noted only while a client asks for it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pancakes.recording.chains import LONGEST
 from pancakes.recording.commands import body_text, is_command
 
 LEASE_S: Final = 10.0
-"""So long after somebody asked last, in host time, packets are noted for who went away without a word."""
+"""So long after a client asked last, in host time, packets are noted: it may have gone without a word."""
 LOOK_LATER_S: Final = 0.1
 WAITING: Final = 20_000
 """So many packets are noted between two questions; of more, the oldest are forgotten."""
@@ -160,7 +160,7 @@ class TracedPackets:
 
 
 class Tracing:
-    """Notes the packets of an agent for as long as somebody asks what led to its commands.
+    """Notes the packets of an agent for as long as a client asks what led to its commands.
 
     An answer takes some milliseconds of a busy agent, so it is found in several of the owner's turns.
 
