@@ -40,13 +40,3 @@ class Standing(msgspec.Struct, frozen=True):
     unanswered: int = 0
     rests: bool = False
     to_conclude: int = 0
-
-    @property
-    def idle(self) -> bool:
-        """Whether every event so far is dealt with and every effect carried out."""
-        return self.waits is None and not self.effects and not self.events
-
-    @property
-    def settled(self) -> bool:
-        """Whether in addition all that was decided is on disk: nothing is left that could not be written."""
-        return self.idle and self.volatile.again is None

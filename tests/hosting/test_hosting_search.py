@@ -10,7 +10,6 @@ from model.hosting_rim import Step
 from model.hosting_scenarios import SUITE
 from model.hosting_search import search
 
-from pancakes.hosting import machine
 from pancakes.life.life import State
 from pancakes.migration.record import Phase
 
@@ -69,4 +68,4 @@ def test_a_rule_that_is_wrong_is_seen(mutant: HostingMutant) -> None:
 
 def test_a_mutant_whose_text_is_gone_says_so() -> None:
     with pytest.raises(LookupError, match="'rotten' finds its text 0 times"):
-        HostingMutant("rotten", machine, "a text that nothing has", "").make()
+        HostingMutant("rotten", "a text that nothing has", "").make()

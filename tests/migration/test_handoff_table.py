@@ -47,7 +47,7 @@ from pancakes.migration.effect import (
     Warn,
 )
 from pancakes.migration.event import (
-    Adopt,
+    AdoptionAsked,
     Arrived,
     Award,
     Concluded,
@@ -205,7 +205,7 @@ class TestSource:
         assert persist == Persist(TAKEN_BACK)
         persist, *_ = recover(replace(FROZEN, sequel=b"then"))
         assert persist == Persist(TAKEN_BACK)
-        adopted, *_ = at_source(replace(COMMITTED, sequel=b"then"), REST, Adopt())
+        adopted, *_ = at_source(replace(COMMITTED, sequel=b"then"), REST, AdoptionAsked())
         assert isinstance(adopted, Persist) and adopted.record.sequel == b""
 
     @pytest.mark.parametrize("record", [OWNER, FROZEN, COMMITTED, RELEASED, PREPARED])

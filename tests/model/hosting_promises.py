@@ -7,6 +7,7 @@ from typing import Final
 from model.hosting_world import Violation, World
 
 from pancakes.hosting.hosting_event import StillOverdue
+from pancakes.hosting.machine import idle, settled
 from pancakes.life.life import State
 from pancakes.life.life_event import Overdue, Retry, TryDue
 from pancakes.migration.effect import Persist, StartTask
@@ -28,7 +29,7 @@ def check(world: World) -> None:
     _check_waiting(world)
     _check_timers(world)
     _check_requests(world)
-    if world.standing.idle:
+    if idle(world.standing):
         _check_idle(world)
 
 
@@ -67,9 +68,9 @@ def _check_waiting(world: World) -> None:
         raise Violation("the same waits twice, and would pile up")
     if standing.begins and not isinstance(waits, StartTask):
         raise Violation("its life has taken up a start that is not under way")
-    if life is not None and life.state in UNDECIDED and standing.idle and standing.volatile.again is None:
+    if life is not None and life.state in UNDECIDED and idle(standing) and standing.volatile.again is None:
         raise Violation("it waits for leave that nothing gives")
-    if standing.rests and standing.settled:
+    if standing.rests and settled(standing):
         raise Violation("its rest is on disk, and its life is not told")
     if standing.leaving and life is not None and life.at_rest:
         raise Violation("it has left, and its place is not cleared")
@@ -127,7 +128,7 @@ def _check_idle(world: World) -> None:
         raise Violation("its service waits for its end, and it has ended")
     if record.phase is Phase.RELEASED and record.sequel and not world.parts and not world.spent.faults:
         raise Violation("what follows its hand-over is done, and that is not written down")
-    if world.asked_for & {"adopt", "forget"} and standing.settled:
+    if world.asked_for & {"adopt", "forget"} and settled(standing):
         raise Violation("a decision of a person is never answered")
     if "follow" in world.asked_for and state not in (*UNDECIDED, *ACTOR):
         raise Violation("what it is to follow waits for ever")
@@ -151,6 +152,6 @@ def _check_place(world: World) -> None:
         return
     if life.state in RESTS and volatile.running:
         raise Violation("it rests, and its hand-off believes that it runs")
-    wanted = record.wanted is Wanted.RUNNING and record.epoch != NO_EPOCH and standing.settled
+    wanted = record.wanted is Wanted.RUNNING and record.epoch != NO_EPOCH and settled(standing)
     if wanted and (life.state is State.STOPPED or (life.state is State.FAILED and life.at_rest)):
         raise Violation(f"it is {life.state.name}, and its record says that it is to run")

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from pancakes.hosting import hosting_effect as effect
 from pancakes.hosting import hosting_event as event
+from pancakes.hosting.machine import Now
 from pancakes.hosting.standing import Standing
-from pancakes.hosting.turn import Moment
 from pancakes.life import life_effect
 from pancakes.life.life import CLOSES, Life, State
 from pancakes.life.life_event import Admitted, Finished, LeaveRefused, Overdue, Retry, TryDue
@@ -26,13 +26,7 @@ Step = Callable[..., tuple[Life | None, Standing, list[Any]]]
 
 AT_A_PLACE: Final = (
     *get_args(life_effect.Effect),
-    effect.AskRoom,
-    effect.Prepare,
-    effect.Rested,
-    effect.TakeDown,
-    effect.LetGoOn,
-    effect.Vacate,
-    handoff_effect.Freeze,
+    *get_args(effect.SlotEffect),
 )
 """The effects that can be carried out only where the task has a place."""
 ENDING: Final = ("told", "told early")
@@ -75,7 +69,7 @@ class Rim:
     def __init__(self, step: Step, bounds: Bounds) -> None:
         self._machine = step
         self._bounds = bounds
-        self._moments = {closing: Moment(ME, 0.0, lambda low, high: high, closing) for closing in (False, True)}
+        self._moments = {closing: Now(ME, 0.0, lambda low, high: high, closing) for closing in (False, True)}
         self._known: dict[Any, tuple[Life | None, Standing, list[Any]]] = {}
 
     def feed(self, world: World, *events: Any) -> Iterator[World]:
@@ -131,10 +125,9 @@ class Rim:
             lost=world.lost,
             spent=world.spent,
         )
-        unborn = record.phase is Phase.ABSENT and record.seen == NO_EPOCH
         if not placed:
             yield from self.feed(world, event.TakeUp())
-        elif unborn or record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING:
+        elif record.unborn or record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING:
             yield from self.feed(world, event.StartConfigured(fresh))
         else:
             yield replace(world, settled=True)
@@ -166,8 +159,7 @@ class Rim:
             return world
         if world.fresh:
             world = replace(world, fresh=False, carried=BIRTH)
-        unborn = record.phase is Phase.ABSENT and record.seen == NO_EPOCH
-        events.append(event.Room(one, snapshot=world.carried or (BIRTH if unborn else b"")))
+        events.append(event.Room(one, snapshot=world.carried or (BIRTH if record.unborn else b"")))
         return replace(world, reserved=world.reserved or one.keep)
 
     def open_place(self, world: World, one: effect.OpenPlace, events: deque[Any], luck: Luck) -> World:

@@ -18,7 +18,7 @@ from model.hosting_rim import Rim, Step
 from model.hosting_steps import Steps
 from model.hosting_world import Bounds, Violation, World
 
-from pancakes.hosting.machine import step
+from pancakes.hosting.machine import handle
 from pancakes.life.life import State
 from pancakes.migration.record import Phase
 
@@ -41,7 +41,7 @@ MOST_WORLDS: Final = 60_000
 """A search that finds more is not bounded as it should be."""
 
 
-def search(bounds: Bounds, machine: Step = step) -> Result:
+def search(bounds: Bounds, machine: Step = handle) -> Result:
     """Searches all histories within bounds."""
     steps = Steps(Rim(machine, bounds), bounds)
     met: Counter[tuple[State | None, Phase]] = Counter()

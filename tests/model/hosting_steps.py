@@ -10,10 +10,11 @@ from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, World
 from msgspec.structs import replace
 
 from pancakes.hosting import hosting_event as event
+from pancakes.hosting.machine import idle
 from pancakes.hosting.standing import Standing
 from pancakes.life.life import CLOSES, State
 from pancakes.life.life_event import Began, Finished, Overdue, StartAsked, StopAsked
-from pancakes.migration.event import Adopt, Award, Checkpoint, Forget, Received, Resend
+from pancakes.migration.event import AdoptionAsked, Award, Checkpoint, ForgettingAsked, Received, Resend
 from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
 from pancakes.request import Request
@@ -24,7 +25,7 @@ GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 MOST_WAIT: Final = 1
 """So many events wait for a record to be written; messages and timers that repeat themselves come later then."""
-MESSAGES: Final = (Received, Award, Adopt, Forget)
+MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)
 Following = Iterator[tuple[str, World]]
 
@@ -121,7 +122,7 @@ class Steps:
             yield f"{type(timer).__name__} comes", replace(world, timers=world.timers - {timer}), timer
         life, bounds = world.life, self._bounds
         runs = life is not None and life.state is State.RUNNING
-        if bounds.checkpoints and runs and world.standing.idle and world.standing.record.snapshot != LATER:
+        if bounds.checkpoints and runs and idle(world.standing) and world.standing.record.snapshot != LATER:
             record = world.standing.record
             yield "it is written down", world, Checkpoint(record.epoch, record.incarnation, LATER)
 
@@ -197,11 +198,11 @@ class Steps:
         asked = replace(world, spent=replace(spent, decisions=spent.decisions + 1))
         adopting = replace(asked, asked_for=world.asked_for | {"adopt"})
         if record.phase in DOUBT:
-            yield "it is adopted", adopting, Adopt()
+            yield "it is adopted", adopting, AdoptionAsked()
         if world.lost and record.phase is Phase.ABSENT:
-            yield "it is adopted", adopting, Adopt(BIRTH, 0, 2)
+            yield "it is adopted", adopting, AdoptionAsked(BIRTH, 0, 2)
             forgetting = replace(asked, asked_for=world.asked_for | {"forget"})
-            yield "it is forgotten", forgetting, Forget(NO_EPOCH)
+            yield "it is forgotten", forgetting, ForgettingAsked(NO_EPOCH)
 
     # The other agent -------------------------------------------------------------------------------------------
 
