@@ -23,8 +23,9 @@ from pancakes.hosting.decisions import Decisions
 from pancakes.hosting.deliveries import Deliveries
 from pancakes.hosting.departures import Departures
 from pancakes.hosting.host_state import HostState
-from pancakes.hosting.machine import AnyEvent, Now, handle
+from pancakes.hosting.machine import AnyEvent, handle
 from pancakes.hosting.mover import Mover
+from pancakes.hosting.now import Now
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records, RecordWritten

@@ -11,15 +11,14 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Final, get_args
 
-import msgspec
 from msgspec.structs import replace
 
 from pancakes.hosting import hosting_effect, hosting_event
 from pancakes.hosting.leave import Leave
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
 from pancakes.life import life_effect, life_event, table
 from pancakes.life.life import CLOSES, Life, State
-from pancakes.life.restart import Draw
 from pancakes.migration import core
 from pancakes.migration import effect as handoff_effect
 from pancakes.migration import event as handoff_event
@@ -34,22 +33,6 @@ UNDECIDED: Final = frozenset((State.ASKED, State.CALLED_OFF))
 
 _LIFE_EVENTS: Final = frozenset(get_args(life_event.Event))
 _HOSTING_EVENTS: Final = frozenset(get_args(hosting_event.HostingEvent))
-
-
-class Now(msgspec.Struct, frozen=True):
-    """What a rule may ask besides how the task stands.
-
-    Attributes:
-        me: this agent's name.
-        now_s: host time.
-        draw: draws the length of a pause.
-        closing: whether the task's service ends.
-    """
-
-    me: str
-    now_s: float
-    draw: Draw
-    closing: bool = False
 
 
 AnyEvent = life_event.Event | handoff_event.Event | hosting_event.HostingEvent
@@ -96,7 +79,7 @@ class HostingStep:
                 self.change(rests=False)
                 self.live(life_event.Written(self.why_not))
             if not was_settled:
-                self.do(hosting_effect.Lasts(self.why_not))
+                self.do(hosting_effect.Lasts())
         if self.standing.leaving and self.life is not None and self.life.at_rest:
             self.change(leaving=False)
             self.do(hosting_effect.Vacate())
@@ -161,8 +144,13 @@ class HostingStep:
     def done(self) -> None:
         """The start that the hand-off asked for is decided: it goes on."""
         self.change(waits=None, begins=False)
-        self.do(hosting_effect.Unreserve())
+        self.unreserve()
         self.go_on()
+
+    def unreserve(self) -> None:
+        """Has no actuators kept for it any longer; those of one that is on its way here stay."""
+        if self.standing.record.phase is not Phase.PREPARED:
+            self.do(hosting_effect.Unreserve())
 
 
 Rule = Callable[[HostingStep, Any], None]
@@ -211,7 +199,8 @@ def _settle(step: HostingStep, effect: life_effect.Settle) -> None:
         step.do(hosting_effect.Decided(effect.reason))
     refused = life.state is State.REFUSED or (life.state is State.STOPPED and standing.begins)
     ended = handoff_event.Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)
-    if refused and standing.volatile.running and ended not in standing.events[-1:]:
+    known = settled(standing) and not standing.volatile.running and standing.record.wanted is ended.wanted
+    if refused and not known and ended not in standing.events[-1:]:
         # It does not run, and a start that is asked for may follow.
         step.feed(ended)
     if standing.begins:
@@ -243,14 +232,13 @@ def _start_task(step: HostingStep, effect: handoff_effect.StartTask) -> None:
     step.change(waits=effect)
     life = step.life
     if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):
-        step.done()  # it was decided otherwise since
+        step.change(waits=None)  # it was decided otherwise since
+        if life is None or life.state is not State.ASKED:
+            step.unreserve()
     elif life is None:
         step.do(hosting_effect.OpenPlace(effect))
-    elif life.state in ACTOR:
-        # It came back before the actor that was given away has ended.
-        step.live(life_event.StopAsked(reason="it comes back"))
-    else:
-        step.change(begins=True, stands=None, unanswered=0)
+    elif life.state not in ACTOR:  # else it came back before the actor that was given away has ended
+        step.change(begins=True, unanswered=0)
         if life.state not in UNDECIDED:
             step.live(life_event.StartAsked(), Leave.GRANTED)
         step.do(hosting_effect.Prepare(effect))
@@ -258,7 +246,7 @@ def _start_task(step: HostingStep, effect: handoff_effect.StartTask) -> None:
 
 def _freeze(step: HostingStep, effect: handoff_effect.Freeze) -> None:
     if step.life is not None and step.life.state is State.RUNNING:
-        step.change(stands=effect.offer, unanswered=step.standing.unanswered + 1)
+        step.change(unanswered=step.standing.unanswered + 1)
         step.do(effect)
     else:
         step.feed(handoff_event.FreezeFailed(effect.offer, "it does not run"))
@@ -288,10 +276,7 @@ def _decline(step: HostingStep, effect: handoff_effect.Decline) -> None:
 
 
 def _handed_over(step: HostingStep, effect: handoff_effect.HandedOver) -> None:
-    if step.life is not None and step.life.state not in ACTOR:
-        step.change(leaving=True)
-        step.live(life_event.StopAsked(reason="it is elsewhere"))
-    step.change(to_conclude=2)
+    step.change(leaving=step.life is not None, to_conclude=2)
     step.do(effect)
 
 
@@ -299,8 +284,7 @@ def _handed_over(step: HostingStep, effect: handoff_effect.HandedOver) -> None:
 
 
 def _start_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
-    if step.standing.record.phase is not Phase.PREPARED:
-        step.do(hosting_effect.Unreserve())
+    step.unreserve()
     if step.life is not None and step.life.state in UNDECIDED:
         step.live(life_event.LeaveRefused(effect.reason, for_good=True))
 
@@ -310,7 +294,6 @@ def _adoption_declined(step: HostingStep, effect: handoff_effect.Decline) -> Non
 
 
 def _forgetting_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
-    step.why_not = effect.reason
     step.do(hosting_effect.Lasts(effect.reason))
 
 
@@ -343,12 +326,13 @@ def _take_up(step: HostingStep, event: hosting_event.TakeUp) -> None:
 def _room(step: HostingStep, event: hosting_event.Room) -> None:
     record = step.standing.record
     if step.life is None or step.life.state not in UNDECIDED:
+        step.unreserve()  # it was decided otherwise since
         return
     if event.reason:
         step.live(life_event.LeaveRefused(event.reason, event.for_good))
     elif record.unborn:
         step.feed(handoff_event.Born(event.snapshot))
-    elif event.snapshot and record.phase is Phase.OWNER:
+    elif event.snapshot:
         step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))
         step.feed(handoff_event.RunAsked())
     else:
@@ -369,31 +353,32 @@ def _no_place(step: HostingStep, event: hosting_event.NoPlace) -> None:
 def _came_to_rest(step: HostingStep, event: hosting_event.CameToRest) -> None:
     standing, life = step.standing, step.life
     assert life is not None
-    if step.at.closing and life.wanted:
-        # The task itself was not asked to end: it goes on when its service comes back. Each record costs a wait for
-        # the disk, and of a thousand tasks most have nothing new in it.
-        if event.snapshot and not (idle(standing) and begins_alike(event.snapshot, standing.record.snapshot)):
-            step.feed(handoff_event.Checkpoint(standing.record.epoch, standing.record.incarnation, event.snapshot))
+    record, wanted = standing.record, _wanted_at_rest(life)
+    alike = not event.snapshot or begins_alike(event.snapshot, record.snapshot)
+    if step.at.closing and idle(standing) and wanted is record.wanted and alike:
+        # Each record costs a wait for the disk, and of a thousand tasks whose service ends most have nothing new.
         step.live(life_event.Written())
     else:
-        step.feed(handoff_event.Ended(_wanted_at_rest(life), event.snapshot))
+        step.feed(handoff_event.Ended(wanted, event.snapshot))
         step.change(rests=True)
     step.go_on()
     step.do(hosting_effect.Rested())
-    _place_free(step, hosting_event.PlaceFree())
 
 
 def _wanted_at_rest(life: Life) -> Wanted:
-    if life.state is not State.FAILED:
-        return Wanted.STOPPED
-    # What is tried again later is still wanted, also after a reboot.
-    return Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING
+    if life.state is State.FAILED and life.restarts.due_s is None:
+        return Wanted.FAILED
+    # What is to start again, or ends with its service, is still wanted, also after a reboot.
+    return Wanted.RUNNING if life.wanted else Wanted.STOPPED
 
 
 def _persisted(step: HostingStep, event: hosting_event.Persisted) -> None:
     waits = step.standing.waits
     if isinstance(waits, handoff_effect.Persist):
         step.change(waits=None, record=waits.record, trouble="")
+        if waits.record.phase is Phase.PREPARED:
+            # An adoption that could not be written down comes too late.
+            step.do(hosting_effect.Decided(f"{waits.record.task_id} is on its way here from {waits.record.peer}"))
 
 
 def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None:
@@ -405,17 +390,18 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
     failed = handoff_event.PersistFailed(event.reason, waits.record)
     effects = core.handle(step.at.me, standing.record, standing.volatile, failed)
     step.change(waits=None, trouble=event.reason, effects=tuple(effects))
+    if waits.record.phase is Phase.ABSENT:
+        step.do(hosting_effect.Lasts(event.reason))
     adopted_later = any(isinstance(later, handoff_event.AdoptionAsked) for later in standing.events)
     if standing.record.phase in DOUBT and not adopted_later:
         # An adoption is not tried again by itself: the person may have learnt better meanwhile.
         step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
     step.go_on()
-    starts = step.life is not None and step.life.state is State.ASKED
-    if starts:
+    state = step.life.state if step.life is not None else None
+    if state in UNDECIDED:
         step.live(life_event.PutOff(event.reason))
-    record = step.standing.record
-    if record.phase is not Phase.PREPARED and not starts:
-        step.do(hosting_effect.Unreserve())
+    if state is not State.ASKED:
+        step.unreserve()
 
 
 def _stood_still(step: HostingStep, event: hosting_event.StoodStill) -> None:
@@ -424,14 +410,11 @@ def _stood_still(step: HostingStep, event: hosting_event.StoodStill) -> None:
     step.change(unanswered=unanswered)
     if unanswered:
         return  # it was told so again meanwhile, and answers that
-    waits = standing.stands == event.offer
-    if waits:
-        step.change(stands=None)
     runs = life is not None and life.state is State.RUNNING
+    given_up = handoff_event.FreezeFailed
     if event.carried is None or not runs:
-        if waits:
-            step.feed(handoff_event.FreezeFailed(event.offer, event.reason or "it ends"))
-    elif waits and standing.volatile.freezing:
+        step.feed(handoff_event.FreezeFailed(event.offer, event.reason or "it ends"))
+    elif standing.volatile.freezing and not any(isinstance(later, given_up) for later in standing.events):
         step.do(hosting_effect.TakeDown(event.offer, event.carried))
     else:
         step.do(hosting_effect.LetGoOn())
@@ -439,8 +422,7 @@ def _stood_still(step: HostingStep, event: hosting_event.StoodStill) -> None:
 
 def _still_overdue(step: HostingStep, event: hosting_event.StillOverdue) -> None:
     """A task that does not come back from what it is doing cannot be moved."""
-    if step.standing.stands == event.offer:
-        step.change(stands=None)
+    if step.standing.volatile.freezing:
         step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))
 
 

@@ -126,7 +126,7 @@ def _refused(life: Life, event: LeaveRefused, at: Moment) -> Outcome:
 
 
 def _put_off(life: Life, event: PutOff, at: Moment) -> Outcome:
-    """Its keeper goes on without it: it starts once it can."""
+    """Its keeper goes on without it: it starts, or rests, once that can be written down."""
     return replace(life, reason=event.reason), [Settle(event.reason)]
 
 
@@ -279,7 +279,12 @@ _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
         LeaveRefused: _refused,
         PutOff: _put_off,
     },
-    State.CALLED_OFF: {StopAsked: _stop_stopping, Admitted: _never_began, LeaveRefused: _never_began},
+    State.CALLED_OFF: {
+        StopAsked: _stop_stopping,
+        Admitted: _never_began,
+        LeaveRefused: _never_began,
+        PutOff: _put_off,
+    },
     State.STARTING: {StopAsked: _stop, Began: _began, Finished: _ended},
     State.RUNNING: {StopAsked: _stop, Finished: _ended},
     State.STOPPING: {StopAsked: _stop_stopping, Began: _nothing, Finished: _ended_as_told, Overdue: _overdue},

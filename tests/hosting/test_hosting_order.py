@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pancakes.hosting.hosting_effect import AskRoom, Prepare, TakeDown
 from pancakes.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill
-from pancakes.hosting.machine import AnyEffect, AnyEvent, Now, handle, idle
+from pancakes.hosting.machine import AnyEffect, AnyEvent, handle, idle
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
 from pancakes.life.life import Life, State
 from pancakes.life.life_event import Admitted, Began
@@ -83,7 +84,7 @@ def test_a_whole_hand_off_at_the_source() -> None:
     bench.run()
     assert bench.feed(Award("agent2", REQUEST)) == ["Send"]
     assert bench.feed(Received("agent2", Reserved(SCAN, OFFER))) == []
-    assert bench.standing.stands == OFFER
+    assert bench.standing.unanswered == 1
     assert bench.feed(StoodStill(OFFER, "what it carries")) == ["TakeDown"]
     assert bench.feed(Frozen(OFFER, b"1")) == ["Persist"]
     assert bench.feed(Persisted()) == ["Send"]

@@ -72,6 +72,7 @@ from pancakes.migration.messages import (
     Unknown,
 )
 from pancakes.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.migration.volatile import Volatile
 
 
 class TestSource:
@@ -282,6 +283,7 @@ class TestDestination:
     def test_transfer_is_on_disk_before_it_is_confirmed(self) -> None:
         assert at_destination(ABSENT, from_agent1(Transfer(SCAN, OFFER, b"as it stopped"))) == [
             Persist(PREPARED),
+            Remember(Volatile()),
             Send("agent1", Prepared(SCAN, OFFER)),
             After(0.2, Resend(OFFER, Phase.PREPARED, 0), 0.5),
             After(5.0, InDoubt(OFFER, Phase.PREPARED)),

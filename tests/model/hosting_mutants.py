@@ -125,11 +125,6 @@ MUTANTS: Final = (
         "handoff_event.Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)",
         "handoff_event.Ended(Wanted.RUNNING)",
     ),
-    HostingMutant(
-        "what does not run is written down each time",
-        "    if refused and standing.volatile.running and",
-        "    if refused and",
-    ),
     HostingMutant("refusals pile up", " and ended not in standing.events[-1:]", ""),
     HostingMutant("a start that is decided goes on", "    if standing.begins:\n        step.done()\n", ""),
     # Rest
@@ -144,42 +139,8 @@ MUTANTS: Final = (
         "        step.live(life_event.Written())\n    else:",
     ),
     HostingMutant(
-        "the end of a service stops its tasks for good", "    if step.at.closing and life.wanted:", "    if False:"
-    ),
-    HostingMutant(
-        "the end of a service undoes a stop", "    if step.at.closing and life.wanted:", "    if step.at.closing:"
-    ),
-    HostingMutant(
-        "what is written down already is written",
-        "not (idle(standing) and begins_alike(",
-        "not (False and begins_alike(",
-    ),
-    HostingMutant("what waits to be written counts as written", "idle(standing) and begins_alike(", "begins_alike("),
-    HostingMutant(
         "a rest is not waited for", "        step.change(rests=True)\n", "        step.live(life_event.Written())\n"
     ),
-    HostingMutant("a rest is not told", "    step.do(hosting_effect.Rested())\n    _place_free", "    _place_free"),
-    HostingMutant(
-        "what comes back does not start once it rests",
-        "    step.do(hosting_effect.Rested())\n    _place_free(step, hosting_event.PlaceFree())\n",
-        "    step.do(hosting_effect.Rested())\n",
-    ),
-    HostingMutant(
-        "a task that failed is stopped",
-        "    if life.state is not State.FAILED:\n        return Wanted.STOPPED\n",
-        "    return Wanted.STOPPED\n",
-    ),
-    HostingMutant(
-        "what is tried again is given up",
-        "Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING",
-        "Wanted.FAILED",
-    ),
-    HostingMutant(
-        "what is given up is wanted",
-        "Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING",
-        "Wanted.RUNNING",
-    ),
-    # Starting
     HostingMutant(
         "a start overtakes an end",
         "    if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):",
@@ -187,16 +148,6 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "it starts without a place", "    elif life is None:\n        step.do(hosting_effect.OpenPlace(effect))\n", ""
-    ),
-    HostingMutant(
-        "it starts beside its old actor",
-        "    elif life.state in ACTOR:\n        # It came",
-        "    elif False:\n        # It came",
-    ),
-    HostingMutant(
-        "the old actor is not told to end",
-        '        step.live(life_event.StopAsked(reason="it comes back"))',
-        "        pass",
     ),
     HostingMutant(
         "it is prepared and not started",
@@ -212,17 +163,6 @@ MUTANTS: Final = (
         "a start by the hand-off asks for leave",
         "step.live(life_event.StartAsked(), Leave.GRANTED)",
         "step.live(life_event.StartAsked())",
-    ),
-    HostingMutant(
-        "it is not known to begin",
-        "        step.change(begins=True, stands=None, unanswered=0)",
-        "        step.change(stands=None, unanswered=0)",
-    ),
-    HostingMutant(
-        "it stands still for its former actor", "begins=True, stands=None, unanswered=0", "begins=True, unanswered=0"
-    ),
-    HostingMutant(
-        "its former actor owes an answer", "begins=True, stands=None, unanswered=0", "begins=True, stands=None"
     ),
     HostingMutant("it is not prepared", "        step.do(hosting_effect.Prepare(effect))\n", "        pass\n"),
     HostingMutant(
@@ -242,53 +182,19 @@ MUTANTS: Final = (
     ),
     # Standing still
     HostingMutant(
-        "what does not run is to stand still",
-        "    if step.life is not None and step.life.state is State.RUNNING:\n        step.change(stands",
-        "    if True:\n        step.change(stands",
-    ),
-    HostingMutant(
         "that it cannot stand still is not said",
         '        step.feed(handoff_event.FreezeFailed(effect.offer, "it does not run"))',
         "        pass",
     ),
-    HostingMutant("it is forgotten that it is to stand still", "stands=effect.offer, unanswered", "unanswered"),
-    HostingMutant("its answers are not counted", ", unanswered=step.standing.unanswered + 1)", ")"),
     HostingMutant(
         "an answer to a former offer counts",
         "    if unanswered:\n        return  # it was told so again meanwhile, and answers that\n",
         "",
     ),
-    HostingMutant("any answer counts", "    waits = standing.stands == event.offer\n", "    waits = True\n"),
-    HostingMutant("an answer counts for ever", "    if waits:\n        step.change(stands=None)\n    runs", "    runs"),
     HostingMutant(
         "a task that ends is handed over", "    if event.carried is None or not runs:", "    if event.carried is None:"
     ),
-    HostingMutant(
-        "that it cannot stand still is not passed on",
-        "        if waits:\n            step.feed(handoff_event.FreezeFailed(event.offer, event.reason or",
-        "        if False:\n            step.feed(handoff_event.FreezeFailed(event.offer, event.reason or",
-    ),
-    HostingMutant(
-        "it is taken down for a hand-off that is over",
-        "    elif waits and standing.volatile.freezing:",
-        "    elif waits:",
-    ),
     HostingMutant("it stands still for ever", "        step.do(hosting_effect.LetGoOn())", "        pass"),
-    HostingMutant(
-        "any deadline counts",
-        "    if step.standing.stands == event.offer:\n        step.change(stands=None)\n        step.feed",
-        "    if True:\n        step.change(stands=None)\n        step.feed",
-    ),
-    HostingMutant(
-        "a deadline passes and it may stand still after all",
-        '        step.change(stands=None)\n        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))',
-        '        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))',
-    ),
-    HostingMutant(
-        "a deadline means nothing",
-        '        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))',
-        "        pass",
-    ),
     # Going on and leaving
     HostingMutant(
         "what failed while it stood still stays so",
@@ -327,17 +233,6 @@ MUTANTS: Final = (
         "pass",
     ),
     HostingMutant(
-        "a task that failed and was given away keeps its place",
-        "    if step.life is not None and step.life.state not in ACTOR:\n        step.change(leaving=True)",
-        "    if False:\n        step.change(leaving=True)",
-    ),
-    HostingMutant(
-        "what is elsewhere is not stopped",
-        '        step.live(life_event.StopAsked(reason="it is elsewhere"))\n    step.change(to_conclude=2)',
-        "    step.change(to_conclude=2)",
-    ),
-    HostingMutant("a hand-over is concluded by its first part", "to_conclude=2", "to_conclude=1"),
-    HostingMutant(
         "a hand-over is concluded by each part",
         "    if not left:\n        step.feed(handoff_event.Concluded())",
         "    step.feed(handoff_event.Concluded())",
@@ -345,8 +240,8 @@ MUTANTS: Final = (
     # Declined
     HostingMutant(
         "actuators of what is declined are kept",
-        "    if step.standing.record.phase is not Phase.PREPARED:\n        step.do(hosting_effect.Unreserve())\n",
-        "",
+        "    step.unreserve()\n    if step.life",
+        "    if step.life",
     ),
     HostingMutant(
         "a start that is declined is waited for",
@@ -384,11 +279,6 @@ MUTANTS: Final = (
     ),
     # Room
     HostingMutant(
-        "room is found for what does not ask",
-        "    if step.life is None or step.life.state not in UNDECIDED:\n        return\n",
-        "",
-    ),
-    HostingMutant(
         "there is always room",
         "    if event.reason:\n",
         "    if False:\n",
@@ -412,16 +302,31 @@ MUTANTS: Final = (
         "",
     ),
     HostingMutant(
-        "what is elsewhere is written down here",
-        "    elif event.snapshot and record.phase is Phase.OWNER:",
-        "    elif event.snapshot:",
+        "room is found for what does not ask",
+        "    if step.life is None or step.life.state not in UNDECIDED:\n        step.unreserve()",
+        "    if False:\n        step.unreserve()",
+    ),
+    HostingMutant(
+        "actuators are kept for what does not ask any more",
+        "        step.unreserve()  # it was decided otherwise since\n",
+        "",
+    ),
+    HostingMutant(
+        "actuators are kept for a start that an end overtakes",
+        "        if life is None or life.state is not State.ASKED:\n            step.unreserve()\n",
+        "",
+    ),
+    HostingMutant(
+        "an end takes the actuators of the start after it",
+        "        if life is None or life.state is not State.ASKED:\n            step.unreserve()\n",
+        "        step.unreserve()\n",
+    ),
+    HostingMutant(
+        "the actuators of what is on its way here are given away",
+        "        if self.standing.record.phase is not Phase.PREPARED:\n            self.do",
+        "        if True:\n            self.do",
     ),
     # The disk
-    HostingMutant(
-        "the record is not known",
-        'step.change(waits=None, record=waits.record, trouble="")',
-        'step.change(waits=None, trouble="")',
-    ),
     HostingMutant(
         "what was decided goes on after a fault",
         "trouble=event.reason, effects=tuple(effects))",
@@ -435,26 +340,11 @@ MUTANTS: Final = (
         " and not adopted_later:",
         ":",
     ),
-    HostingMutant(
-        "what waits for the disk keeps its service waiting",
-        "    if starts:\n        step.live(life_event.PutOff(event.reason))\n",
-        "",
-    ),
-    HostingMutant(
-        "actuators are kept for what is not on disk",
-        "    if record.phase is not Phase.PREPARED and not starts:\n        step.do(hosting_effect.Unreserve())\n",
-        "",
-    ),
     # The turn
     HostingMutant(
         "a rest is told before it is on disk", "            if self.standing.rests:\n", "            if False:\n"
     ),
     HostingMutant("a rest lasts for ever", "                self.change(rests=False)\n", ""),
-    HostingMutant(
-        "that it lasts is not told",
-        "                self.do(hosting_effect.Lasts(self.why_not))\n",
-        "                pass\n",
-    ),
     HostingMutant("its place is not cleared", "            self.do(hosting_effect.Vacate())\n", "            pass\n"),
     HostingMutant(
         "its place is cleared at once", "self.life is not None and self.life.at_rest:", "self.life is not None:"
@@ -466,52 +356,134 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "actuators are kept after a start",
-        "        self.change(waits=None, begins=False)\n        self.do(hosting_effect.Unreserve())\n",
+        "        self.change(waits=None, begins=False)\n        self.unreserve()\n",
         "        self.change(waits=None, begins=False)\n",
     ),
-)
-
-UNPROVEN: Final = frozenset(
-    (
-        "that Born is declined means nothing",
-        "that Forget is declined means nothing",
-        "what waits for leave is decided",
-        "the end of a service stops its tasks for good",
-        "what is written down already is written",
-        "what waits to be written counts as written",
-        "what comes back does not start once it rests",
-        "a task that failed is stopped",
-        "what is tried again is given up",
-        "the old actor is not told to end",
-        "it stands still for its former actor",
-        "its former actor owes an answer",
-        "a start that has begun begins anew",
-        "no place, and nothing is told",
+    HostingMutant(
+        "what does not run is written down each time",
+        "    if refused and not known and ended",
+        "    if refused and ended",
+    ),
+    HostingMutant(
+        "what is tried again is not written down",
+        "not standing.volatile.running and standing.record.wanted is ended.wanted",
+        "not standing.volatile.running",
+    ),
+    HostingMutant(
+        "what could not be written counts as written",
+        "known = settled(standing) and not",
+        "known = idle(standing) and not",
+    ),
+    HostingMutant("what waits to be written is known", "known = settled(standing) and not", "known = not"),
+    HostingMutant("it starts beside its old actor", "    elif life.state not in ACTOR:", "    else:"),
+    HostingMutant(
+        "it is not known to begin",
+        "        step.change(begins=True, unanswered=0)",
+        "        step.change(unanswered=0)",
+    ),
+    HostingMutant("its former actor owes an answer", "begins=True, unanswered=0", "begins=True"),
+    HostingMutant(
         "what does not run is to stand still",
-        "that it cannot stand still is not said",
-        "any answer counts",
-        "an answer counts for ever",
+        "    if step.life is not None and step.life.state is State.RUNNING:\n        step.change(unanswered",
+        "    if True:\n        step.change(unanswered",
+    ),
+    HostingMutant("its answers are not counted", "        step.change(unanswered=step.standing.unanswered + 1)\n", ""),
+    HostingMutant(
         "that it cannot stand still is not passed on",
+        '        step.feed(handoff_event.FreezeFailed(event.offer, event.reason or "it ends"))',
+        "        pass",
+    ),
+    HostingMutant(
         "it is taken down for a hand-off that is over",
-        "any deadline counts",
+        "    elif standing.volatile.freezing and not any",
+        "    elif not any",
+    ),
+    HostingMutant(
         "a deadline passes and it may stand still after all",
-        "what failed while it stood still stays so",
-        "what stood still is started beside itself",
-        "what waits for leave is started twice",
-        "what was given away ends already",
-        "what was given away goes on",
-        "what is elsewhere is not stopped",
-        "a start that is declined is tried again",
-        "what cannot be forgotten is forgotten",
-        "what is born is recovered",
-        "anew means as before",
-        "what is elsewhere begins anew",
-        "a frozen task stays frozen",
-        "room is found for what does not ask",
-        "it is not born",
-        "what is elsewhere is written down here",
+        " and not any(isinstance(later, given_up) for later in standing.events)",
+        "",
+    ),
+    HostingMutant(
+        "a deadline means nothing",
+        '        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))',
+        "        pass",
+    ),
+    HostingMutant(
+        "the end of a service undoes a stop",
+        "idle(standing) and wanted is record.wanted and alike",
+        "idle(standing) and alike",
+    ),
+    HostingMutant(
+        "what ends with its service, or is to start again, is stopped",
+        "    return Wanted.RUNNING if life.wanted else Wanted.STOPPED",
+        "    return Wanted.STOPPED",
+    ),
+    HostingMutant(
+        "a stop does not outlive a crash",
+        "    return Wanted.RUNNING if life.wanted else Wanted.STOPPED",
+        "    return Wanted.RUNNING",
+    ),
+    HostingMutant(
+        "what changed before its service ended is lost",
+        "wanted is record.wanted and alike:",
+        "wanted is record.wanted:",
+    ),
+    HostingMutant(
+        "what waits to be written counts as written", "step.at.closing and idle(standing) and", "step.at.closing and"
+    ),
+    HostingMutant(
+        "what is given up is wanted",
+        "    if life.state is State.FAILED and life.restarts.due_s is None:\n        return Wanted.FAILED\n",
+        "",
+    ),
+    HostingMutant("what is tried again is given up", "State.FAILED and life.restarts.due_s is None:", "State.FAILED:"),
+    HostingMutant(
+        "a task that failed and was given away keeps its place",
+        "step.change(leaving=step.life is not None, to_conclude=2)",
+        "step.change(to_conclude=2)",
+    ),
+    HostingMutant("a hand-over is concluded by its first part", "to_conclude=2", "to_conclude=1"),
+    HostingMutant(
+        "a rest is not told",
+        "    step.go_on()\n    step.do(hosting_effect.Rested())\n\n\ndef _wanted",
+        "    step.go_on()\n\n\ndef _wanted",
+    ),
+    HostingMutant(
+        "that it lasts is not told", "                self.do(hosting_effect.Lasts())\n", "                pass\n"
+    ),
+    HostingMutant(
         "what waits for the disk keeps its service waiting",
-        "its place is cleared twice",
-    )
+        "        step.live(life_event.PutOff(event.reason))",
+        "        pass",
+    ),
+    HostingMutant(
+        "actuators are kept for what is not on disk",
+        "        step.unreserve()\n\n\ndef _stood",
+        "        pass\n\n\ndef _stood",
+    ),
+    HostingMutant(
+        "actuators are not kept for what waits for the disk",
+        "    if state is not State.ASKED:\n        step.unreserve()",
+        "    step.unreserve()",
+    ),
+    HostingMutant(
+        "the record is not known",
+        '        step.change(waits=None, record=waits.record, trouble="")',
+        '        step.change(waits=None, trouble="")',
+    ),
+    HostingMutant(
+        "an adoption that comes too late is not answered",
+        "        if waits.record.phase is Phase.PREPARED:\n",
+        "        if False:\n",
+    ),
+    HostingMutant(
+        "a task that cannot be forgotten is forgotten later",
+        "        step.do(hosting_effect.Lasts(event.reason))\n",
+        "        pass\n",
+    ),
+    HostingMutant(
+        "what is stopped while the disk fails keeps its service waiting",
+        "    if state in UNDECIDED:\n        step.live(life_event.PutOff",
+        "    if state is State.ASKED:\n        step.live(life_event.PutOff",
+    ),
 )
-"""The variants of which no scenario is known yet that convicts them."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any, Final, get_args
 
 from model.hosting_world import BIRTH, LATER, ME, SEQUEL, Bounds, Violation, World
@@ -11,7 +12,7 @@ from msgspec.structs import replace
 
 from pancakes.hosting import hosting_effect as effect
 from pancakes.hosting import hosting_event as event
-from pancakes.hosting.machine import Now
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
 from pancakes.life import life_effect
 from pancakes.life.life import CLOSES, Life, State
@@ -20,7 +21,7 @@ from pancakes.life.restart import Restarts
 from pancakes.migration import effect as handoff_effect
 from pancakes.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
 from pancakes.migration.messages import Commit, Moved, Prepared, Reserve, Transfer
-from pancakes.migration.record import NO_EPOCH, Phase, Record, Wanted
+from pancakes.migration.record import Phase, Record, Wanted
 
 Step = Callable[..., tuple[Life | None, Standing, list[Any]]]
 
@@ -29,6 +30,8 @@ AT_A_PLACE: Final = (
     *get_args(effect.SlotEffect),
 )
 """The effects that can be carried out only where the task has a place."""
+MOST_EVENTS: Final = 50
+"""So many events may follow from one."""
 ENDING: Final = ("told", "told early")
 """The states of an actor that was told to end."""
 _SENT: Final = {Reserve: "reserve", Transfer: "transfer", Commit: "commit", Prepared: "prepared"}
@@ -81,7 +84,11 @@ class Rim:
             givens += luck.others
 
     def _turn(self, world: World, events: deque[Any], luck: Luck) -> World:
-        while events:
+        for number in count():
+            if not events:
+                break
+            if number > MOST_EVENTS:
+                raise Violation("one step leads to the next for ever")
             told = events.popleft()
             life, standing, effects = self._step(world, told)
             placed = world.life is not None
@@ -116,7 +123,7 @@ class Rim:
             Standing(record),
             record,
             life,
-            fresh=fresh,
+            fresh=fresh and record.phase in (Phase.ABSENT, Phase.OWNER),
             reserved=record.phase is Phase.PREPARED,
             settled=not placed,
             blocked=world.blocked and not placed,
@@ -193,6 +200,8 @@ class Rim:
             raise Violation("it starts under another right than its record says")
         if world.closing:
             raise Violation("it starts while its service ends")
+        if world.fresh and not (world.sent or world.theirs or world.spent.decisions or world.spent.requests):
+            raise Violation("it was to begin anew, and goes on from its checkpoint")
         spent = replace(world.spent, spawns=world.spent.spawns + 1)
         world = replace(world, actor="made", carried=b"", inbox=(), stood=(), spent=spent)
         if self._bounds.errors and spent.ends < self._bounds.ends and luck.choose(2):
@@ -211,6 +220,8 @@ class Rim:
         return replace(world, timers=world.timers | {TryDue(one.due_s)})
 
     def look_again(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        if world.standing.record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+            raise Violation("its start is tried again and again, and its hand-off is under way")
         return replace(world, timers=world.timers | {Retry()})
 
     def let_go(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
@@ -219,6 +230,8 @@ class Rim:
         return world
 
     def settle(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        if not world.settled and any(isinstance(later, handoff_effect.StartTask) for later in world.standing.effects):
+            raise Violation("its service does not wait for its start")
         return replace(world, settled=True)
 
     def write_rest(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
@@ -260,9 +273,9 @@ class Rim:
         return replace(world, asked_for=asked_for - {"adopt", "follow"})
 
     def lasts(self, world: World, one: effect.Lasts, events: deque[Any], luck: Luck) -> World:
-        if "forget" in world.asked_for and not one.why_not and world.disk.seen == NO_EPOCH:
+        if "forget" in world.asked_for and not one.why_not:
             raise Violation("it was said that it is forgotten, and that is not on disk")
-        return replace(world, asked_for=world.asked_for - {"forget"})
+        return replace(world, asked_for=world.asked_for - {"forget", "forgotten"})
 
     def rested(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
         if world.actor:
@@ -310,7 +323,8 @@ class Rim:
             raise Violation("what follows its hand-over is forgotten before it is done")
         life, starts = world.life, one.record.phase is Phase.OWNER and one.record.wanted is Wanted.RUNNING
         asked = life is not None and life.state is State.ASKED and life.asker is not None
-        if starts and asked and not world.reserved and not world.spent.faults:
+        goes_on = world.disk.phase is Phase.OWNER and world.disk.wanted is Wanted.RUNNING
+        if starts and asked and not world.reserved and not goes_on:
             raise Violation("its record says that it runs, and no actuators are kept for it")
         return replace(world, writing=one.record)
 

@@ -37,7 +37,7 @@ class Result(msgspec.Struct, frozen=True):
     violation: str = ""
 
 
-MOST_WORLDS: Final = 60_000
+MOST_WORLDS: Final = 20_000
 """A search that finds more is not bounded as it should be."""
 
 
