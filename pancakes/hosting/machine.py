@@ -200,7 +200,9 @@ def _settle(step: HostingStep, effect: life_effect.Settle) -> None:
     refused = life.state is State.REFUSED or (life.state is State.STOPPED and standing.begins)
     ended = handoff_event.Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)
     known = settled(standing) and not standing.volatile.running and standing.record.wanted is ended.wanted
-    if refused and not known and ended not in standing.events[-1:]:
+    kinds = handoff_event.Ended, handoff_event.RunAsked
+    last_said = [later for later in standing.events if isinstance(later, kinds)][-1:]
+    if refused and not known and ended not in last_said:
         # It does not run, and a start that is asked for may follow.
         step.feed(ended)
     if standing.begins:
@@ -233,8 +235,6 @@ def _start_task(step: HostingStep, effect: handoff_effect.StartTask) -> None:
     life = step.life
     if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):
         step.change(waits=None)  # it was decided otherwise since
-        if life is None or life.state is not State.ASKED:
-            step.unreserve()
     elif life is None:
         step.do(hosting_effect.OpenPlace(effect))
     elif life.state not in ACTOR:  # else it came back before the actor that was given away has ended
@@ -341,7 +341,7 @@ def _room(step: HostingStep, event: hosting_event.Room) -> None:
 
 def _place_free(step: HostingStep, event: hosting_event.PlaceFree) -> None:
     waits = step.standing.waits
-    if isinstance(waits, handoff_effect.StartTask) and not step.standing.begins:
+    if isinstance(waits, handoff_effect.StartTask):
         _start_task(step, waits)
 
 

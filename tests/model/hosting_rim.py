@@ -200,9 +200,10 @@ class Rim:
             raise Violation("it starts under another right than its record says")
         if world.closing:
             raise Violation("it starts while its service ends")
-        if world.fresh and not (world.sent or world.theirs or world.spent.decisions or world.spent.requests):
+        spent, asked = world.spent, world.life is not None and world.life.asker is not None
+        if world.fresh and (asked or not (world.sent or world.theirs or spent.decisions or spent.requests)):
             raise Violation("it was to begin anew, and goes on from its checkpoint")
-        spent = replace(world.spent, spawns=world.spent.spawns + 1)
+        spent = replace(spent, spawns=spent.spawns + 1)
         world = replace(world, actor="made", carried=b"", inbox=(), stood=(), spent=spent)
         if self._bounds.errors and spent.ends < self._bounds.ends and luck.choose(2):
             events.append(Finished("it could not be made", True, True, bool(world.closing)))
@@ -220,7 +221,8 @@ class Rim:
         return replace(world, timers=world.timers | {TryDue(one.due_s)})
 
     def look_again(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
-        if world.standing.record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED):
+        going = world.standing.record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+        if going and not world.closing:
             raise Violation("its start is tried again and again, and its hand-off is under way")
         return replace(world, timers=world.timers | {Retry()})
 
@@ -258,7 +260,9 @@ class Rim:
         elif world.actor != "runs":
             raise Violation(f"a {what} was answered, and it does not run")
 
-    def room_kept(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+    def unreserve(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        if world.standing.record.phase is Phase.PREPARED:
+            raise Violation("it may start at any moment, and no actuators are kept for it")
         return replace(world, reserved=False)
 
     def decided(self, world: World, one: effect.Decided, events: deque[Any], luck: Luck) -> World:
@@ -378,7 +382,7 @@ _CARRIERS: Final[dict[type, Callable[..., World]]] = {
     effect.AskRoom: Rim.ask_room,
     effect.OpenPlace: Rim.open_place,
     effect.Prepare: Rim.prepare,
-    effect.Unreserve: Rim.room_kept,
+    effect.Unreserve: Rim.unreserve,
     effect.Decided: Rim.decided,
     effect.Lasts: Rim.lasts,
     effect.Rested: Rim.rested,

@@ -54,7 +54,29 @@ SUITE: Final[Mapping[str, Bounds]] = {
     ),
     "its service ends": Bounds(requests=1, closes=True, crashes=1, checkpoints=True),
     "it follows another": Bounds(requests=1, follows=True, refusals=1, faults=1),
+    "given away, and fails while its service ends": Bounds(offers=1, closes=True, spawns=1),
     "given away, it sticks, and its service ends": Bounds(offers=1, sticks=True, closes=True, ends=0),
     "it comes back, and it sticks": Bounds(offers=1, theirs=1, sticks=True, ends=0),
     "it comes back, and had failed": Bounds(TEMPORARY, offers=1, theirs=1, spawns=1),
 }
+"""Seconds in all: searched by the tests too."""
+
+DEEP: Final[Mapping[str, Bounds]] = {
+    "given away twice, and fails": Bounds(offers=2, awards=2, refusals=1),
+    "given away, written down, asked for, and writes fail": Bounds(
+        offers=1, awards=2, requests=1, faults=1, checkpoints=True, errors=False
+    ),
+    "it comes back, is asked for, and writes fail": Bounds(offers=1, theirs=1, requests=1, faults=1, ends=0),
+    "it comes back, its service ends, and writes fail": Bounds(
+        offers=1, theirs=1, closes=True, faults=1, crashes=1, ends=0
+    ),
+    "it comes and goes, is asked for, and the agent crashes": Bounds(
+        visitor=True, theirs=1, offers=2, requests=1, crashes=1, ends=0
+    ),
+    "asked for three times, and writes fail": Bounds(requests=3, ends=2, refusals=1, faults=1),
+    "its record was lost, it comes twice, and writes fail": Bounds(
+        lost=True, decisions=2, theirs=2, requests=1, faults=1
+    ),
+    "it follows another, and the agent crashes": Bounds(requests=1, follows=True, refusals=1, faults=1, crashes=1),
+}
+"""Minutes."""
