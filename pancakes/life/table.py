@@ -107,7 +107,8 @@ def _retry(life: Life, event: Retry, at: Moment) -> Outcome:
 def _admitted(life: Life, event: Admitted, at: Moment) -> Outcome:
     incarnation = event.incarnation or life.incarnation + 1
     restarts = life.restarts.tried()
-    return replace(life, state=State.STARTING, restarts=restarts, incarnation=incarnation, reason=""), [Spawn()]
+    life = replace(life, state=State.STARTING, restarts=restarts, incarnation=incarnation, wanted=True, reason="")
+    return life, [Spawn()]
 
 
 def _refused(life: Life, event: LeaveRefused, at: Moment) -> Outcome:
@@ -132,7 +133,7 @@ def _put_off(life: Life, event: PutOff, at: Moment) -> Outcome:
 
 def _began(life: Life, event: Began, at: Moment) -> Outcome:
     answer = [Answer(life.asker)] if life.asker is not None else []
-    life = replace(life, state=State.RUNNING, restarts=life.restarts.began(at.now_s), wanted=True, asker=None)
+    life = replace(life, state=State.RUNNING, restarts=life.restarts.began(at.now_s), asker=None)
     return life, [Tell(News.STARTED), Settle(), *answer]
 
 

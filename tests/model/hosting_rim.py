@@ -232,7 +232,8 @@ class Rim:
         return world
 
     def settle(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
-        if not world.settled and any(isinstance(later, handoff_effect.StartTask) for later in world.standing.effects):
+        starts = any(isinstance(later, handoff_effect.StartTask) for later in world.standing.effects)
+        if starts and not world.settled and not one.reason:
             raise Violation("its service does not wait for its start")
         return replace(world, settled=True)
 
@@ -327,7 +328,8 @@ class Rim:
             raise Violation("what follows its hand-over is forgotten before it is done")
         life, starts = world.life, one.record.phase is Phase.OWNER and one.record.wanted is Wanted.RUNNING
         asked = life is not None and life.state is State.ASKED and life.asker is not None
-        goes_on = world.disk.phase is Phase.OWNER and world.disk.wanted is Wanted.RUNNING
+        known = world.standing.record
+        goes_on = known.phase is Phase.OWNER and known.wanted is Wanted.RUNNING
         if starts and asked and not world.reserved and not goes_on:
             raise Violation("its record says that it runs, and no actuators are kept for it")
         return replace(world, writing=one.record)
