@@ -398,7 +398,11 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
         step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
     step.go_on()
     state = step.life.state if step.life is not None else None
-    if state in UNDECIDED:
+    asked_later = any(isinstance(later, handoff_event.RunAsked) for later in step.standing.events)
+    if state in UNDECIDED and step.standing.record.phase is Phase.FROZEN and not asked_later:
+        # Its agent has crashed, and the hand-off is broken off later, or goes on.
+        step.live(life_event.LeaveRefused(event.reason, for_good=True))
+    elif state in UNDECIDED:
         step.live(life_event.PutOff(event.reason))
     if state is not State.ASKED:
         step.unreserve()

@@ -143,4 +143,6 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "an adoption that comes too late is not answered": "its record was lost, it comes, and writes fail",
     "a task that cannot be forgotten is forgotten later": "its record was lost, it comes, and writes fail",
     "what is stopped while the disk fails keeps its service waiting": "writes fail",
+    "what a crash has left frozen waits for leave for ever": "given away, and writes fail after a crash",
+    "what a crash has left frozen is tried again while it is handed over": "given away, and writes fail after a crash",
 }

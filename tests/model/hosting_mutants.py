@@ -339,6 +339,16 @@ MUTANTS: Final = (
     ),
     # The disk
     HostingMutant(
+        "what a crash has left frozen waits for leave for ever",
+        "    if state in UNDECIDED and step.standing.record.phase is Phase.FROZEN and not asked_later:\n",
+        "    if False:\n",
+    ),
+    HostingMutant(
+        "what a crash has left frozen is tried again while it is handed over",
+        "LeaveRefused(event.reason, for_good=True)",
+        "LeaveRefused(event.reason)",
+    ),
+    HostingMutant(
         "what was decided goes on after a fault",
         "trouble=event.reason, effects=tuple(effects))",
         "trouble=event.reason)",
@@ -494,7 +504,7 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what is stopped while the disk fails keeps its service waiting",
-        "    if state in UNDECIDED:\n        step.live(life_event.PutOff",
-        "    if state is State.ASKED:\n        step.live(life_event.PutOff",
+        "    elif state in UNDECIDED:\n        step.live(life_event.PutOff",
+        "    elif state is State.ASKED:\n        step.live(life_event.PutOff",
     ),
 )

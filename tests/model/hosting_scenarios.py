@@ -45,6 +45,7 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "it comes back": Bounds(offers=1, theirs=1, refusals=1, ends=0),
     "it comes back, and the agent crashes": Bounds(offers=1, theirs=1, crashes=1, ends=0),
     "given away, and its service ends": Bounds(offers=1, closes=True, crashes=1, ends=0),
+    "given away, and writes fail after a crash": Bounds(offers=1, faults=1, crashes=1, ends=0),
     "given away, and crashes": Bounds(offers=1, crashes=1),
     "it comes back, and is asked for": Bounds(offers=1, theirs=1, requests=1, ends=0),
     "given away": Bounds(offers=1, refusals=1, ends=1),
