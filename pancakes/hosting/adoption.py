@@ -49,7 +49,7 @@ def chosen(
     if verb == "adopt":
         found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record))]
     known = {one.task_id for one in found}
-    meant = [record for record in meant if record.task_id in known or _heard_of(record)]
+    meant = [record for record in meant if record.task_id in known or not record.unborn]
     if len(found) == 1:
         return found[0]
     if found:
@@ -75,10 +75,6 @@ def meaning(record: Record, me: str) -> str:
         f" and only after that set {peer} up anew, with an empty state_dir."
         f" Otherwise wait: the hand-off goes on by itself once {peer} answers. Nothing was done"
     )
-
-
-def _heard_of(record: Record) -> bool:
-    return record.phase is not Phase.ABSENT or record.seen != NO_EPOCH
 
 
 def _standing(record: Record) -> str:

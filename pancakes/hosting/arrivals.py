@@ -15,7 +15,6 @@ from pancakes.hosting.host_state import HostState
 from pancakes.hosting.hosting_effect import AskRoom
 from pancakes.hosting.hosting_event import NoPlace, PlaceFree, Room
 from pancakes.hosting.hosting_service import HostingService
-from pancakes.hosting.machine import unborn
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
 from pancakes.hosting.snapshots import carried_of, settings_now, spec_of
@@ -93,7 +92,7 @@ class Arrivals:
             refusal = self._cannot_build(place, message)
             place.came_from = "" if refusal else peer
             return Received(peer, message, refusal)
-        if unborn(record) and self._records.service_of(message.task_id) not in ("", self._host.name):
+        if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
 
@@ -132,7 +131,7 @@ class Arrivals:
         if slot.fresh:
             slot.fresh = False
             self._host.drop_state(slot)
-        carries = slot.carried is not None or unborn(record)
+        carries = slot.carried is not None or record.unborn
         return Room(asked, snapshot=self._host.snapshot(slot, slot.carried) if carries else b"")
 
     def open(self, place: Place, start: StartTask) -> None:

@@ -9,6 +9,7 @@ from typing import Final
 from pancakes.errors import PancakesError
 from pancakes.hosting.checkpoints import last_checkpoint, plain_of
 from pancakes.hosting.hosting_service import HostingService
+from pancakes.hosting.machine import idle
 from pancakes.hosting.place import Place
 from pancakes.kernel.tell import tell
 from pancakes.life.life import State
@@ -84,7 +85,7 @@ class Checkpointing:
             return
         place = self._host.places.at[slot.name]
         standing = place.standing
-        if not standing.idle:
+        if not idle(standing):
             # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place
             return

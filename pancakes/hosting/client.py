@@ -10,8 +10,9 @@ from typing import Any, ClassVar, Final, assert_never
 
 import msgspec
 
-from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Stop
+from pancakes import control
 from pancakes.errors import ControlRefused
+from pancakes.hosting import hosting_effect, hosting_event
 from pancakes.hosting.arrivals import Arrivals
 from pancakes.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.hosting.carrier import Carrier
@@ -21,36 +22,14 @@ from pancakes.hosting.decisions import Decisions
 from pancakes.hosting.deliveries import Deliveries
 from pancakes.hosting.departures import Departures
 from pancakes.hosting.host_state import HostState
-from pancakes.hosting.hosting_effect import (
-    AskRoom,
-    Decided,
-    Drop,
-    HostingEffect,
-    Lasts,
-    LetGoOn,
-    OpenPlace,
-    Prepare,
-    Rested,
-    TakeDown,
-    Unreserve,
-    Vacate,
-)
-from pancakes.hosting.hosting_event import (
-    CameToRest,
-    NotPersisted,
-    Persisted,
-    StartConfigured,
-    StoodStill,
-    TakeUp,
-)
-from pancakes.hosting.machine import step, unborn
+from pancakes.hosting.machine import AnyEvent, handle
 from pancakes.hosting.mover import Mover
+from pancakes.hosting.now import Now
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.records import Records, RecordWritten
 from pancakes.hosting.shared_outbox import SharedOutbox
 from pancakes.hosting.snapshots import carried_of, snapshot_of
-from pancakes.hosting.turn import AnyEvent, Moment
 from pancakes.hosting.waiters import Waiters
 from pancakes.installed import Installed
 from pancakes.kernel.component import Component
@@ -58,18 +37,8 @@ from pancakes.kernel.handlers import on
 from pancakes.kernel.keep import reliable
 from pancakes.kernel.tell import tell
 from pancakes.life.life import RESTS
-from pancakes.migration.effect import (
-    Ack,
-    After,
-    AttemptFailed,
-    Freeze,
-    HandedOver,
-    Persist,
-    Resume,
-    Send,
-    Warn,
-)
-from pancakes.migration.messages import Abort, Activated, Commit, Nak, Piece, Prepared, Reserve, Reserved, Unknown
+from pancakes.migration import effect as handoff_effect
+from pancakes.migration import messages
 from pancakes.migration.record import Phase, TaskId, Wanted
 from pancakes.migration.rest import rest_of
 from pancakes.migration.snapshot import Posted, Snapshot
@@ -182,13 +151,13 @@ class ClientService(Service):
         # A tombstone has no slot, and answers all the same.
         for place in self.places:
             if place.slot is None:
-                self.feed_place(place, TakeUp())
+                self.feed_place(place, hosting_event.TakeUp())
         self._checkpointing.begin()
         self._mover.begin()
 
     def wants(self, slot: Slot) -> bool:
         record = self.places.at[slot.name].standing.record
-        if unborn(record):
+        if record.unborn:
             return slot.spec.start
         # The journal wins over `start` in the configuration: a stop that a person asked for outlives a reboot.
         return record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING
@@ -198,7 +167,7 @@ class ClientService(Service):
         slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        self.feed_place(self.places.at[slot.name], StartConfigured(slot.fresh))
+        self.feed_place(self.places.at[slot.name], hosting_event.StartConfigured(slot.fresh))
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -232,14 +201,18 @@ class ClientService(Service):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.standing
-        at = Moment(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
-        life, place.standing, effects = step(slot.life if slot is not None else None, place.standing, event, at)
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
+        life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
         for effect in effects:
-            if isinstance(effect, HostingEffect):
+            if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
-            elif slot is not None:
+            elif slot is None:
+                continue
+            elif isinstance(effect, hosting_effect.SlotEffect):
+                self._carry_out_at(slot, place, effect)
+            else:
                 self.keeper.carry_out(slot, effect)
         if place.standing.record.phase is not before.record.phase or place.standing.leaving != before.leaving:
             self._note(place)
@@ -255,66 +228,57 @@ class ClientService(Service):
         self._note(self.places.at[spec.name])
         return slot
 
-    def _carry_out(self, place: Place, effect: HostingEffect, slot: Slot | None) -> None:
+    def _carry_out(self, place: Place, effect: hosting_effect.HostingEffect, slot: Slot | None) -> None:
         match effect:
-            case Persist():
+            case handoff_effect.Persist():
                 self._writing += 1
                 self._records.persist(effect.record, self)
-            case Send():
+            case handoff_effect.Send():
                 self._carrier.send(effect.peer, effect.message)
-            case After():
+            case handoff_effect.After():
                 self.after_host(effect.drawn_s(self.random), partial(self.feed_place, place, effect.event))
-            case Warn():
+            case handoff_effect.Warn():
                 self.log("warning", effect.text)
-            case Ack():
+            case handoff_effect.Ack():
                 self._deliveries.on_disk(place, effect.packet)
-            case AttemptFailed():
+            case handoff_effect.AttemptFailed():
                 self._mover.attempt_failed(place, effect)
-            case HandedOver():
+            case handoff_effect.HandedOver():
                 self._mover.handed_over(place, effect)
-            case OpenPlace():
+            case hosting_effect.OpenPlace():
                 self._arrivals.open(place, effect.start)
-            case Unreserve():
+            case hosting_effect.Unreserve():
                 self.kernel.registry.unreserve(self._address_of(place.task_id))
-            case Decided():
+            case hosting_effect.Decided():
                 if place.adoption is not None:
                     self._decisions.started(place, place.adoption, effect.reason)
                 if place.follows is not None:
                     self._mover.followed(place, place.follows)
-            case Lasts():
+            case hosting_effect.Lasts():
                 if place.forgetting:
                     self._decisions.written(place, effect.why_not)
-            case Drop():
+            case hosting_effect.Drop():
                 self._departures.drop(place, slot, effect.ends)
-            case Resume():
+            case handoff_effect.Resume():
                 self._departures.resume(place, slot)
-            case AskRoom() | Prepare() | Rested() | Freeze() | TakeDown() | LetGoOn() | Vacate():
-                if slot is not None:
-                    self._carry_out_at(slot, place, effect)
             case _:
                 assert_never(effect)
 
-    def _carry_out_at(
-        self,
-        slot: Slot,
-        place: Place,
-        effect: AskRoom | Prepare | Rested | Freeze | TakeDown | LetGoOn | Vacate,
-    ) -> None:
-        """Carries out an effect for which the task has a place."""
+    def _carry_out_at(self, slot: Slot, place: Place, effect: hosting_effect.SlotEffect) -> None:
         match effect:
-            case AskRoom():
+            case hosting_effect.AskRoom():
                 self.feed_place(place, self._arrivals.room(slot, place, effect))
-            case Prepare():
+            case hosting_effect.Prepare():
                 self._arrivals.prepare(slot, place, effect.start)
-            case Rested():
+            case hosting_effect.Rested():
                 self.rested(slot)
-            case Freeze():
+            case handoff_effect.Freeze():
                 self._departures.freeze(slot, place, effect)
-            case TakeDown():
+            case hosting_effect.TakeDown():
                 self._departures.take_down(slot, place, effect)
-            case LetGoOn():
+            case hosting_effect.LetGoOn():
                 self._departures.let_go_on(slot)
-            case Vacate():
+            case hosting_effect.Vacate():
                 self._departures.vacate(slot)
             case _:
                 assert_never(effect)
@@ -324,9 +288,9 @@ class ClientService(Service):
         place = self.places.of(written.task_id)
         if written.why_not:
             place.written = None
-            self.feed_place(place, NotPersisted(written.why_not))
+            self.feed_place(place, hosting_event.NotPersisted(written.why_not))
         else:
-            self.feed_place(place, Persisted())
+            self.feed_place(place, hosting_event.Persisted())
         if self._checkpointing.late:
             self._checkpointing.look_at_late()
 
@@ -353,7 +317,7 @@ class ClientService(Service):
     def write_rest(self, slot: Slot) -> None:
         carried = slot.carried
         snapshot = self.snapshot(slot, carried) if carried is not None else b""
-        self.feed(slot, CameToRest(snapshot))
+        self.feed(slot, hosting_event.CameToRest(snapshot))
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         arguments = super().arguments_of(slot)
@@ -392,7 +356,7 @@ class ClientService(Service):
                     if isinstance(message, Looked):
                         self._checkpointing.looked(slot, slot.task, message)
                     else:
-                        self.feed(slot, StoodStill(message.offer, message.carried, message.reason))
+                        self.feed(slot, hosting_event.StoodStill(message.offer, message.carried, message.reason))
             case RecordWritten():
                 self._written(message)
             case LetterGiven():
@@ -413,15 +377,15 @@ class ClientService(Service):
                 return super().on_receive(message)
         return None
 
-    @on(NETWORK, Reserve, keep=KEEP, addressed=True)
-    @on(NETWORK, Reserved, keep=KEEP, addressed=True)
-    @on(NETWORK, Piece, keep=KEEP, addressed=True)
-    @on(NETWORK, Nak, keep=KEEP, addressed=True)
-    @on(NETWORK, Prepared, keep=KEEP, addressed=True)
-    @on(NETWORK, Commit, keep=KEEP, addressed=True)
-    @on(NETWORK, Activated, keep=KEEP, addressed=True)
-    @on(NETWORK, Abort, keep=KEEP, addressed=True)
-    @on(NETWORK, Unknown, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Reserved, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Piece, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Nak, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Prepared, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Commit, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Activated, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Abort, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
         message = self._carrier.take(packet)
@@ -445,15 +409,15 @@ class ClientService(Service):
     # What is asked of it ---------------------------------------------------------------------------------------
 
     def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
-        if isinstance(body, Adopt):
+        if isinstance(body, control.Adopt):
             self._decisions.adopt(body, request)
             return
-        if isinstance(body, Forget):
+        if isinstance(body, control.Forget):
             self._decisions.forget(body, request)
             return
         if slot is not None:
             self._refuse_elsewhere(body, slot)
-        if isinstance(body, Migrate) and slot is not None:
+        if isinstance(body, control.Migrate) and slot is not None:
             self._mover.negotiate(slot, body, request)
         else:
             super().carry_out_command(body, slot, request)
@@ -462,14 +426,15 @@ class ClientService(Service):
         """Refuses what cannot be asked here of a task that is on its way, or has left."""
         standing = self.places.at[slot.name].standing
         record, volatile = standing.record, standing.volatile
-        describes = isinstance(body, Describe)
+        describes = isinstance(body, control.Describe)
         going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
         if going and not describes:
             peer = volatile.asked or record.peer
             raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
         if standing.leaving and not describes:
             raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
-        changes = isinstance(body, (Stop, Reschedule, Configure)) or (describes and (body.state or body.began))
+        changes = isinstance(body, (control.Stop, control.Reschedule, control.Configure))
+        changes = changes or (describes and (body.state or body.began))
         if record.phase is Phase.RELEASED and changes:
             raise ControlRefused(f"{slot.name} moved to {record.peer}")
 

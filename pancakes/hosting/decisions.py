@@ -11,8 +11,7 @@ from pancakes.hosting.lost import Lost
 from pancakes.hosting.mover import Mover
 from pancakes.hosting.place import Adoption, Place
 from pancakes.hosting.records import Records
-from pancakes.migration.event import Adopt as RunHere
-from pancakes.migration.event import Forget as LetRest
+from pancakes.migration.event import AdoptionAsked, ForgettingAsked
 from pancakes.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.request import Request
 
@@ -75,7 +74,7 @@ class Decisions:
             )
         if not body.force:
             raise ControlRefused(adoption.meaning(record, host.agent))
-        self._run_here(task_id, RunHere(), peer, f"{peer} is gone for good", body.dry_run, request)
+        self._run_here(task_id, AdoptionAsked(), peer, f"{peer} is gone for good", body.dry_run, request)
 
     def _adopt_lost(self, lost: Lost, body: Adopt, request: Request) -> None:
         host, task_id = self._host, lost.task_id
@@ -91,10 +90,12 @@ class Decisions:
             )
         if not body.force:
             raise ControlRefused(lost.meaning(host.agent))
-        event = RunHere(snapshot, lost.seen.n, lost.jump)
+        event = AdoptionAsked(snapshot, lost.seen.n, lost.jump)
         self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
 
-    def _run_here(self, task_id: TaskId, event: RunHere, peer: str, why: str, dry_run: bool, request: Request) -> None:
+    def _run_here(
+        self, task_id: TaskId, event: AdoptionAsked, peer: str, why: str, dry_run: bool, request: Request
+    ) -> None:
         host = self._host
         if dry_run:
             host.reply(request, result={"task_id": str(task_id), "peer": peer})
@@ -138,7 +139,7 @@ class Decisions:
         self._tell_asked("forget", task_id, request)
         place.forgetting = (request,)
         host.look_after(place, request)
-        host.feed_place(place, LetRest(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
+        host.feed_place(place, ForgettingAsked(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
 
     def written(self, place: Place, why_not: str) -> None:
         """All that was decided about a task is on disk, or cannot be: answers the requests to forget it."""

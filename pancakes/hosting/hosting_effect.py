@@ -114,21 +114,17 @@ PassedOn = (
 )
 """Effects of a life that the machine passes on."""
 
+SlotEffect = AskRoom | Prepare | Rested | TakeDown | LetGoOn | Vacate | handoff_effect.Freeze
+"""Effects that are carried out at the slot of a task."""
+
 HostingEffect = (
-    AskRoom
-    | OpenPlace
-    | Prepare
+    OpenPlace
     | Unreserve
     | Decided
     | Lasts
-    | Rested
-    | TakeDown
-    | LetGoOn
     | Drop
-    | Vacate
     | handoff_effect.Persist
     | handoff_effect.Send
-    | handoff_effect.Freeze
     | handoff_effect.Resume
     | handoff_effect.Ack
     | handoff_effect.After
@@ -136,3 +132,4 @@ HostingEffect = (
     | handoff_effect.AttemptFailed
     | handoff_effect.HandedOver
 )
+"""Effects that a task without a slot may have too."""

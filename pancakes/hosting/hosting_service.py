@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from pancakes.hosting.host_state import HostState
+from pancakes.hosting.machine import AnyEvent
 from pancakes.hosting.place import Place
 from pancakes.hosting.places import Places
 from pancakes.hosting.shared_outbox import SharedOutbox
-from pancakes.hosting.turn import AnyEvent
 from pancakes.kernel.component import Component
 from pancakes.kernel.kernel import Kernel
 from pancakes.migration.snapshot import Posted

@@ -7,66 +7,22 @@ out passes through.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Final, get_args
 
-from pancakes.hosting.hosting_effect import (
-    AskRoom,
-    Decided,
-    Drop,
-    Lasts,
-    LetGoOn,
-    OpenPlace,
-    Prepare,
-    Rested,
-    TakeDown,
-    Unreserve,
-)
-from pancakes.hosting.hosting_event import (
-    CameToRest,
-    NoPlace,
-    NotPersisted,
-    PartConcluded,
-    Persisted,
-    PlaceFree,
-    Room,
-    StartConfigured,
-    StartWanted,
-    StillOverdue,
-    StoodStill,
-    TakeUp,
-)
+from msgspec.structs import replace
+
+from pancakes.hosting import hosting_effect, hosting_event
 from pancakes.hosting.leave import Leave
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
-from pancakes.hosting.turn import AnyEffect, AnyEvent, Moment, Rule, Turn
+from pancakes.life import life_effect, life_event, table
 from pancakes.life.life import CLOSES, Life, State
-from pancakes.life.life_effect import AskLeave, Settle, WriteRest
-from pancakes.life.life_event import LeaveRefused, PutOff, StartAsked, StopAsked, Written
-from pancakes.migration.core import TIMES, handle, recover
-from pancakes.migration.effect import (
-    AttemptFailed,
-    Decline,
-    Discard,
-    Freeze,
-    HandedOver,
-    Persist,
-    Remember,
-    Resume,
-    StartTask,
-)
-from pancakes.migration.event import (
-    Adopt,
-    Award,
-    Born,
-    Checkpoint,
-    Concluded,
-    Ended,
-    Forget,
-    FreezeFailed,
-    PersistFailed,
-    Start,
-)
-from pancakes.migration.record import NO_EPOCH, Phase, Record, Wanted
+from pancakes.migration import core
+from pancakes.migration import effect as handoff_effect
+from pancakes.migration import event as handoff_event
+from pancakes.migration.record import Phase, Wanted
 from pancakes.migration.snapshot import begins_alike
 
 ACTOR: Final = frozenset((State.STARTING, State.RUNNING, State.STOPPING, State.STUCK))
@@ -75,325 +31,454 @@ UNDECIDED: Final = frozenset((State.ASKED, State.CALLED_OFF))
 """The states of a life in which it waits for leave."""
 
 
-def unborn(record: Record) -> bool:
-    """Returns whether a task was never heard of on this agent."""
-    return record.phase is Phase.ABSENT and record.seen == NO_EPOCH
+_LIFE_EVENTS: Final = frozenset(get_args(life_event.Event))
+_HOSTING_EVENTS: Final = frozenset(get_args(hosting_event.HostingEvent))
+
+
+AnyEvent = life_event.Event | handoff_event.Event | hosting_event.HostingEvent
+AnyEffect = hosting_effect.PassedOn | hosting_effect.SlotEffect | hosting_effect.HostingEffect
+
+
+class HostingStep:
+    """One step: what it has changed so far, and what is to be done.
+
+    Args:
+        life: the life of the task; None: it has no place here.
+        standing: how it stands besides.
+        at: the moment.
+
+    Attributes:
+        effects: what is to be done, in this order.
+        why_not: why the record could not be written, where that is the event.
+    """
+
+    def __init__(self, life: Life | None, standing: Standing, at: Now) -> None:
+        self.life = life
+        self.standing = standing
+        self.at = at
+        self.effects: list[Any] = []
+        self.why_not = ""
+        self._lives: deque[tuple[life_event.Event, Leave]] = deque()
+        self._living = False
+        self._going = False
+        self.leave = Leave.ENTRY
+        self.decided: handoff_event.Event | None = None
+
+    def take(self, event: AnyEvent) -> None:
+        """Takes the event of this step."""
+        was_settled = settled(self.standing)
+        if type(event) in _LIFE_EVENTS:
+            self.live(event)  # type: ignore[arg-type]
+        elif type(event) in _HOSTING_EVENTS:
+            RULES[type(event)](self, event)
+        else:
+            self.feed(event)  # type: ignore[arg-type]
+        self.go_on()
+        if settled(self.standing):
+            if self.standing.rests:
+                self.change(rests=False)
+                self.live(life_event.Written(self.why_not))
+            if not was_settled:
+                self.do(hosting_effect.Lasts())
+        if self.standing.leaving and self.life is not None and self.life.at_rest:
+            self.change(leaving=False)
+            self.do(hosting_effect.Vacate())
+
+    def do(self, effect: AnyEffect) -> None:
+        """Has an effect carried out, after those before it."""
+        self.effects.append(effect)
+
+    def change(self, **changes: Any) -> None:
+        """Changes how the task stands."""
+        self.standing = replace(self.standing, **changes)
+
+    def feed(self, event: handoff_event.Event) -> None:
+        """Feeds an event to the hand-off, which takes it after those before it."""
+        self.change(events=(*self.standing.events, event))
+
+    def live(self, event: life_event.Event, leave: Leave = Leave.ENTRY) -> None:
+        """Feeds an event to the life, which takes it after those before it.
+
+        Args:
+            event: the event.
+            leave: by what a start that follows gets leave.
+        """
+        self._lives.append((event, leave))
+        if self._living:
+            return
+        self._living = True
+        while self._lives:
+            event, self.leave = self._lives.popleft()
+            assert self.life is not None
+            self.life, effects = table.handle(self.life, event, self.at.now_s, self.at.draw)
+            for effect in effects:
+                self._carry(effect)
+        self._living = False
+
+    def go_on(self) -> None:
+        """Goes on with the hand-off, until one of its effects takes time."""
+        if self._going:
+            return
+        self._going = True
+        while self.standing.waits is None:
+            standing = self.standing
+            if standing.effects:
+                effect, *later = standing.effects
+                self.change(effects=tuple(later))
+                self._carry(effect)
+            elif standing.events:
+                self.decided, *waiting = standing.events
+                effects = core.handle(self.at.me, standing.record, standing.volatile, self.decided)
+                self.change(events=tuple(waiting), effects=tuple(effects))
+            else:
+                break
+        self._going = False
+
+    def _carry(self, effect: life_effect.Effect | handoff_effect.Effect) -> None:
+        rule = RULES.get(type(effect))
+        if rule is None:
+            self.effects.append(effect)
+        else:
+            rule(self, effect)
+
+    def done(self) -> None:
+        """The start that the hand-off asked for is decided: it goes on."""
+        self.change(waits=None, begins=False)
+        self.unreserve()
+        self.go_on()
+
+    def unreserve(self) -> None:
+        """Has no actuators kept for it any longer; those of one that is on its way here stay."""
+        if self.standing.record.phase is not Phase.PREPARED:
+            self.do(hosting_effect.Unreserve())
+
+
+Rule = Callable[[HostingStep, Any], None]
+
+
+def idle(standing: Standing) -> bool:
+    """Returns whether every event so far is dealt with and every effect carried out."""
+    return standing.waits is None and not standing.effects and not standing.events
+
+
+def settled(standing: Standing) -> bool:
+    """Returns whether in addition all that was decided is on disk: nothing is left that could not be written."""
+    return idle(standing) and standing.volatile.again is None
 
 
 # What a life asks for ------------------------------------------------------------------------------------------
 
 
-def _ask_leave(turn: Turn, effect: AskLeave) -> None:
-    leave = turn.leave
-    life = turn.life
+def _ask_leave(step: HostingStep, effect: life_effect.AskLeave) -> None:
+    leave = step.leave
+    life = step.life
     assert life is not None
     if leave is Leave.ENTRY and effect.again and life.asker is None:
         leave = Leave.AGAIN
     if leave is Leave.GRANTED:
         return
-    if turn.at.closing:
-        turn.live(LeaveRefused(CLOSES))
+    if step.at.closing:
+        step.live(life_event.LeaveRefused(CLOSES))
     elif leave is Leave.RECOVERED:
-        turn.change(effects=(*turn.standing.effects, *recover(turn.standing.record, TIMES)))
+        step.change(effects=(*step.standing.effects, *core.recover(step.standing.record)))
     elif leave is Leave.AGAIN:
-        turn.feed(Start(again=True))
+        step.feed(handoff_event.RunAsked(again=True))
     else:
-        born = turn.standing.record.phase is Phase.ABSENT and life.asker is None
+        born = step.standing.record.phase is Phase.ABSENT and life.asker is None
         # Of two tasks that are to start at once, the second is refused before its record says that it is wanted.
-        turn.do(AskRoom(keep=not born and leave is not Leave.WANTED, again=effect.again))
+        step.do(hosting_effect.AskRoom(keep=not born and leave is not Leave.WANTED, again=effect.again))
 
 
-def _settle(turn: Turn, effect: Settle) -> None:
-    turn.do(effect)
-    life = turn.life
+def _settle(step: HostingStep, effect: life_effect.Settle) -> None:
+    step.do(effect)
+    life = step.life
     assert life is not None
-    standing = turn.standing
+    standing = step.standing
     # One that waits for leave still may start, and one that was given away may be on its way back.
     if life.state is not State.ASKED and not standing.leaving:
-        turn.do(Decided(effect.reason))
+        step.do(hosting_effect.Decided(effect.reason))
     refused = life.state is State.REFUSED or (life.state is State.STOPPED and standing.begins)
-    ended = Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)
-    if refused and standing.volatile.running and ended not in standing.events[-1:]:
+    ended = handoff_event.Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)
+    known = settled(standing) and not standing.volatile.running and standing.record.wanted is ended.wanted
+    kinds = handoff_event.Ended, handoff_event.RunAsked
+    last_said = [later for later in standing.events if isinstance(later, kinds)][-1:]
+    if refused and not known and ended not in last_said:
         # It does not run, and a start that is asked for may follow.
-        turn.feed(ended)
+        step.feed(ended)
     if standing.begins:
-        turn.done()
+        step.done()
 
 
-def _write_rest(turn: Turn, effect: WriteRest) -> None:
-    if turn.standing.leaving:
+def _write_rest(step: HostingStep, effect: life_effect.WriteRest) -> None:
+    if step.standing.leaving:
         # What is left of it here is its record.
-        turn.live(Written())
-        turn.do(Rested())
+        step.live(life_event.Written())
+        step.do(hosting_effect.Rested())
     else:
-        turn.do(effect)
+        step.do(effect)
 
 
 # What its hand-off asks for ------------------------------------------------------------------------------------
 
 
-def _remember(turn: Turn, effect: Remember) -> None:
-    turn.change(volatile=effect.volatile)
+def _remember(step: HostingStep, effect: handoff_effect.Remember) -> None:
+    step.change(volatile=effect.volatile)
 
 
-def _persist(turn: Turn, effect: Persist) -> None:
-    turn.change(waits=effect)
-    turn.do(effect)
+def _persist(step: HostingStep, effect: handoff_effect.Persist) -> None:
+    step.change(waits=effect)
+    step.do(effect)
 
 
-def _start_task(turn: Turn, effect: StartTask) -> None:
-    turn.change(waits=effect)
-    life = turn.life
-    if any(isinstance(event, Ended) for event in turn.standing.events):
-        turn.done()  # it was decided otherwise since
+def _start_task(step: HostingStep, effect: handoff_effect.StartTask) -> None:
+    step.change(waits=effect)
+    life = step.life
+    if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):
+        step.change(waits=None)  # it was decided otherwise since
     elif life is None:
-        turn.do(OpenPlace(effect))
-    elif life.state in ACTOR:
-        # It came back before the actor that was given away has ended.
-        turn.live(StopAsked(reason="it comes back"))
-    else:
-        turn.change(begins=True, stands=None, unanswered=0)
+        step.do(hosting_effect.OpenPlace(effect))
+    elif life.state not in ACTOR:  # else it came back before the actor that was given away has ended
+        step.change(begins=True, unanswered=0)
         if life.state not in UNDECIDED:
-            turn.live(StartAsked(), Leave.GRANTED)
-        turn.do(Prepare(effect))
+            step.live(life_event.StartAsked(), Leave.GRANTED)
+        step.do(hosting_effect.Prepare(effect))
 
 
-def _freeze(turn: Turn, effect: Freeze) -> None:
-    if turn.life is not None and turn.life.state is State.RUNNING:
-        turn.change(stands=effect.offer, unanswered=turn.standing.unanswered + 1)
-        turn.do(effect)
+def _freeze(step: HostingStep, effect: handoff_effect.Freeze) -> None:
+    if step.life is not None and step.life.state is State.RUNNING:
+        step.change(unanswered=step.standing.unanswered + 1)
+        step.do(effect)
     else:
-        turn.feed(FreezeFailed(effect.offer, "it does not run"))
+        step.feed(handoff_event.FreezeFailed(effect.offer, "it does not run"))
 
 
-def _resume(turn: Turn, effect: Resume) -> None:
-    turn.do(effect)
-    if turn.life is not None and turn.life.state not in ACTOR | UNDECIDED:
+def _resume(step: HostingStep, effect: handoff_effect.Resume) -> None:
+    step.do(effect)
+    if step.life is not None and step.life.state not in ACTOR | UNDECIDED:
         # Its actor failed while it stood still: it begins again from what was written down.
-        turn.live(StartAsked(), Leave.AGAIN)
+        step.live(life_event.StartAsked(), Leave.AGAIN)
 
 
-def _discard(turn: Turn, effect: Discard) -> None:
-    life = turn.life
+def _discard(step: HostingStep, effect: handoff_effect.Discard) -> None:
+    life = step.life
     ends = life is not None and life.state in ACTOR
-    turn.do(Drop(ends))
+    step.do(hosting_effect.Drop(ends))
     if life is not None:
-        record = turn.standing.record
-        turn.change(leaving=True)
-        turn.live(StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))
+        record = step.standing.record
+        step.change(leaving=True)
+        step.live(life_event.StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))
 
 
-def _decline(turn: Turn, effect: Decline) -> None:
-    rule = DECLINED.get(type(turn.decided))
+def _decline(step: HostingStep, effect: handoff_effect.Decline) -> None:
+    rule = DECLINED.get(type(step.decided))
     if rule is not None:
-        rule(turn, effect)
+        rule(step, effect)
 
 
-def _handed_over(turn: Turn, effect: HandedOver) -> None:
-    if turn.life is not None and turn.life.state not in ACTOR:
-        turn.change(leaving=True)
-        turn.live(StopAsked(reason="it is elsewhere"))
-    turn.change(to_conclude=2)
-    turn.do(effect)
+def _handed_over(step: HostingStep, effect: handoff_effect.HandedOver) -> None:
+    step.change(leaving=step.life is not None, to_conclude=2)
+    step.do(effect)
 
 
 # What its hand-off declines, by the event ----------------------------------------------------------------------
 
 
-def _start_declined(turn: Turn, effect: Decline) -> None:
-    if turn.standing.record.phase is not Phase.PREPARED:
-        turn.do(Unreserve())
-    if turn.life is not None and turn.life.state in UNDECIDED:
-        turn.live(LeaveRefused(effect.reason, for_good=True))
+def _start_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
+    step.unreserve()
+    if step.life is not None and step.life.state in UNDECIDED:
+        step.live(life_event.LeaveRefused(effect.reason, for_good=True))
 
 
-def _adoption_declined(turn: Turn, effect: Decline) -> None:
-    turn.do(Decided(effect.reason))
+def _adoption_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
+    step.do(hosting_effect.Decided(effect.reason))
 
 
-def _forgetting_declined(turn: Turn, effect: Decline) -> None:
-    turn.why_not = effect.reason
-    turn.do(Lasts(effect.reason))
+def _forgetting_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
+    step.do(hosting_effect.Lasts(effect.reason))
 
 
-def _award_declined(turn: Turn, effect: Decline) -> None:
-    turn.do(AttemptFailed("", effect.reason))
+def _award_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
+    step.do(handoff_effect.AttemptFailed("", effect.reason))
 
 
 # What happens besides ------------------------------------------------------------------------------------------
 
 
-def _start_configured(turn: Turn, event: StartConfigured) -> None:
-    record = turn.standing.record
-    if unborn(record) or (event.fresh and record.phase is Phase.OWNER):
-        turn.live(StartAsked())
+def _start_configured(step: HostingStep, event: hosting_event.StartConfigured) -> None:
+    record = step.standing.record
+    if record.unborn or (event.fresh and record.phase is Phase.OWNER):
+        step.live(life_event.StartAsked())
     elif record.phase in (Phase.OWNER, Phase.FROZEN):
-        turn.live(StartAsked(), Leave.RECOVERED)
+        step.live(life_event.StartAsked(), Leave.RECOVERED)
     else:
-        _take_up(turn, TakeUp())
-        turn.do(Settle())
+        _take_up(step, hosting_event.TakeUp())
+        step.do(life_effect.Settle())
 
 
-def _start_wanted(turn: Turn, event: StartWanted) -> None:
-    turn.live(StartAsked(), Leave.WANTED)
+def _start_wanted(step: HostingStep, event: hosting_event.StartWanted) -> None:
+    step.live(life_event.StartAsked(), Leave.WANTED)
 
 
-def _take_up(turn: Turn, event: TakeUp) -> None:
-    turn.change(effects=(*turn.standing.effects, *recover(turn.standing.record, TIMES)))
+def _take_up(step: HostingStep, event: hosting_event.TakeUp) -> None:
+    step.change(effects=(*step.standing.effects, *core.recover(step.standing.record)))
 
 
-def _room(turn: Turn, event: Room) -> None:
-    record = turn.standing.record
-    if turn.life is None or turn.life.state not in UNDECIDED:
+def _room(step: HostingStep, event: hosting_event.Room) -> None:
+    record = step.standing.record
+    if step.life is None or step.life.state not in UNDECIDED:
+        step.unreserve()  # it was decided otherwise since
         return
     if event.reason:
-        turn.live(LeaveRefused(event.reason, event.for_good))
-    elif unborn(record):
-        turn.feed(Born(event.snapshot))
-    elif event.snapshot and record.phase is Phase.OWNER:
-        turn.feed(Ended(Wanted.STOPPED, event.snapshot))
-        turn.feed(Start())
+        step.live(life_event.LeaveRefused(event.reason, event.for_good))
+    elif record.unborn:
+        step.feed(handoff_event.Born(event.snapshot))
+    elif event.snapshot:
+        step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))
+        step.feed(handoff_event.RunAsked())
     else:
-        turn.feed(Start(event.asked.again))
+        step.feed(handoff_event.RunAsked(event.asked.again))
 
 
-def _place_free(turn: Turn, event: PlaceFree) -> None:
-    waits = turn.standing.waits
-    if isinstance(waits, StartTask) and not turn.standing.begins:
-        _start_task(turn, waits)
+def _place_free(step: HostingStep, event: hosting_event.PlaceFree) -> None:
+    waits = step.standing.waits
+    if isinstance(waits, handoff_effect.StartTask):
+        _start_task(step, waits)
 
 
-def _no_place(turn: Turn, event: NoPlace) -> None:
-    turn.do(Decided(event.reason))
-    turn.done()
+def _no_place(step: HostingStep, event: hosting_event.NoPlace) -> None:
+    step.do(hosting_effect.Decided(event.reason))
+    step.done()
 
 
-def _came_to_rest(turn: Turn, event: CameToRest) -> None:
-    standing, life = turn.standing, turn.life
+def _came_to_rest(step: HostingStep, event: hosting_event.CameToRest) -> None:
+    standing, life = step.standing, step.life
     assert life is not None
-    if turn.at.closing and life.wanted:
-        # The task itself was not asked to end: it goes on when its service comes back. Each record costs a wait for
-        # the disk, and of a thousand tasks most have nothing new in it.
-        if event.snapshot and not (standing.idle and begins_alike(event.snapshot, standing.record.snapshot)):
-            turn.feed(Checkpoint(standing.record.epoch, standing.record.incarnation, event.snapshot))
-        turn.live(Written())
+    record, wanted = standing.record, _wanted_at_rest(life)
+    alike = not event.snapshot or begins_alike(event.snapshot, record.snapshot)
+    if step.at.closing and idle(standing) and wanted is record.wanted and alike:
+        # Each record costs a wait for the disk, and of a thousand tasks whose service ends most have nothing new.
+        step.live(life_event.Written())
     else:
-        turn.feed(Ended(_wanted_at_rest(life), event.snapshot))
-        turn.change(rests=True)
-    turn.go_on()
-    turn.do(Rested())
-    _place_free(turn, PlaceFree())
+        step.feed(handoff_event.Ended(wanted, event.snapshot))
+        step.change(rests=True)
+    step.go_on()
+    step.do(hosting_effect.Rested())
 
 
 def _wanted_at_rest(life: Life) -> Wanted:
-    if life.state is not State.FAILED:
-        return Wanted.STOPPED
-    # What is tried again later is still wanted, also after a reboot.
-    return Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING
+    if life.state is State.FAILED and life.restarts.due_s is None:
+        return Wanted.FAILED
+    # What is to start again, or ends with its service, is still wanted, also after a reboot.
+    return Wanted.RUNNING if life.wanted else Wanted.STOPPED
 
 
-def _persisted(turn: Turn, event: Persisted) -> None:
-    waits = turn.standing.waits
-    if isinstance(waits, Persist):
-        turn.change(waits=None, record=waits.record, trouble="")
+def _persisted(step: HostingStep, event: hosting_event.Persisted) -> None:
+    waits = step.standing.waits
+    if isinstance(waits, handoff_effect.Persist):
+        step.change(waits=None, record=waits.record, trouble="")
+        if waits.record.phase is Phase.PREPARED:
+            # An adoption that could not be written down comes too late.
+            step.do(hosting_effect.Decided(f"{waits.record.task_id} is on its way here from {waits.record.peer}"))
 
 
-def _not_persisted(turn: Turn, event: NotPersisted) -> None:
-    standing = turn.standing
+def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None:
+    standing = step.standing
     waits = standing.waits
-    if not isinstance(waits, Persist):
+    if not isinstance(waits, handoff_effect.Persist):
         return
-    turn.why_not = event.reason
-    failed = PersistFailed(event.reason, waits.record)
-    effects = handle(turn.at.me, standing.record, standing.volatile, failed, TIMES)
-    turn.change(waits=None, trouble=event.reason, effects=tuple(effects))
-    if standing.record.phase in DOUBT and not any(isinstance(later, Adopt) for later in standing.events):
+    step.why_not = event.reason
+    failed = handoff_event.PersistFailed(event.reason, waits.record)
+    effects = core.handle(step.at.me, standing.record, standing.volatile, failed)
+    step.change(waits=None, trouble=event.reason, effects=tuple(effects))
+    if waits.record.phase is Phase.ABSENT:
+        step.do(hosting_effect.Lasts(event.reason))
+    adopted_later = any(isinstance(later, handoff_event.AdoptionAsked) for later in standing.events)
+    if standing.record.phase in DOUBT and not adopted_later:
         # An adoption is not tried again by itself: the person may have learnt better meanwhile.
-        turn.do(Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
-    turn.go_on()
-    starts = turn.life is not None and turn.life.state is State.ASKED
-    if starts:
-        turn.live(PutOff(event.reason))
-    record = turn.standing.record
-    if record.phase is not Phase.PREPARED and not starts:
-        turn.do(Unreserve())
+        step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
+    step.go_on()
+    state = step.life.state if step.life is not None else None
+    asked_later = any(isinstance(later, handoff_event.RunAsked) for later in step.standing.events)
+    if state in UNDECIDED and step.standing.record.phase is Phase.FROZEN and not asked_later:
+        # Its agent has crashed, and the hand-off is broken off later, or goes on.
+        step.live(life_event.LeaveRefused(event.reason, for_good=True))
+    elif state in UNDECIDED:
+        step.live(life_event.PutOff(event.reason))
+    if state is not State.ASKED:
+        step.unreserve()
 
 
-def _stood_still(turn: Turn, event: StoodStill) -> None:
-    standing, life = turn.standing, turn.life
+def _stood_still(step: HostingStep, event: hosting_event.StoodStill) -> None:
+    standing, life = step.standing, step.life
     unanswered = max(0, standing.unanswered - 1)
-    turn.change(unanswered=unanswered)
+    step.change(unanswered=unanswered)
     if unanswered:
         return  # it was told so again meanwhile, and answers that
-    waits = standing.stands == event.offer
-    if waits:
-        turn.change(stands=None)
     runs = life is not None and life.state is State.RUNNING
+    given_up = handoff_event.FreezeFailed
     if event.carried is None or not runs:
-        if waits:
-            turn.feed(FreezeFailed(event.offer, event.reason or "it ends"))
-    elif waits and standing.volatile.freezing:
-        turn.do(TakeDown(event.offer, event.carried))
+        step.feed(handoff_event.FreezeFailed(event.offer, event.reason or "it ends"))
+    elif standing.volatile.freezing and not any(isinstance(later, given_up) for later in standing.events):
+        step.do(hosting_effect.TakeDown(event.offer, event.carried))
     else:
-        turn.do(LetGoOn())
+        step.do(hosting_effect.LetGoOn())
 
 
-def _still_overdue(turn: Turn, event: StillOverdue) -> None:
+def _still_overdue(step: HostingStep, event: hosting_event.StillOverdue) -> None:
     """A task that does not come back from what it is doing cannot be moved."""
-    if turn.standing.stands == event.offer:
-        turn.change(stands=None)
-        turn.feed(FreezeFailed(event.offer, "it is stuck"))
+    if step.standing.volatile.freezing:
+        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))
 
 
-def _part_concluded(turn: Turn, event: PartConcluded) -> None:
-    left = turn.standing.to_conclude - 1
-    turn.change(to_conclude=left)
+def _part_concluded(step: HostingStep, event: hosting_event.PartConcluded) -> None:
+    left = step.standing.to_conclude - 1
+    step.change(to_conclude=left)
     if not left:
-        turn.feed(Concluded())
+        step.feed(handoff_event.Concluded())
 
 
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 """The phases in which an agent cannot know by itself whether a task is its own."""
 
 DECLINED: Final[Mapping[type, Rule]] = {
-    Born: _start_declined,
-    Start: _start_declined,
-    Adopt: _adoption_declined,
-    Forget: _forgetting_declined,
-    Award: _award_declined,
+    handoff_event.Born: _start_declined,
+    handoff_event.RunAsked: _start_declined,
+    handoff_event.AdoptionAsked: _adoption_declined,
+    handoff_event.ForgettingAsked: _forgetting_declined,
+    handoff_event.Award: _award_declined,
 }
 """What it means that the hand-off declines an event."""
 
 RULES: Final[Mapping[type, Rule]] = {
-    AskLeave: _ask_leave,
-    Settle: _settle,
-    WriteRest: _write_rest,
-    Remember: _remember,
-    Persist: _persist,
-    StartTask: _start_task,
-    Freeze: _freeze,
-    Resume: _resume,
-    Discard: _discard,
-    Decline: _decline,
-    HandedOver: _handed_over,
-    StartConfigured: _start_configured,
-    StartWanted: _start_wanted,
-    TakeUp: _take_up,
-    Room: _room,
-    PlaceFree: _place_free,
-    NoPlace: _no_place,
-    CameToRest: _came_to_rest,
-    Persisted: _persisted,
-    NotPersisted: _not_persisted,
-    StoodStill: _stood_still,
-    StillOverdue: _still_overdue,
-    PartConcluded: _part_concluded,
+    life_effect.AskLeave: _ask_leave,
+    life_effect.Settle: _settle,
+    life_effect.WriteRest: _write_rest,
+    handoff_effect.Remember: _remember,
+    handoff_effect.Persist: _persist,
+    handoff_effect.StartTask: _start_task,
+    handoff_effect.Freeze: _freeze,
+    handoff_effect.Resume: _resume,
+    handoff_effect.Discard: _discard,
+    handoff_effect.Decline: _decline,
+    handoff_effect.HandedOver: _handed_over,
+    hosting_event.StartConfigured: _start_configured,
+    hosting_event.StartWanted: _start_wanted,
+    hosting_event.TakeUp: _take_up,
+    hosting_event.Room: _room,
+    hosting_event.PlaceFree: _place_free,
+    hosting_event.NoPlace: _no_place,
+    hosting_event.CameToRest: _came_to_rest,
+    hosting_event.Persisted: _persisted,
+    hosting_event.NotPersisted: _not_persisted,
+    hosting_event.StoodStill: _stood_still,
+    hosting_event.StillOverdue: _still_overdue,
+    hosting_event.PartConcluded: _part_concluded,
 }
 """What each effect of the one half means for the other, and what follows each event of the host."""
 
 
-def step(
-    life: Life | None, standing: Standing, event: AnyEvent, at: Moment
+def handle(
+    life: Life | None, standing: Standing, event: AnyEvent, at: Now
 ) -> tuple[Life | None, Standing, list[AnyEffect]]:
     """Decides what an event means.
 
@@ -406,6 +491,6 @@ def step(
     Returns:
         Its life and how it stands from now on, and what is to be done, in this order.
     """
-    turn = Turn(life, standing, at, RULES)
-    turn.take(event)
-    return turn.life, turn.standing, turn.effects
+    step = HostingStep(life, standing, at)
+    step.take(event)
+    return step.life, step.standing, step.effects

@@ -62,8 +62,8 @@ class Places:
         if slot is None:
             self.at.pop(name, None)
             return None
-        here = (place for place in self._by_name.get(name, ()) if _is_here(place.standing))
-        place = next(here, None) or self.of(TaskId(self._agent, name))
+        here = [place for place in self._by_name.get(name, ()) if _is_here(place.standing)]
+        place = here[0] if here else self.of(TaskId(self._agent, name))
         place.slot = slot
         self.at[name] = place
         return place.task_id

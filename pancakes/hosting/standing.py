@@ -6,7 +6,7 @@ import msgspec
 
 from pancakes.migration.effect import Effect, Persist, StartTask
 from pancakes.migration.event import Event
-from pancakes.migration.record import Epoch, Record
+from pancakes.migration.record import Record
 from pancakes.migration.volatile import Volatile
 
 
@@ -22,7 +22,6 @@ class Standing(msgspec.Struct, frozen=True):
         waits: the effect that is being carried out and takes time; None: none.
         begins: whether its life has taken up the `StartTask` that `waits` is.
         leaving: whether it was given away, and its place is cleared once its actor has ended.
-        stands: the hand-off for which its actor was told to stand still; None: none.
         unanswered: how often its actor was told to stand still, and has not answered.
         rests: whether its life waits until its rest is on disk.
         to_conclude: how much of what follows its hand-over is still to be done.
@@ -36,17 +35,6 @@ class Standing(msgspec.Struct, frozen=True):
     waits: Persist | StartTask | None = None
     begins: bool = False
     leaving: bool = False
-    stands: Epoch | None = None
     unanswered: int = 0
     rests: bool = False
     to_conclude: int = 0
-
-    @property
-    def idle(self) -> bool:
-        """Whether every event so far is dealt with and every effect carried out."""
-        return self.waits is None and not self.effects and not self.events
-
-    @property
-    def settled(self) -> bool:
-        """Whether in addition all that was decided is on disk: nothing is left that could not be written."""
-        return self.idle and self.volatile.again is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from pancakes.hosting.hosting_service import HostingService
+from pancakes.hosting.machine import settled
 from pancakes.hosting.place import Place
 from pancakes.hosting.records import Records
 from pancakes.request import Request
@@ -38,7 +39,7 @@ class Waiters:
         host, standing = self._host, place.standing
         if not host.waits(request):
             return
-        trouble = "" if standing.settled else standing.trouble or self._records.trouble(place.task_id)
+        trouble = "" if settled(standing) else standing.trouble or self._records.trouble(place.task_id)
         if not trouble:
             host.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))
             return

@@ -107,7 +107,8 @@ def _retry(life: Life, event: Retry, at: Moment) -> Outcome:
 def _admitted(life: Life, event: Admitted, at: Moment) -> Outcome:
     incarnation = event.incarnation or life.incarnation + 1
     restarts = life.restarts.tried()
-    return replace(life, state=State.STARTING, restarts=restarts, incarnation=incarnation, reason=""), [Spawn()]
+    life = replace(life, state=State.STARTING, restarts=restarts, incarnation=incarnation, wanted=True, reason="")
+    return life, [Spawn()]
 
 
 def _refused(life: Life, event: LeaveRefused, at: Moment) -> Outcome:
@@ -126,13 +127,13 @@ def _refused(life: Life, event: LeaveRefused, at: Moment) -> Outcome:
 
 
 def _put_off(life: Life, event: PutOff, at: Moment) -> Outcome:
-    """Its keeper goes on without it: it starts once it can."""
+    """Its keeper goes on without it: it starts, or rests, once that can be written down."""
     return replace(life, reason=event.reason), [Settle(event.reason)]
 
 
 def _began(life: Life, event: Began, at: Moment) -> Outcome:
     answer = [Answer(life.asker)] if life.asker is not None else []
-    life = replace(life, state=State.RUNNING, restarts=life.restarts.began(at.now_s), wanted=True, asker=None)
+    life = replace(life, state=State.RUNNING, restarts=life.restarts.began(at.now_s), asker=None)
     return life, [Tell(News.STARTED), Settle(), *answer]
 
 
@@ -279,7 +280,12 @@ _RULES: Final[Mapping[State, Mapping[type, Rule]]] = {
         LeaveRefused: _refused,
         PutOff: _put_off,
     },
-    State.CALLED_OFF: {StopAsked: _stop_stopping, Admitted: _never_began, LeaveRefused: _never_began},
+    State.CALLED_OFF: {
+        StopAsked: _stop_stopping,
+        Admitted: _never_began,
+        LeaveRefused: _never_began,
+        PutOff: _put_off,
+    },
     State.STARTING: {StopAsked: _stop, Began: _began, Finished: _ended},
     State.RUNNING: {StopAsked: _stop, Finished: _ended},
     State.STOPPING: {StopAsked: _stop_stopping, Began: _nothing, Finished: _ended_as_told, Overdue: _overdue},

@@ -44,7 +44,7 @@ def transfer(record: Record, event: Received, message: Transfer, times: Times) -
         peer=event.peer,
         snapshot=message.snapshot,
     )
-    return [Persist(record), *recover(record, times)]
+    return [Persist(record), Remember(Volatile()), *recover(record, times)]
 
 
 def commit(record: Record, event: Received, message: Commit) -> list[Effect]:

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from pancakes.migration import candidate, owner, source
 from pancakes.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
 from pancakes.migration.event import (
-    Adopt,
+    AdoptionAsked,
     Arrived,
     Award,
     Born,
@@ -25,7 +25,7 @@ from pancakes.migration.event import (
     Concluded,
     Ended,
     Event,
-    Forget,
+    ForgettingAsked,
     FreezeFailed,
     Frozen,
     GiveUp,
@@ -34,7 +34,7 @@ from pancakes.migration.event import (
     Received,
     Resend,
     ReservationExpired,
-    Start,
+    RunAsked,
     WriteAgain,
 )
 from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserve, Reserved, Transfer, Unknown
@@ -82,15 +82,15 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
             return _in_doubt(record, event)
         case Born():
             return owner.born(me, record, event)
-        case Start():
+        case RunAsked():
             return owner.start(record, volatile, event)
         case Ended():
             return owner.ended(record, volatile, event)
         case Concluded():
             return source.concluded(record)
-        case Adopt():
+        case AdoptionAsked():
             return owner.adopt(me, record, event)
-        case Forget():
+        case ForgettingAsked():
             return owner.forget(me, record, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)

@@ -34,7 +34,7 @@ class Born(msgspec.Struct, frozen=True):
     snapshot: bytes
 
 
-class Start(msgspec.Struct, frozen=True):
+class RunAsked(msgspec.Struct, frozen=True):
     """The task is to run: somebody wants it, or its service starts it again after a failure.
 
     Attributes:
@@ -82,7 +82,7 @@ class Arrived(msgspec.Struct, frozen=True):
     sender: str
 
 
-class Adopt(msgspec.Struct, frozen=True):
+class AdoptionAsked(msgspec.Struct, frozen=True):
     """A person says that the other side is gone for good, and that the task shall run here after all.
 
     The one event that can make two of a task, namely where that person is wrong.
@@ -99,7 +99,7 @@ class Adopt(msgspec.Struct, frozen=True):
     jump: int = 1
 
 
-class Forget(msgspec.Struct, frozen=True):
+class ForgettingAsked(msgspec.Struct, frozen=True):
     """A person says that the task, of which this agent has lost its record, is not to run here.
 
     Attributes:
@@ -237,12 +237,12 @@ class InDoubt(msgspec.Struct, frozen=True):
 
 Event = (
     Born
-    | Start
+    | RunAsked
     | Ended
     | Checkpoint
     | Arrived
-    | Adopt
-    | Forget
+    | AdoptionAsked
+    | ForgettingAsked
     | PersistFailed
     | WriteAgain
     | Award

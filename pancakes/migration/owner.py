@@ -16,15 +16,24 @@ from pancakes.migration.effect import (
     Send,
     StartTask,
 )
-from pancakes.migration.event import Adopt, Arrived, Born, Checkpoint, Ended, Forget, Start, WriteAgain
+from pancakes.migration.event import (
+    AdoptionAsked,
+    Arrived,
+    Born,
+    Checkpoint,
+    Ended,
+    ForgettingAsked,
+    RunAsked,
+    WriteAgain,
+)
 from pancakes.migration.messages import Moved
-from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
+from pancakes.migration.record import Epoch, Phase, Record, Wanted
 from pancakes.migration.volatile import Volatile
 
 
 def born(me: str, record: Record, event: Born) -> list[Effect]:
     """Makes this agent the owner of a task that never ran before."""
-    if record.phase is not Phase.ABSENT or record.seen != NO_EPOCH:
+    if not record.unborn:
         return [_decline(record)]
     if record.task_id.birthplace != me:
         return [Decline(f"{record.task_id} can be born on {record.task_id.birthplace} alone, this is {me}")]
@@ -33,7 +42,7 @@ def born(me: str, record: Record, event: Born) -> list[Effect]:
     return [Persist(own), *_run(own)]
 
 
-def start(record: Record, volatile: Volatile, event: Start) -> list[Effect]:
+def start(record: Record, volatile: Volatile, event: RunAsked) -> list[Effect]:
     """Starts a task that this agent owns; refuses where it does not."""
     if record.phase is not Phase.OWNER:
         return [_decline(record)]
@@ -90,7 +99,7 @@ def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
     return []
 
 
-def adopt(me: str, record: Record, event: Adopt) -> list[Effect]:
+def adopt(me: str, record: Record, event: AdoptionAsked) -> list[Effect]:
     """Takes a task that is in doubt, or whose record was lost, under a new epoch, on a person's word."""
     fits = (Phase.ABSENT,) if event.snapshot else (Phase.COMMITTED, Phase.PREPARED)
     if record.phase not in fits:
@@ -100,7 +109,7 @@ def adopt(me: str, record: Record, event: Adopt) -> list[Effect]:
     return [Persist(own), *_run(own)]
 
 
-def forget(me: str, record: Record, event: Forget) -> list[Effect]:
+def forget(me: str, record: Record, event: ForgettingAsked) -> list[Effect]:
     """Writes down that a task whose record was lost is not here, so that it is not born here again."""
     if record.phase is not Phase.ABSENT:
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to forget")]

@@ -122,6 +122,11 @@ class Record(msgspec.Struct, frozen=True):
     sequel: bytes = b""
     service: str = ""
 
+    @property
+    def unborn(self) -> bool:
+        """Whether this agent has never heard of the task."""
+        return self.phase is Phase.ABSENT and self.seen == NO_EPOCH
+
     def encode(self) -> bytes:
         """Returns the record as msgpack bytes, for the journal."""
         return codecs.encode(self)

@@ -15,7 +15,7 @@ from pancakes.testing import FleetInTest
 ROOT = Path(pancakes.__file__).parent
 CARRIES_A_MOVE = ("hosting/", "life/", "keeper.py", "service.py", "slot.py", "startup.py", "closing.py")
 CORE = ("core.py", "owner.py", "source.py", "candidate.py")
-AT_MOST = 450
+AT_MOST = 240
 
 
 class Count(Task):

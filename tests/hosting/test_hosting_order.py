@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pancakes.hosting.hosting_effect import AskRoom, Prepare, TakeDown
 from pancakes.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill
-from pancakes.hosting.machine import step
+from pancakes.hosting.machine import AnyEffect, AnyEvent, handle, idle
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
-from pancakes.hosting.turn import AnyEffect, AnyEvent, Moment
 from pancakes.life.life import Life, State
 from pancakes.life.life_event import Admitted, Began
 from pancakes.life.restart import Restarts, RestartSpec
@@ -33,8 +33,8 @@ class Bench:
 
     def feed(self, event: AnyEvent) -> list[str]:
         """Feeds an event; returns what is to be done about the hand-off, by name."""
-        at = Moment("agent1", 0.0, lambda low, high: high)
-        self.life, self.standing, self.effects = step(self.life, self.standing, event, at)
+        at = Now("agent1", 0.0, lambda low, high: high)
+        self.life, self.standing, self.effects = handle(self.life, self.standing, event, at)
         shown = (Persist, Prepare, Send, Resume, Ack, TakeDown, AskRoom)
         return [type(effect).__name__ for effect in self.effects if isinstance(effect, shown)]
 
@@ -43,7 +43,7 @@ class Bench:
         self.feed(StartConfigured())
         self.feed(Admitted(1))
         self.feed(Began())
-        assert self.life is not None and self.life.state is State.RUNNING and self.standing.idle
+        assert self.life is not None and self.life.state is State.RUNNING and idle(self.standing)
 
 
 def test_what_follows_a_write_waits_for_the_disk() -> None:
@@ -52,14 +52,14 @@ def test_what_follows_a_write_waits_for_the_disk() -> None:
     (asked,) = bench.effects
     assert isinstance(asked, AskRoom)
     assert bench.feed(Room(asked, snapshot=b"new")) == ["Persist"]
-    assert bench.standing.record.phase is Phase.ABSENT and not bench.standing.idle
+    assert bench.standing.record.phase is Phase.ABSENT and not idle(bench.standing)
 
     assert bench.feed(Persisted()) == ["Prepare"]
     assert bench.standing.record.phase is Phase.OWNER
     bench.feed(Admitted(1))
-    assert not bench.standing.idle
+    assert not idle(bench.standing)
     bench.feed(Began())
-    assert bench.standing.idle and bench.standing.volatile == Volatile(running=True)
+    assert idle(bench.standing) and bench.standing.volatile == Volatile(running=True)
 
 
 def test_events_wait_their_turn() -> None:
@@ -76,7 +76,7 @@ def test_events_wait_their_turn() -> None:
         Persist(Record(SCAN, Phase.OWNER, BIRTH, BIRTH, snapshot=b"2")),
     ]
     assert bench.feed(Persisted()) == ["Ack"]
-    assert bench.standing.idle
+    assert idle(bench.standing)
 
 
 def test_a_whole_hand_off_at_the_source() -> None:
@@ -84,7 +84,7 @@ def test_a_whole_hand_off_at_the_source() -> None:
     bench.run()
     assert bench.feed(Award("agent2", REQUEST)) == ["Send"]
     assert bench.feed(Received("agent2", Reserved(SCAN, OFFER))) == []
-    assert bench.standing.stands == OFFER
+    assert bench.standing.unanswered == 1
     assert bench.feed(StoodStill(OFFER, "what it carries")) == ["TakeDown"]
     assert bench.feed(Frozen(OFFER, b"1")) == ["Persist"]
     assert bench.feed(Persisted()) == ["Send"]
@@ -111,4 +111,4 @@ def test_after_a_failed_write_nothing_of_what_was_to_follow_happens() -> None:
     assert bench.standing.record.phase is Phase.OWNER
     # The write that failed comes to an end after all: that changes nothing any more.
     assert bench.feed(Persisted()) == []
-    assert bench.standing.record.phase is Phase.OWNER and bench.standing.idle
+    assert bench.standing.record.phase is Phase.OWNER and idle(bench.standing)

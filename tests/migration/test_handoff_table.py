@@ -47,7 +47,7 @@ from pancakes.migration.effect import (
     Warn,
 )
 from pancakes.migration.event import (
-    Adopt,
+    AdoptionAsked,
     Arrived,
     Award,
     Concluded,
@@ -72,6 +72,7 @@ from pancakes.migration.messages import (
     Unknown,
 )
 from pancakes.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.migration.volatile import Volatile
 
 
 class TestSource:
@@ -205,7 +206,7 @@ class TestSource:
         assert persist == Persist(TAKEN_BACK)
         persist, *_ = recover(replace(FROZEN, sequel=b"then"))
         assert persist == Persist(TAKEN_BACK)
-        adopted, *_ = at_source(replace(COMMITTED, sequel=b"then"), REST, Adopt())
+        adopted, *_ = at_source(replace(COMMITTED, sequel=b"then"), REST, AdoptionAsked())
         assert isinstance(adopted, Persist) and adopted.record.sequel == b""
 
     @pytest.mark.parametrize("record", [OWNER, FROZEN, COMMITTED, RELEASED, PREPARED])
@@ -282,6 +283,7 @@ class TestDestination:
     def test_transfer_is_on_disk_before_it_is_confirmed(self) -> None:
         assert at_destination(ABSENT, from_agent1(Transfer(SCAN, OFFER, b"as it stopped"))) == [
             Persist(PREPARED),
+            Remember(Volatile()),
             Send("agent1", Prepared(SCAN, OFFER)),
             After(0.2, Resend(OFFER, Phase.PREPARED, 0), 0.5),
             After(5.0, InDoubt(OFFER, Phase.PREPARED)),

@@ -37,15 +37,15 @@ from pancakes.migration.effect import (
     StartTask,
 )
 from pancakes.migration.event import (
-    Adopt,
+    AdoptionAsked,
     Arrived,
     Born,
     Checkpoint,
     Ended,
-    Forget,
+    ForgettingAsked,
     PacketId,
     PersistFailed,
-    Start,
+    RunAsked,
 )
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
 
@@ -73,14 +73,14 @@ class TestLifeOnOneAgent:
         assert decline == Decline("agent1/ScanTarget can be born on agent1 alone, this is agent2")
 
     def test_a_start_is_refused_with_where_it_moved(self) -> None:
-        assert at_source(RELEASED, REST, Start()) == [Decline("agent1/ScanTarget moved to agent2", "agent2")]
+        assert at_source(RELEASED, REST, RunAsked()) == [Decline("agent1/ScanTarget moved to agent2", "agent2")]
 
     def test_a_stop_outlives_a_reboot_and_a_start_ends_it(self) -> None:
         stopped = replace(OWNER, wanted=Wanted.STOPPED, snapshot=b"at the end")
         assert at_source(OWNER, RUNNING, Ended(Wanted.STOPPED, b"at the end")) == [Remember(REST), Persist(stopped)]
         assert recover(stopped) == []
         own = replace(stopped, wanted=Wanted.RUNNING, incarnation=1)
-        assert at_source(stopped, REST, Start()) == [
+        assert at_source(stopped, REST, RunAsked()) == [
             Remember(REST),
             Persist(own),
             Remember(RUNNING),
@@ -88,15 +88,15 @@ class TestLifeOnOneAgent:
         ]
 
     def test_a_restart_keeps_the_epoch_and_counts_an_incarnation(self) -> None:
-        effects = at_source(OWNER, RUNNING, Start(again=True))
+        effects = at_source(OWNER, RUNNING, RunAsked(again=True))
         assert effects[1] == Persist(replace(OWNER, incarnation=1))
         assert effects[3] == StartTask(BIRTH, 1, b"checkpoint")
 
     def test_a_task_that_runs_is_not_started_twice(self) -> None:
-        assert at_source(OWNER, RUNNING, Start()) == [Decline("agent1/ScanTarget runs already")]
+        assert at_source(OWNER, RUNNING, RunAsked()) == [Decline("agent1/ScanTarget runs already")]
 
     def test_what_was_given_up_is_not_restarted(self) -> None:
-        (decline,) = at_source(replace(OWNER, wanted=Wanted.FAILED), REST, Start(again=True))
+        (decline,) = at_source(replace(OWNER, wanted=Wanted.FAILED), REST, RunAsked(again=True))
         assert isinstance(decline, Decline)
 
     def test_a_stop_breaks_a_hand_off_off(self) -> None:
@@ -137,12 +137,12 @@ class TestLifeOnOneAgent:
 
     def test_adoption_by_force_mints_a_new_epoch(self) -> None:
         epoch = Epoch(2, "agent1")
-        assert at_source(COMMITTED, REST, Adopt()) == [
+        assert at_source(COMMITTED, REST, AdoptionAsked()) == [
             Persist(Record(SCAN, Phase.OWNER, epoch, epoch, snapshot=b"as it stopped")),
             Remember(RUNNING),
             StartTask(epoch, 0, b"as it stopped"),
         ]
-        (decline,) = at_source(RELEASED, REST, Adopt())
+        (decline,) = at_source(RELEASED, REST, AdoptionAsked())
         assert isinstance(decline, Decline)
 
 
@@ -204,30 +204,30 @@ class TestLostRecords:
     def test_it_is_adopted_under_an_epoch_that_it_cannot_have_reached(self) -> None:
         epoch = Epoch(1_000_003, "agent1")
         own = Record(SCAN, Phase.OWNER, epoch, epoch, snapshot=b"as configured")
-        assert at_source(ABSENT, REST, Adopt(b"as configured", 3, 1_000_000)) == [
+        assert at_source(ABSENT, REST, AdoptionAsked(b"as configured", 3, 1_000_000)) == [
             Persist(own),
             Remember(RUNNING),
             StartTask(epoch, 0, b"as configured"),
         ]
-        (decline,) = at_source(OWNER, RUNNING, Adopt(b"as configured", 3, 1_000_000))
+        (decline,) = at_source(OWNER, RUNNING, AdoptionAsked(b"as configured", 3, 1_000_000))
         assert isinstance(decline, Decline)
 
     def test_it_is_forgotten_and_neither_born_nor_started_again_but_may_come_back(self) -> None:
-        _, persist = at_source(ABSENT, REST, Forget(Epoch(3, "agent2")))
+        _, persist = at_source(ABSENT, REST, ForgettingAsked(Epoch(3, "agent2")))
         assert isinstance(persist, Persist)
         forgotten = persist.record
         assert (forgotten.phase, forgotten.seen) == (Phase.ABSENT, Epoch(3, "agent2"))
-        for event in (Born(b"anew"), Start()):
+        for event in (Born(b"anew"), RunAsked()):
             (decline,) = at_source(forgotten, REST, event)
             assert isinstance(decline, Decline)
         assert would_take(forgotten, Epoch(4, "agent2")) and not would_take(forgotten, Epoch(3, "agent2"))
 
     def test_one_of_which_nothing_is_known_is_not_born_again_either(self) -> None:
-        _, persist = at_source(ABSENT, REST, Forget(NO_EPOCH))
+        _, persist = at_source(ABSENT, REST, ForgettingAsked(NO_EPOCH))
         assert isinstance(persist, Persist)
         (decline,) = at_source(persist.record, REST, Born(b"anew"))
         assert isinstance(decline, Decline)
 
     def test_what_is_here_is_not_forgotten(self) -> None:
-        (decline,) = at_source(RELEASED, REST, Forget(NO_EPOCH))
+        (decline,) = at_source(RELEASED, REST, ForgettingAsked(NO_EPOCH))
         assert isinstance(decline, Decline) and "nothing to forget" in decline.reason

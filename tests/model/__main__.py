@@ -1,6 +1,7 @@
-"""Searches the core of migration, and shows that the search would see it if it were broken (`scripts/check-migration`).
+"""Searches the core of migration and its join with a life, and shows that it would see it if they were broken.
 
-All there is to know about the fault model stands in `model.search`.
+`scripts/check-migration` runs it. All there is to know about the fault models stands in `model.search` and
+`model.hosting_search`.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+from model import hosting_scenarios
 from model.bounds import DEEP, SUITE
-from model.jobs import Job, Report, carry_out
+from model.hosting_convictions import CONVICTED_IN
+from model.jobs import Job, JoinedJob, Report, carry_out
 from model.mutants import MUTANTS
 
 
@@ -59,14 +62,20 @@ def as_json(reports: list[Report]) -> dict[str, Any]:
     }
 
 
-def choose(deep: bool, mutants: bool, only: str) -> list[Job]:
+def choose(deep: bool, mutants: bool, only: str) -> list[Job | JoinedJob]:
     """Returns the searches to make.
 
     Raises:
         click.BadParameter: `only` names none of them.
     """
-    searches = [] if mutants else [Job(bounds) for bounds in (*SUITE, *(DEEP if deep else ()))]
-    jobs = [*searches, *(Job(mutant.bounds, mutant.name) for mutant in MUTANTS)]
+    jobs: list[Job | JoinedJob] = []
+    if not mutants:
+        jobs += [Job(bounds) for bounds in (*SUITE, *(DEEP if deep else ()))]
+        jobs += [
+            JoinedJob(scenario) for scenario in (*hosting_scenarios.SUITE, *(hosting_scenarios.DEEP if deep else ()))
+        ]
+    jobs += [Job(mutant.bounds, mutant.name) for mutant in MUTANTS]
+    jobs += [JoinedJob.of(mutant) for mutant in CONVICTED_IN]
     chosen = [job for job in jobs if only in job.name]
     if not chosen:
         names = "".join(f"\n  {job.name}" for job in jobs)
@@ -75,17 +84,16 @@ def choose(deep: bool, mutants: bool, only: str) -> list[Job]:
     return exact or chosen
 
 
-def run(jobs: list[Job], processes: int) -> list[Report]:
+def run(jobs: list[Job | JoinedJob], processes: int) -> list[Report]:
     """Makes the searches, several at once, and prints each as soon as it and those before it are done."""
     told = ""
     reports: list[Report] = []
     # A process each, so that the memory of a large search is given back.
     with multiprocessing.get_context("spawn").Pool(min(processes, len(jobs)), maxtasksperchild=8) as pool:
         for report in pool.imap(carry_out, jobs):
-            heading = "broken variants of the core:" if report.job.mutant else "the core:"
-            if heading != told:
-                told = heading
-                print(heading, flush=True)
+            if report.job.heading != told:
+                told = report.job.heading
+                print(told, flush=True)
             tell(report, traces=bool(report.job.mutant))
             reports.append(report)
     return reports
@@ -100,7 +108,7 @@ def run(jobs: list[Job], processes: int) -> list[Report]:
 )
 @click.option("--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), help="Write the figures there.")
 def check_migration(deep: bool, mutants: bool, only: str, jobs: int, json_file: Path | None) -> None:
-    """Search the core of migration exhaustively, and convict its broken variants.
+    """Search the core of migration and its join with a life exhaustively, and convict their broken variants.
 
     Every message may be lost, doubled, delayed and overtaken, every agent may crash between any two steps, every
     timer may fire at any time. The exit code is 0 only where no promise is broken and every variant is convicted.

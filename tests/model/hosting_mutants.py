@@ -1,7 +1,8 @@
 """Broken variants of the rules that join a life with its hand-off, each of which the search must convict.
 
 As in `model.mutants`, a variant is an edit of the product's own source: where that changes, either the edit still
-applies, or `make` says which text is gone. Besides, each rule is left out as a whole.
+applies, or `make` says which text is gone. Besides, each rule is left out as a whole. Not listed is that a task whose
+service ends is not written down where nothing of it is new: that saves time, and changes nothing else.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, Final
 import msgspec
 from model.hosting_rim import Step
 
-from pancakes.hosting import machine, turn
+from pancakes.hosting import machine
 from pancakes.hosting.hosting_event import HostingEvent
 
 
@@ -23,13 +24,11 @@ class HostingMutant(msgspec.Struct, frozen=True):
 
     Attributes:
         story: what it does not do any more, or does wrongly.
-        module: the module that is edited.
-        old: text as it stands there, once.
+        old: text as it stands in the machine, once.
         new: text instead.
     """
 
     story: str
-    module: ModuleType
     old: str
     new: str
 
@@ -37,31 +36,28 @@ class HostingMutant(msgspec.Struct, frozen=True):
         """Returns the machine with the edit made.
 
         Raises:
-            LookupError: the text does not stand in its module exactly once.
+            LookupError: the text does not stand in the machine exactly once.
         """
-        texts = {module: inspect.getsource(module) for module in (turn, machine)}
-        count = texts[self.module].count(self.old)
+        text = inspect.getsource(machine)
+        count = text.count(self.old)
         if count != 1:
             raise LookupError(f"the mutant {self.story!r} finds its text {count} times: {self.old}")
-        texts[self.module] = texts[self.module].replace(self.old, self.new)
-        made = {module: _module(module, text) for module, text in texts.items()}
-        made[machine].Turn = made[turn].Turn  # type: ignore[attr-defined]
-        step: Step = made[machine].step
+        step: Step = _machine(text.replace(self.old, self.new)).handle
         return step
 
 
-def _module(original: ModuleType, text: str) -> ModuleType:
-    module = ModuleType(original.__name__)
-    exec(compile(text, f"<mutant of {original.__name__}>", "exec"), module.__dict__)
+def _machine(text: str) -> ModuleType:
+    module = ModuleType(machine.__name__)
+    exec(compile(text, f"<mutant of {machine.__name__}>", "exec"), module.__dict__)
     return module
 
 
-def _nothing(turn: Any, what: Any) -> None:
+def _nothing(step: Any, what: Any) -> None:
     """It means nothing."""
 
 
-def _passes(turn: Any, what: Any) -> None:
-    turn.do(what)
+def _passes(step: Any, what: Any) -> None:
+    step.do(what)
 
 
 def without(kind: type, table: str, instead: Callable[[Any, Any], None]) -> Step:
@@ -72,417 +68,443 @@ def without(kind: type, table: str, instead: Callable[[Any, Any], None]) -> Step
         table: the name of the table in which it stands.
         instead: the rule instead.
     """
-    module = _module(machine, inspect.getsource(machine))
+    module = _machine(inspect.getsource(machine))
     setattr(module, table, {**getattr(module, table), kind: instead})
-    step: Step = module.step
+    step: Step = module.handle
     return step
 
 
-def left_out() -> dict[str, Step]:
-    """Returns the machines in which one rule as a whole is left out, by what is left out."""
-    steps: dict[str, Step] = {}
+def left_out() -> dict[str, tuple[type, str, Callable[[Any, Any], None]]]:
+    """Returns the variants in which one rule as a whole is left out, as arguments of `without`, by their stories."""
+    variants: dict[str, tuple[type, str, Callable[[Any, Any], None]]] = {}
     for kind in machine.RULES:
-        steps[f"{kind.__name__} means nothing"] = without(kind, "RULES", _nothing)
+        variants[f"{kind.__name__} means nothing"] = kind, "RULES", _nothing
         if not issubclass(kind, HostingEvent):
-            steps[f"{kind.__name__} only passes"] = without(kind, "RULES", _passes)
+            variants[f"{kind.__name__} only passes"] = kind, "RULES", _passes
     for kind in machine.DECLINED:
-        steps[f"that {kind.__name__} is declined means nothing"] = without(kind, "DECLINED", _nothing)
-    return steps
+        variants[f"that {kind.__name__} is declined means nothing"] = kind, "DECLINED", _nothing
+    return variants
 
 
-def _in_machine(story: str, old: str, new: str) -> HostingMutant:
-    return HostingMutant(story, machine, old, new)
+def stories() -> list[str]:
+    """Returns the stories of all broken variants."""
+    return [*left_out(), *(mutant.story for mutant in MUTANTS)]
 
 
-def _in_turn(story: str, old: str, new: str) -> HostingMutant:
-    return HostingMutant(story, turn, old, new)
+def make(story: str) -> Step:
+    """Returns a broken variant of the machine.
+
+    Raises:
+        LookupError: its edit does not match the source exactly once, or there is no such variant.
+    """
+    rule = left_out().get(story)
+    if rule is not None:
+        return without(*rule)
+    for mutant in MUTANTS:
+        if mutant.story == story:
+            return mutant.make()
+    raise LookupError(f"there is no variant {story!r}")
 
 
 MUTANTS: Final = (
     # Leave
-    _in_machine(
+    HostingMutant(
         "a task that failed is started again by a new entry",
         "    if leave is Leave.ENTRY and effect.again and",
         "    if False and",
     ),
-    _in_machine(
+    HostingMutant(
         "a restart that a person asks for goes without room", "effect.again and life.asker is None:", "effect.again:"
     ),
-    _in_machine("what has leave asks for it", "    if leave is Leave.GRANTED:\n        return\n", ""),
-    _in_machine(
+    HostingMutant("what has leave asks for it", "    if leave is Leave.GRANTED:\n        return\n", ""),
+    HostingMutant(
         "a service that ends gives leave",
-        "    if turn.at.closing:\n        turn.live",
-        "    if False:\n        turn.live",
+        "    if step.at.closing:\n        step.live",
+        "    if False:\n        step.live",
     ),
-    _in_machine("a record found on disk gives no leave", "    elif leave is Leave.RECOVERED:\n", "    elif False:\n"),
-    _in_machine("a start after a failure is a new entry", "    elif leave is Leave.AGAIN:\n", "    elif False:\n"),
+    HostingMutant("a record found on disk gives no leave", "    elif leave is Leave.RECOVERED:\n", "    elif False:\n"),
+    HostingMutant("a start after a failure is a new entry", "    elif leave is Leave.AGAIN:\n", "    elif False:\n"),
     # Settle
-    _in_machine(
+    HostingMutant(
         "what waits for leave is decided",
         "    if life.state is not State.ASKED and not standing.leaving:",
         "    if not standing.leaving:",
     ),
-    _in_machine(
+    HostingMutant(
         "the end of what was given away decides a start", "State.ASKED and not standing.leaving:", "State.ASKED:"
     ),
-    _in_machine(
+    HostingMutant(
         "what was refused is believed to run", "    refused = life.state is State.REFUSED or (", "    refused = ("
     ),
-    _in_machine(
+    HostingMutant(
         "what was refused for good is believed to run",
         "life.state is State.REFUSED or (life.state is State.STOPPED and standing.begins)",
         "life.state is State.REFUSED",
     ),
-    _in_machine(
+    HostingMutant(
         "what was refused is always wanted",
-        "Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)",
-        "Ended(Wanted.RUNNING)",
+        "handoff_event.Ended(Wanted.RUNNING if life.wanted else Wanted.STOPPED)",
+        "handoff_event.Ended(Wanted.RUNNING)",
     ),
-    _in_machine(
-        "what does not run is written down each time",
-        "    if refused and standing.volatile.running and",
-        "    if refused and",
-    ),
-    _in_machine("refusals pile up", " and ended not in standing.events[-1:]", ""),
-    _in_machine("a start that is decided goes on", "    if standing.begins:\n        turn.done()\n", ""),
+    HostingMutant("refusals pile up", " and ended not in last_said", ""),
+    HostingMutant("a start that is decided goes on", "    if standing.begins:\n        step.done()\n", ""),
     # Rest
-    _in_machine(
+    HostingMutant(
         "what was given away writes its rest",
-        "    if turn.standing.leaving:\n        # What",
+        "    if step.standing.leaving:\n        # What",
         "    if False:\n        # What",
     ),
-    _in_machine(
+    HostingMutant(
         "what was given away is not at rest",
-        "        turn.live(Written())\n        turn.do(Rested())\n    else:",
-        "        turn.live(Written())\n    else:",
+        "        step.live(life_event.Written())\n        step.do(hosting_effect.Rested())\n    else:",
+        "        step.live(life_event.Written())\n    else:",
     ),
-    _in_machine(
-        "the end of a service stops its tasks for good", "    if turn.at.closing and life.wanted:", "    if False:"
+    HostingMutant(
+        "a rest is not waited for", "        step.change(rests=True)\n", "        step.live(life_event.Written())\n"
     ),
-    _in_machine(
-        "the end of a service undoes a stop", "    if turn.at.closing and life.wanted:", "    if turn.at.closing:"
-    ),
-    _in_machine(
-        "what is written down already is written",
-        "not (standing.idle and begins_alike(",
-        "not (False and begins_alike(",
-    ),
-    _in_machine("what waits to be written counts as written", "standing.idle and begins_alike(", "begins_alike("),
-    _in_machine("a rest is not waited for", "        turn.change(rests=True)\n", "        turn.live(Written())\n"),
-    _in_machine("a rest is not told", "    turn.do(Rested())\n    _place_free", "    _place_free"),
-    _in_machine(
-        "what comes back does not start once it rests",
-        "    turn.do(Rested())\n    _place_free(turn, PlaceFree())\n",
-        "    turn.do(Rested())\n",
-    ),
-    _in_machine(
-        "a task that failed is stopped",
-        "    if life.state is not State.FAILED:\n        return Wanted.STOPPED\n",
-        "    return Wanted.STOPPED\n",
-    ),
-    _in_machine(
-        "what is tried again is given up",
-        "Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING",
-        "Wanted.FAILED",
-    ),
-    _in_machine(
-        "what is given up is wanted",
-        "Wanted.FAILED if life.restarts.due_s is None else Wanted.RUNNING",
-        "Wanted.RUNNING",
-    ),
-    # Starting
-    _in_machine(
+    HostingMutant(
         "a start overtakes an end",
-        "    if any(isinstance(event, Ended) for event in turn.standing.events):",
+        "    if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):",
         "    if False:",
     ),
-    _in_machine("it starts without a place", "    elif life is None:\n        turn.do(OpenPlace(effect))\n", ""),
-    _in_machine(
-        "it starts beside its old actor",
-        "    elif life.state in ACTOR:\n        # It came",
-        "    elif False:\n        # It came",
+    HostingMutant(
+        "it starts without a place", "    elif life is None:\n        step.do(hosting_effect.OpenPlace(effect))\n", ""
     ),
-    _in_machine(
-        "the old actor is not told to end", '        turn.live(StopAsked(reason="it comes back"))', "        pass"
+    HostingMutant(
+        "it is prepared and not started",
+        "            step.live(life_event.StartAsked(), Leave.GRANTED)",
+        "            pass",
     ),
-    _in_machine(
-        "it is prepared and not started", "            turn.live(StartAsked(), Leave.GRANTED)", "            pass"
-    ),
-    _in_machine(
+    HostingMutant(
         "it is started twice",
-        "        if life.state not in UNDECIDED:\n            turn.live",
-        "        if True:\n            turn.live",
+        "        if life.state not in UNDECIDED:\n            step.live",
+        "        if True:\n            step.live",
     ),
-    _in_machine(
-        "a start by the hand-off asks for leave", "turn.live(StartAsked(), Leave.GRANTED)", "turn.live(StartAsked())"
+    HostingMutant(
+        "a start by the hand-off asks for leave",
+        "step.live(life_event.StartAsked(), Leave.GRANTED)",
+        "step.live(life_event.StartAsked())",
     ),
-    _in_machine(
-        "it is not known to begin",
-        "        turn.change(begins=True, stands=None, unanswered=0)",
-        "        turn.change(stands=None, unanswered=0)",
+    HostingMutant("it is not prepared", "        step.do(hosting_effect.Prepare(effect))\n", "        pass\n"),
+    HostingMutant(
+        "no place, and nothing is told",
+        "    step.do(hosting_effect.Decided(event.reason))\n    step.done()",
+        "    step.done()",
     ),
-    _in_machine(
-        "it stands still for its former actor", "begins=True, stands=None, unanswered=0", "begins=True, unanswered=0"
-    ),
-    _in_machine(
-        "its former actor owes an answer", "begins=True, stands=None, unanswered=0", "begins=True, stands=None"
-    ),
-    _in_machine("it is not prepared", "        turn.do(Prepare(effect))\n", "        pass\n"),
-    _in_machine(
-        "a start that has begun begins anew",
-        "isinstance(waits, StartTask) and not turn.standing.begins:",
-        "isinstance(waits, StartTask):",
-    ),
-    _in_machine(
-        "no place, and nothing is told", "    turn.do(Decided(event.reason))\n    turn.done()", "    turn.done()"
-    ),
-    _in_machine(
+    HostingMutant(
         "no place, and it waits for ever",
-        "    turn.do(Decided(event.reason))\n    turn.done()",
-        "    turn.do(Decided(event.reason))",
+        "    step.do(hosting_effect.Decided(event.reason))\n    step.done()",
+        "    step.do(hosting_effect.Decided(event.reason))",
     ),
     # Standing still
-    _in_machine(
-        "what does not run is to stand still",
-        "    if turn.life is not None and turn.life.state is State.RUNNING:\n        turn.change(stands",
-        "    if True:\n        turn.change(stands",
-    ),
-    _in_machine(
+    HostingMutant(
         "that it cannot stand still is not said",
-        '        turn.feed(FreezeFailed(effect.offer, "it does not run"))',
+        '        step.feed(handoff_event.FreezeFailed(effect.offer, "it does not run"))',
         "        pass",
     ),
-    _in_machine("it is forgotten that it is to stand still", "stands=effect.offer, unanswered", "unanswered"),
-    _in_machine("its answers are not counted", ", unanswered=turn.standing.unanswered + 1)", ")"),
-    _in_machine(
+    HostingMutant(
         "an answer to a former offer counts",
         "    if unanswered:\n        return  # it was told so again meanwhile, and answers that\n",
         "",
     ),
-    _in_machine("any answer counts", "    waits = standing.stands == event.offer\n", "    waits = True\n"),
-    _in_machine("an answer counts for ever", "    if waits:\n        turn.change(stands=None)\n    runs", "    runs"),
-    _in_machine(
+    HostingMutant(
         "a task that ends is handed over", "    if event.carried is None or not runs:", "    if event.carried is None:"
     ),
-    _in_machine(
-        "that it cannot stand still is not passed on",
-        "        if waits:\n            turn.feed(FreezeFailed(event.offer, event.reason or",
-        "        if False:\n            turn.feed(FreezeFailed(event.offer, event.reason or",
-    ),
-    _in_machine(
-        "it is taken down for a hand-off that is over",
-        "    elif waits and standing.volatile.freezing:",
-        "    elif waits:",
-    ),
-    _in_machine("it stands still for ever", "        turn.do(LetGoOn())", "        pass"),
-    _in_machine(
-        "any deadline counts",
-        "    if turn.standing.stands == event.offer:\n        turn.change(stands=None)\n        turn.feed",
-        "    if True:\n        turn.change(stands=None)\n        turn.feed",
-    ),
-    _in_machine(
-        "a deadline passes and it may stand still after all",
-        '        turn.change(stands=None)\n        turn.feed(FreezeFailed(event.offer, "it is stuck"))',
-        '        turn.feed(FreezeFailed(event.offer, "it is stuck"))',
-    ),
-    _in_machine(
-        "a deadline means nothing", '        turn.feed(FreezeFailed(event.offer, "it is stuck"))', "        pass"
-    ),
+    HostingMutant("it stands still for ever", "        step.do(hosting_effect.LetGoOn())", "        pass"),
     # Going on and leaving
-    _in_machine(
-        "what failed while it stood still stays so", "        turn.live(StartAsked(), Leave.AGAIN)", "        pass"
-    ),
-    _in_machine(
-        "what stood still is started beside itself",
-        "turn.life.state not in ACTOR | UNDECIDED:",
-        "turn.life.state not in UNDECIDED:",
-    ),
-    _in_machine(
-        "what waits for leave is started twice",
-        "turn.life.state not in ACTOR | UNDECIDED:",
-        "turn.life.state not in ACTOR:",
-    ),
-    _in_machine("it goes on by a new entry", "turn.live(StartAsked(), Leave.AGAIN)", "turn.live(StartAsked())"),
-    _in_machine("what was given away is not dropped", "    turn.do(Drop(ends))\n", ""),
-    _in_machine("what was given away ends already", "    turn.do(Drop(ends))\n", "    turn.do(Drop(False))\n"),
-    _in_machine(
-        "what was given away keeps its place",
-        "        turn.change(leaving=True)\n        turn.live(StopAsked(reason=f",
-        "        turn.live(StopAsked(reason=f",
-    ),
-    _in_machine(
-        "what was given away goes on",
-        '        turn.live(StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))',
+    HostingMutant(
+        "what failed while it stood still stays so",
+        "        step.live(life_event.StartAsked(), Leave.AGAIN)",
         "        pass",
     ),
-    _in_machine(
-        "a task that failed and was given away keeps its place",
-        "    if turn.life is not None and turn.life.state not in ACTOR:\n        turn.change(leaving=True)",
-        "    if False:\n        turn.change(leaving=True)",
+    HostingMutant(
+        "what stood still is started beside itself",
+        "step.life.state not in ACTOR | UNDECIDED:",
+        "step.life.state not in UNDECIDED:",
     ),
-    _in_machine(
-        "what is elsewhere is not stopped",
-        '        turn.live(StopAsked(reason="it is elsewhere"))\n    turn.change(to_conclude=2)',
-        "    turn.change(to_conclude=2)",
+    HostingMutant(
+        "what waits for leave is started twice",
+        "step.life.state not in ACTOR | UNDECIDED:",
+        "step.life.state not in ACTOR:",
     ),
-    _in_machine("a hand-over is concluded by its first part", "to_conclude=2", "to_conclude=1"),
-    _in_machine(
+    HostingMutant(
+        "it goes on by a new entry",
+        "step.live(life_event.StartAsked(), Leave.AGAIN)",
+        "step.live(life_event.StartAsked())",
+    ),
+    HostingMutant("what was given away is not dropped", "    step.do(hosting_effect.Drop(ends))\n", ""),
+    HostingMutant(
+        "what was given away ends already",
+        "    step.do(hosting_effect.Drop(ends))\n",
+        "    step.do(hosting_effect.Drop(False))\n",
+    ),
+    HostingMutant(
+        "what was given away keeps its place",
+        "        step.change(leaving=True)\n        step.live(life_event.StopAsked(reason=f",
+        "        step.live(life_event.StopAsked(reason=f",
+    ),
+    HostingMutant(
+        "what was given away goes on",
+        'step.live(life_event.StopAsked(reason=f"handed over to {record.peer}" if ends else "it is elsewhere"))',
+        "pass",
+    ),
+    HostingMutant(
         "a hand-over is concluded by each part",
-        "    if not left:\n        turn.feed(Concluded())",
-        "    turn.feed(Concluded())",
+        "    if not left:\n        step.feed(handoff_event.Concluded())",
+        "    step.feed(handoff_event.Concluded())",
     ),
     # Declined
-    _in_machine(
+    HostingMutant(
         "actuators of what is declined are kept",
-        "    if turn.standing.record.phase is not Phase.PREPARED:\n        turn.do(Unreserve())\n    if turn.life",
-        "    if turn.life",
+        "    step.unreserve()\n    if step.life",
+        "    if step.life",
     ),
-    _in_machine(
+    HostingMutant(
         "a start that is declined is waited for",
-        "    if turn.life is not None and turn.life.state in UNDECIDED:\n        turn.live(LeaveRefused(effect",
-        "    if False:\n        turn.live(LeaveRefused(effect",
+        "        step.live(life_event.LeaveRefused(effect.reason, for_good=True))",
+        "        pass",
     ),
-    _in_machine(
+    HostingMutant(
         "a start that is declined is tried again",
-        "turn.live(LeaveRefused(effect.reason, for_good=True))",
-        "turn.live(LeaveRefused(effect.reason))",
+        "step.live(life_event.LeaveRefused(effect.reason, for_good=True))",
+        "step.live(life_event.LeaveRefused(effect.reason))",
     ),
-    _in_machine("what cannot be forgotten is forgotten", "    turn.do(Lasts(effect.reason))", "    turn.do(Lasts())"),
+    HostingMutant(
+        "what cannot be forgotten is forgotten",
+        "    step.do(hosting_effect.Lasts(effect.reason))",
+        "    step.do(hosting_effect.Lasts())",
+    ),
     # The service begins
-    _in_machine("what is born is recovered", "    if unborn(record) or (event.fresh", "    if (event.fresh"),
-    _in_machine("anew means as before", " or (event.fresh and record.phase is Phase.OWNER):", ":"),
-    _in_machine("what is elsewhere begins anew", "(event.fresh and record.phase is Phase.OWNER)", "event.fresh"),
-    _in_machine(
+    HostingMutant("what is born is recovered", "    if record.unborn or (event.fresh", "    if (event.fresh"),
+    HostingMutant("anew means as before", " or (event.fresh and record.phase is Phase.OWNER):", ":"),
+    HostingMutant("what is elsewhere begins anew", "(event.fresh and record.phase is Phase.OWNER)", "event.fresh"),
+    HostingMutant(
         "a frozen task stays frozen",
         "    elif record.phase in (Phase.OWNER, Phase.FROZEN):\n",
         "    elif record.phase is Phase.OWNER:\n",
     ),
-    _in_machine(
+    HostingMutant(
         "its service waits for what is elsewhere",
-        "        _take_up(turn, TakeUp())\n        turn.do(Settle())",
-        "        _take_up(turn, TakeUp())",
+        "        _take_up(step, hosting_event.TakeUp())\n        step.do(life_effect.Settle())",
+        "        _take_up(step, hosting_event.TakeUp())",
     ),
-    _in_machine(
+    HostingMutant(
         "a hand-off found on disk does not go on",
-        "        _take_up(turn, TakeUp())\n        turn.do(Settle())",
-        "        turn.do(Settle())",
+        "        _take_up(step, hosting_event.TakeUp())\n        step.do(life_effect.Settle())",
+        "        step.do(life_effect.Settle())",
     ),
     # Room
-    _in_machine(
-        "room is found for what does not ask",
-        "    if turn.life is None or turn.life.state not in UNDECIDED:\n        return\n",
+    HostingMutant(
+        "there is always room",
+        "    if event.reason:\n",
+        "    if False:\n",
+    ),
+    HostingMutant(
+        "what was lost is tried again and again",
+        "life_event.LeaveRefused(event.reason, event.for_good)",
+        "life_event.LeaveRefused(event.reason)",
+    ),
+    HostingMutant(
+        "it is not born", "    elif record.unborn:\n        step.feed(handoff_event.Born(event.snapshot))\n", ""
+    ),
+    HostingMutant(
+        "what it carries is not written down",
+        "        step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))\n",
         "",
     ),
-    _in_machine(
-        "there is always room",
-        "    if event.reason:\n        turn.live(LeaveRefused(event.reason, event.for_good))\n    elif unborn",
-        "    if unborn",
-    ),
-    _in_machine(
-        "what was lost is tried again and again",
-        "LeaveRefused(event.reason, event.for_good)",
-        "LeaveRefused(event.reason)",
-    ),
-    _in_machine("it is not born", "    elif unborn(record):\n        turn.feed(Born(event.snapshot))\n", ""),
-    _in_machine(
-        "what it carries is not written down", "        turn.feed(Ended(Wanted.STOPPED, event.snapshot))\n", ""
-    ),
-    _in_machine(
+    HostingMutant(
         "what it carries is written down, and it does not start",
-        "        turn.feed(Ended(Wanted.STOPPED, event.snapshot))\n        turn.feed(Start())\n",
-        "        turn.feed(Ended(Wanted.STOPPED, event.snapshot))\n",
+        "        step.feed(handoff_event.RunAsked())\n",
+        "",
     ),
-    _in_machine(
-        "what is elsewhere is written down here",
-        "    elif event.snapshot and record.phase is Phase.OWNER:",
-        "    elif event.snapshot:",
+    HostingMutant(
+        "room is found for what does not ask",
+        "    if step.life is None or step.life.state not in UNDECIDED:\n        step.unreserve()",
+        "    if False:\n        step.unreserve()",
+    ),
+    HostingMutant(
+        "actuators are kept for what does not ask any more",
+        "        step.unreserve()  # it was decided otherwise since\n",
+        "",
+    ),
+    HostingMutant(
+        "the actuators of what is on its way here are given away",
+        "        if self.standing.record.phase is not Phase.PREPARED:\n            self.do",
+        "        if True:\n            self.do",
+    ),
+    HostingMutant(
+        "an end takes the actuators of the start after it",
+        "        step.change(waits=None)  # it was decided otherwise since\n",
+        "        step.done()\n",
     ),
     # The disk
-    _in_machine(
-        "the record is not known",
-        'turn.change(waits=None, record=waits.record, trouble="")',
-        'turn.change(waits=None, trouble="")',
+    HostingMutant(
+        "what a crash has left frozen waits for leave for ever",
+        "    if state in UNDECIDED and step.standing.record.phase is Phase.FROZEN and not asked_later:\n",
+        "    if False:\n",
     ),
-    _in_machine(
+    HostingMutant(
+        "what a crash has left frozen is tried again while it is handed over",
+        "LeaveRefused(event.reason, for_good=True)",
+        "LeaveRefused(event.reason)",
+    ),
+    HostingMutant(
         "what was decided goes on after a fault",
         "trouble=event.reason, effects=tuple(effects))",
         "trouble=event.reason)",
     ),
-    _in_machine("an adoption is not answered", "    if standing.record.phase in DOUBT and not", "    if False and not"),
-    _in_machine(
+    HostingMutant(
+        "an adoption is not answered", "    if standing.record.phase in DOUBT and not", "    if False and not"
+    ),
+    HostingMutant(
         "an adoption that waits is answered",
-        " and not any(isinstance(later, Adopt) for later in standing.events):",
+        " and not adopted_later:",
         ":",
     ),
-    _in_machine(
-        "what waits for the disk keeps its service waiting",
-        "    if starts:\n        turn.live(PutOff(event.reason))\n",
-        "",
-    ),
-    _in_machine(
-        "actuators are kept for what is not on disk",
-        "    if record.phase is not Phase.PREPARED and not starts:\n        turn.do(Unreserve())\n",
-        "",
-    ),
     # The turn
-    _in_turn("a rest is told before it is on disk", "            if self.standing.rests:\n", "            if False:\n"),
-    _in_turn("a rest lasts for ever", "                self.change(rests=False)\n", ""),
-    _in_turn("that it lasts is not told", "                self.do(Lasts(self.why_not))\n", "                pass\n"),
-    _in_turn("its place is not cleared", "            self.do(Vacate())\n", "            pass\n"),
-    _in_turn("its place is cleared at once", "self.life is not None and self.life.at_rest:", "self.life is not None:"),
-    _in_turn("its place is cleared twice", "            self.change(leaving=False)\n", ""),
-    _in_turn("effects do not wait", "        while self.standing.waits is None:\n", "        while True:\n"),
-    _in_turn(
+    HostingMutant(
+        "a rest is told before it is on disk", "            if self.standing.rests:\n", "            if False:\n"
+    ),
+    HostingMutant("a rest lasts for ever", "                self.change(rests=False)\n", ""),
+    HostingMutant("its place is not cleared", "            self.do(hosting_effect.Vacate())\n", "            pass\n"),
+    HostingMutant(
+        "its place is cleared at once", "self.life is not None and self.life.at_rest:", "self.life is not None:"
+    ),
+    HostingMutant("its place is cleared twice", "            self.change(leaving=False)\n", ""),
+    HostingMutant("effects do not wait", "        while self.standing.waits is None:\n", "        while True:\n"),
+    HostingMutant(
         "a start that is decided is under way", "self.change(waits=None, begins=False)", "self.change(waits=None)"
     ),
-    _in_turn(
+    HostingMutant(
         "actuators are kept after a start",
-        "        self.change(waits=None, begins=False)\n        self.do(Unreserve())\n",
+        "        self.change(waits=None, begins=False)\n        self.unreserve()\n",
         "        self.change(waits=None, begins=False)\n",
     ),
-)
-
-UNPROVEN: Final = frozenset(
-    (
-        "that Born is declined means nothing",
-        "that Forget is declined means nothing",
-        "what waits for leave is decided",
-        "the end of a service stops its tasks for good",
-        "what is written down already is written",
-        "what waits to be written counts as written",
-        "what comes back does not start once it rests",
-        "a task that failed is stopped",
-        "what is tried again is given up",
-        "the old actor is not told to end",
-        "it stands still for its former actor",
-        "its former actor owes an answer",
-        "a start that has begun begins anew",
-        "no place, and nothing is told",
+    HostingMutant(
+        "what does not run is written down each time",
+        "    if refused and not known and ended",
+        "    if refused and ended",
+    ),
+    HostingMutant(
+        "what is tried again is not written down",
+        "not standing.volatile.running and standing.record.wanted is ended.wanted",
+        "not standing.volatile.running",
+    ),
+    HostingMutant(
+        "what could not be written counts as written",
+        "known = settled(standing) and not",
+        "known = idle(standing) and not",
+    ),
+    HostingMutant("what waits to be written is known", "known = settled(standing) and not", "known = not"),
+    HostingMutant("it starts beside its old actor", "    elif life.state not in ACTOR:", "    else:"),
+    HostingMutant(
+        "it is not known to begin",
+        "        step.change(begins=True, unanswered=0)",
+        "        step.change(unanswered=0)",
+    ),
+    HostingMutant("its former actor owes an answer", "begins=True, unanswered=0", "begins=True"),
+    HostingMutant(
         "what does not run is to stand still",
-        "that it cannot stand still is not said",
-        "any answer counts",
-        "an answer counts for ever",
+        "    if step.life is not None and step.life.state is State.RUNNING:\n        step.change(unanswered",
+        "    if True:\n        step.change(unanswered",
+    ),
+    HostingMutant("its answers are not counted", "        step.change(unanswered=step.standing.unanswered + 1)\n", ""),
+    HostingMutant(
         "that it cannot stand still is not passed on",
+        '        step.feed(handoff_event.FreezeFailed(event.offer, event.reason or "it ends"))',
+        "        pass",
+    ),
+    HostingMutant(
         "it is taken down for a hand-off that is over",
-        "any deadline counts",
+        "    elif standing.volatile.freezing and not any",
+        "    elif not any",
+    ),
+    HostingMutant(
         "a deadline passes and it may stand still after all",
-        "what failed while it stood still stays so",
-        "what stood still is started beside itself",
-        "what waits for leave is started twice",
-        "what was given away ends already",
-        "what was given away goes on",
-        "what is elsewhere is not stopped",
-        "a start that is declined is tried again",
-        "what cannot be forgotten is forgotten",
-        "what is born is recovered",
-        "anew means as before",
-        "what is elsewhere begins anew",
-        "a frozen task stays frozen",
-        "room is found for what does not ask",
-        "it is not born",
-        "what is elsewhere is written down here",
+        " and not any(isinstance(later, given_up) for later in standing.events)",
+        "",
+    ),
+    HostingMutant(
+        "a deadline means nothing",
+        '        step.feed(handoff_event.FreezeFailed(event.offer, "it is stuck"))',
+        "        pass",
+    ),
+    HostingMutant(
+        "the end of a service undoes a stop",
+        "idle(standing) and wanted is record.wanted and alike",
+        "idle(standing) and alike",
+    ),
+    HostingMutant(
+        "what ends with its service, or is to start again, is stopped",
+        "    return Wanted.RUNNING if life.wanted else Wanted.STOPPED",
+        "    return Wanted.STOPPED",
+    ),
+    HostingMutant(
+        "a stop does not outlive a crash",
+        "    return Wanted.RUNNING if life.wanted else Wanted.STOPPED",
+        "    return Wanted.RUNNING",
+    ),
+    HostingMutant(
+        "what changed before its service ended is lost",
+        "wanted is record.wanted and alike:",
+        "wanted is record.wanted:",
+    ),
+    HostingMutant(
+        "what waits to be written counts as written", "step.at.closing and idle(standing) and", "step.at.closing and"
+    ),
+    HostingMutant(
+        "what is given up is wanted",
+        "    if life.state is State.FAILED and life.restarts.due_s is None:\n        return Wanted.FAILED\n",
+        "",
+    ),
+    HostingMutant("what is tried again is given up", "State.FAILED and life.restarts.due_s is None:", "State.FAILED:"),
+    HostingMutant(
+        "a task that failed and was given away keeps its place",
+        "step.change(leaving=step.life is not None, to_conclude=2)",
+        "step.change(to_conclude=2)",
+    ),
+    HostingMutant("a hand-over is concluded by its first part", "to_conclude=2", "to_conclude=1"),
+    HostingMutant(
+        "a rest is not told",
+        "    step.go_on()\n    step.do(hosting_effect.Rested())\n\n\ndef _wanted",
+        "    step.go_on()\n\n\ndef _wanted",
+    ),
+    HostingMutant(
+        "that it lasts is not told", "                self.do(hosting_effect.Lasts())\n", "                pass\n"
+    ),
+    HostingMutant(
         "what waits for the disk keeps its service waiting",
-        "its place is cleared twice",
-    )
+        "        step.live(life_event.PutOff(event.reason))",
+        "        pass",
+    ),
+    HostingMutant(
+        "actuators are kept for what is not on disk",
+        "        step.unreserve()\n\n\ndef _stood",
+        "        pass\n\n\ndef _stood",
+    ),
+    HostingMutant(
+        "actuators are not kept for what waits for the disk",
+        "    if state is not State.ASKED:\n        step.unreserve()",
+        "    step.unreserve()",
+    ),
+    HostingMutant(
+        "the record is not known",
+        '        step.change(waits=None, record=waits.record, trouble="")',
+        '        step.change(waits=None, trouble="")',
+    ),
+    HostingMutant(
+        "an adoption that comes too late is not answered",
+        "        if waits.record.phase is Phase.PREPARED:\n",
+        "        if False:\n",
+    ),
+    HostingMutant(
+        "a task that cannot be forgotten is forgotten later",
+        "        step.do(hosting_effect.Lasts(event.reason))\n",
+        "        pass\n",
+    ),
+    HostingMutant(
+        "what is stopped while the disk fails keeps its service waiting",
+        "    elif state in UNDECIDED:\n        step.live(life_event.PutOff",
+        "    elif state is State.ASKED:\n        step.live(life_event.PutOff",
+    ),
 )
-"""The variants of which no scenario is known yet that convicts them."""

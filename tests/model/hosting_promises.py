@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from model.hosting_world import Violation, World
+from model.hosting_world import Spent, Violation, World
 
 from pancakes.hosting.hosting_event import StillOverdue
+from pancakes.hosting.machine import idle, settled
 from pancakes.life.life import State
 from pancakes.life.life_event import Overdue, Retry, TryDue
 from pancakes.migration.effect import Persist, StartTask
@@ -28,7 +29,7 @@ def check(world: World) -> None:
     _check_waiting(world)
     _check_timers(world)
     _check_requests(world)
-    if world.standing.idle:
+    if idle(world.standing):
         _check_idle(world)
 
 
@@ -67,9 +68,9 @@ def _check_waiting(world: World) -> None:
         raise Violation("the same waits twice, and would pile up")
     if standing.begins and not isinstance(waits, StartTask):
         raise Violation("its life has taken up a start that is not under way")
-    if life is not None and life.state in UNDECIDED and standing.idle and standing.volatile.again is None:
+    if life is not None and life.state in UNDECIDED and idle(standing) and standing.volatile.again is None:
         raise Violation("it waits for leave that nothing gives")
-    if standing.rests and standing.settled:
+    if standing.rests and settled(standing):
         raise Violation("its rest is on disk, and its life is not told")
     if standing.leaving and life is not None and life.at_rest:
         raise Violation("it has left, and its place is not cleared")
@@ -112,12 +113,17 @@ def _check_idle(world: World) -> None:
     standing, life, timers = world.standing, world.life, world.timers
     record, volatile = standing.record, standing.volatile
     state = life.state if life is not None else None
+    if volatile.again is not None and not world.settled:
+        raise Violation("its service waits for a disk that fails")
     if volatile.again is not None and WriteAgain(record, volatile.again) not in timers:
         raise Violation("what could not be written is never tried again")
     if volatile.freezing:
         told = (offer for offer in (*world.inbox, *(offer for offer, _ in world.stood)) if offer is not None)
-        if not any(True for _ in told) and not any(isinstance(timer, StillOverdue) for timer in timers):
-            raise Violation("it is to stand still, and nothing says whether it does")
+        if not any(True for _ in told):
+            if world.actor in ("runs", "still"):
+                raise Violation("it has said whether it stands still, and its hand-off waits")
+            if not any(isinstance(timer, StillOverdue) for timer in timers):
+                raise Violation("it is to stand still, and nothing says whether it does")
     if record.phase is Phase.FROZEN and not any(isinstance(timer, GiveUp) for timer in timers):
         raise Violation("it is frozen, and nothing takes it back")
     if record.phase in (Phase.COMMITTED, Phase.PREPARED):
@@ -127,7 +133,7 @@ def _check_idle(world: World) -> None:
         raise Violation("its service waits for its end, and it has ended")
     if record.phase is Phase.RELEASED and record.sequel and not world.parts and not world.spent.faults:
         raise Violation("what follows its hand-over is done, and that is not written down")
-    if world.asked_for & {"adopt", "forget"} and standing.settled:
+    if world.asked_for & {"adopt", "forget", "forgotten"} and settled(standing):
         raise Violation("a decision of a person is never answered")
     if "follow" in world.asked_for and state not in (*UNDECIDED, *ACTOR):
         raise Violation("what it is to follow waits for ever")
@@ -147,10 +153,24 @@ def _check_place(world: World) -> None:
         raise Violation("it has a place here, and is elsewhere")
     if record.phase is Phase.RELEASED and world.actor and not standing.leaving:
         raise Violation("it is elsewhere, and its actor is not ending")
-    if life is None or record.phase is not Phase.OWNER or world.closing:
+    if life is None:
+        return
+    if world.closing == "over" and record.phase is Phase.OWNER and not world.spent.faults:
+        if life.state is State.STOPPED and world.carried and record.snapshot != world.carried:
+            raise Violation("its service has ended, and what it carried at the end is not on disk")
+    if life.state is State.STOPPED and record.unborn and world.spent == Spent() and not (world.lost or world.closing):
+        raise Violation("it was to begin, and rests")
+    if record.phase is not Phase.OWNER or world.closing:
         return
     if life.state in RESTS and volatile.running:
         raise Violation("it rests, and its hand-off believes that it runs")
-    wanted = record.wanted is Wanted.RUNNING and record.epoch != NO_EPOCH and standing.settled
+    wanted = record.wanted is Wanted.RUNNING and record.epoch != NO_EPOCH and settled(standing)
     if wanted and (life.state is State.STOPPED or (life.state is State.FAILED and life.at_rest)):
         raise Violation(f"it is {life.state.name}, and its record says that it is to run")
+    if not settled(standing):
+        return
+    if life.state is State.FAILED and life.at_rest and record.wanted is not Wanted.FAILED:
+        raise Violation("it is given up, and its record says otherwise")
+    tried = life.state in (State.REFUSED, State.RESTARTING) or life.restarts.due_s is not None
+    if tried and record.wanted is not Wanted.RUNNING:
+        raise Violation("it is tried again, and would not be after a crash")

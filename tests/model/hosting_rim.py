@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from itertools import count
 from typing import Any, Final, get_args
 
 from model.hosting_world import BIRTH, LATER, ME, SEQUEL, Bounds, Violation, World
@@ -11,8 +12,8 @@ from msgspec.structs import replace
 
 from pancakes.hosting import hosting_effect as effect
 from pancakes.hosting import hosting_event as event
+from pancakes.hosting.now import Now
 from pancakes.hosting.standing import Standing
-from pancakes.hosting.turn import Moment
 from pancakes.life import life_effect
 from pancakes.life.life import CLOSES, Life, State
 from pancakes.life.life_event import Admitted, Finished, LeaveRefused, Overdue, Retry, TryDue
@@ -20,21 +21,17 @@ from pancakes.life.restart import Restarts
 from pancakes.migration import effect as handoff_effect
 from pancakes.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
 from pancakes.migration.messages import Commit, Moved, Prepared, Reserve, Transfer
-from pancakes.migration.record import NO_EPOCH, Phase, Record, Wanted
+from pancakes.migration.record import Phase, Record, Wanted
 
 Step = Callable[..., tuple[Life | None, Standing, list[Any]]]
 
 AT_A_PLACE: Final = (
     *get_args(life_effect.Effect),
-    effect.AskRoom,
-    effect.Prepare,
-    effect.Rested,
-    effect.TakeDown,
-    effect.LetGoOn,
-    effect.Vacate,
-    handoff_effect.Freeze,
+    *get_args(effect.SlotEffect),
 )
 """The effects that can be carried out only where the task has a place."""
+MOST_EVENTS: Final = 50
+"""So many events may follow from one."""
 ENDING: Final = ("told", "told early")
 """The states of an actor that was told to end."""
 _SENT: Final = {Reserve: "reserve", Transfer: "transfer", Commit: "commit", Prepared: "prepared"}
@@ -75,7 +72,7 @@ class Rim:
     def __init__(self, step: Step, bounds: Bounds) -> None:
         self._machine = step
         self._bounds = bounds
-        self._moments = {closing: Moment(ME, 0.0, lambda low, high: high, closing) for closing in (False, True)}
+        self._moments = {closing: Now(ME, 0.0, lambda low, high: high, closing) for closing in (False, True)}
         self._known: dict[Any, tuple[Life | None, Standing, list[Any]]] = {}
 
     def feed(self, world: World, *events: Any) -> Iterator[World]:
@@ -87,7 +84,11 @@ class Rim:
             givens += luck.others
 
     def _turn(self, world: World, events: deque[Any], luck: Luck) -> World:
-        while events:
+        for number in count():
+            if not events:
+                break
+            if number > MOST_EVENTS:
+                raise Violation("one step leads to the next for ever")
             told = events.popleft()
             life, standing, effects = self._step(world, told)
             placed = world.life is not None
@@ -122,7 +123,7 @@ class Rim:
             Standing(record),
             record,
             life,
-            fresh=fresh,
+            fresh=fresh and record.phase in (Phase.ABSENT, Phase.OWNER),
             reserved=record.phase is Phase.PREPARED,
             settled=not placed,
             blocked=world.blocked and not placed,
@@ -131,10 +132,9 @@ class Rim:
             lost=world.lost,
             spent=world.spent,
         )
-        unborn = record.phase is Phase.ABSENT and record.seen == NO_EPOCH
         if not placed:
             yield from self.feed(world, event.TakeUp())
-        elif unborn or record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING:
+        elif record.unborn or record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING:
             yield from self.feed(world, event.StartConfigured(fresh))
         else:
             yield replace(world, settled=True)
@@ -166,8 +166,7 @@ class Rim:
             return world
         if world.fresh:
             world = replace(world, fresh=False, carried=BIRTH)
-        unborn = record.phase is Phase.ABSENT and record.seen == NO_EPOCH
-        events.append(event.Room(one, snapshot=world.carried or (BIRTH if unborn else b"")))
+        events.append(event.Room(one, snapshot=world.carried or (BIRTH if record.unborn else b"")))
         return replace(world, reserved=world.reserved or one.keep)
 
     def open_place(self, world: World, one: effect.OpenPlace, events: deque[Any], luck: Luck) -> World:
@@ -201,7 +200,10 @@ class Rim:
             raise Violation("it starts under another right than its record says")
         if world.closing:
             raise Violation("it starts while its service ends")
-        spent = replace(world.spent, spawns=world.spent.spawns + 1)
+        spent, asked = world.spent, world.life is not None and world.life.asker is not None
+        if world.fresh and (asked or not (world.sent or world.theirs or spent.decisions or spent.requests)):
+            raise Violation("it was to begin anew, and goes on from its checkpoint")
+        spent = replace(spent, spawns=spent.spawns + 1)
         world = replace(world, actor="made", carried=b"", inbox=(), stood=(), spent=spent)
         if self._bounds.errors and spent.ends < self._bounds.ends and luck.choose(2):
             events.append(Finished("it could not be made", True, True, bool(world.closing)))
@@ -219,6 +221,9 @@ class Rim:
         return replace(world, timers=world.timers | {TryDue(one.due_s)})
 
     def look_again(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        going = world.standing.record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+        if going and not world.closing:
+            raise Violation("its start is tried again and again, and its hand-off is under way")
         return replace(world, timers=world.timers | {Retry()})
 
     def let_go(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
@@ -227,6 +232,9 @@ class Rim:
         return world
 
     def settle(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        starts = any(isinstance(later, handoff_effect.StartTask) for later in world.standing.effects)
+        if starts and not world.settled and not one.reason:
+            raise Violation("its service does not wait for its start")
         return replace(world, settled=True)
 
     def write_rest(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
@@ -253,7 +261,9 @@ class Rim:
         elif world.actor != "runs":
             raise Violation(f"a {what} was answered, and it does not run")
 
-    def room_kept(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+    def unreserve(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
+        if world.standing.record.phase is Phase.PREPARED:
+            raise Violation("it may start at any moment, and no actuators are kept for it")
         return replace(world, reserved=False)
 
     def decided(self, world: World, one: effect.Decided, events: deque[Any], luck: Luck) -> World:
@@ -268,9 +278,9 @@ class Rim:
         return replace(world, asked_for=asked_for - {"adopt", "follow"})
 
     def lasts(self, world: World, one: effect.Lasts, events: deque[Any], luck: Luck) -> World:
-        if "forget" in world.asked_for and not one.why_not and world.disk.seen == NO_EPOCH:
+        if "forget" in world.asked_for and not one.why_not:
             raise Violation("it was said that it is forgotten, and that is not on disk")
-        return replace(world, asked_for=world.asked_for - {"forget"})
+        return replace(world, asked_for=world.asked_for - {"forget", "forgotten"})
 
     def rested(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
         if world.actor:
@@ -318,7 +328,9 @@ class Rim:
             raise Violation("what follows its hand-over is forgotten before it is done")
         life, starts = world.life, one.record.phase is Phase.OWNER and one.record.wanted is Wanted.RUNNING
         asked = life is not None and life.state is State.ASKED and life.asker is not None
-        if starts and asked and not world.reserved and not world.spent.faults:
+        known = world.standing.record
+        goes_on = known.phase is Phase.OWNER and known.wanted is Wanted.RUNNING
+        if starts and asked and not world.reserved and not goes_on:
             raise Violation("its record says that it runs, and no actuators are kept for it")
         return replace(world, writing=one.record)
 
@@ -372,7 +384,7 @@ _CARRIERS: Final[dict[type, Callable[..., World]]] = {
     effect.AskRoom: Rim.ask_room,
     effect.OpenPlace: Rim.open_place,
     effect.Prepare: Rim.prepare,
-    effect.Unreserve: Rim.room_kept,
+    effect.Unreserve: Rim.unreserve,
     effect.Decided: Rim.decided,
     effect.Lasts: Rim.lasts,
     effect.Rested: Rim.rested,

@@ -15,6 +15,9 @@ TEMPORARY: Final = RestartSpec("temporary", at_most=1)
 
 SUITE: Final[Mapping[str, Bounds]] = {
     "it comes where another has its name": Bounds(visitor=True, theirs=1, blocked=True, refusals=1),
+    "it comes, and there is no place": Bounds(visitor=True, theirs=1, decisions=1, refusals=1, ends=0),
+    "its disk was wiped, and it comes": Bounds(wiped=True, theirs=1, refusals=1, ends=0),
+    "its record was lost, it comes, and writes fail": Bounds(lost=True, decisions=1, theirs=1, faults=1, ends=0),
     "it comes, and writes fail": Bounds(visitor=True, theirs=1, faults=1),
     "temporary": Bounds(TEMPORARY, requests=2),
     "it comes, and the agent crashes": Bounds(visitor=True, theirs=1, crashes=2),
@@ -42,12 +45,39 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "it comes back": Bounds(offers=1, theirs=1, refusals=1, ends=0),
     "it comes back, and the agent crashes": Bounds(offers=1, theirs=1, crashes=1, ends=0),
     "given away, and its service ends": Bounds(offers=1, closes=True, crashes=1, ends=0),
+    "given away, and writes fail after a crash": Bounds(offers=1, faults=1, crashes=1, ends=0),
     "given away, and crashes": Bounds(offers=1, crashes=1),
     "it comes back, and is asked for": Bounds(offers=1, theirs=1, requests=1, ends=0),
     "given away": Bounds(offers=1, refusals=1, ends=1),
+    "given away at the second attempt, and fails": Bounds(offers=1, awards=2, requests=0, ends=1),
+    "given away, written down, and writes fail": Bounds(
+        offers=1, awards=2, faults=1, checkpoints=True, ends=0, errors=False
+    ),
     "its service ends": Bounds(requests=1, closes=True, crashes=1, checkpoints=True),
     "it follows another": Bounds(requests=1, follows=True, refusals=1, faults=1),
+    "given away, and fails while its service ends": Bounds(offers=1, closes=True, spawns=1),
     "given away, it sticks, and its service ends": Bounds(offers=1, sticks=True, closes=True, ends=0),
     "it comes back, and it sticks": Bounds(offers=1, theirs=1, sticks=True, ends=0),
     "it comes back, and had failed": Bounds(TEMPORARY, offers=1, theirs=1, spawns=1),
 }
+"""Seconds in all: searched by the tests too."""
+
+DEEP: Final[Mapping[str, Bounds]] = {
+    "given away twice, and fails": Bounds(offers=2, awards=2, refusals=1),
+    "given away, written down, asked for, and writes fail": Bounds(
+        offers=1, awards=2, requests=1, faults=1, checkpoints=True, errors=False
+    ),
+    "it comes back, is asked for, and writes fail": Bounds(offers=1, theirs=1, requests=1, faults=1, ends=0),
+    "it comes back, its service ends, and writes fail": Bounds(
+        offers=1, theirs=1, closes=True, faults=1, crashes=1, ends=0
+    ),
+    "it comes and goes, is asked for, and the agent crashes": Bounds(
+        visitor=True, theirs=1, offers=2, requests=1, crashes=1, ends=0
+    ),
+    "asked for three times, and writes fail": Bounds(requests=3, ends=2, refusals=1, faults=1),
+    "its record was lost, it comes twice, and writes fail": Bounds(
+        lost=True, decisions=2, theirs=2, requests=1, faults=1
+    ),
+    "it follows another, and the agent crashes": Bounds(requests=1, follows=True, refusals=1, faults=1, crashes=1),
+}
+"""Minutes."""

@@ -18,7 +18,7 @@ from model.hosting_rim import Rim, Step
 from model.hosting_steps import Steps
 from model.hosting_world import Bounds, Violation, World
 
-from pancakes.hosting.machine import step
+from pancakes.hosting.machine import handle
 from pancakes.life.life import State
 from pancakes.migration.record import Phase
 
@@ -28,42 +28,54 @@ class Result(msgspec.Struct, frozen=True):
 
     Attributes:
         worlds: how many worlds there are.
+        steps: how many steps were taken between them.
         met: in how many of them each state of a life goes together with each phase of a hand-off.
-        violation: the promise that is broken, with the history that leads to it; empty: none is.
+        violation: the promise that is broken; empty: none is.
+        history: what leads to that.
     """
 
     worlds: int
+    steps: int
     met: Counter[tuple[State | None, Phase]]
     violation: str = ""
+    history: tuple[str, ...] = ()
 
 
-MOST_WORLDS: Final = 60_000
+MOST_WORLDS: Final = 20_000
 """A search that finds more is not bounded as it should be."""
 
 
-def search(bounds: Bounds, machine: Step = step) -> Result:
-    """Searches all histories within bounds."""
+def search(bounds: Bounds, machine: Step = handle, at_most: int = MOST_WORLDS) -> Result:
+    """Searches all histories within bounds.
+
+    Args:
+        bounds: what may happen.
+        machine: the machine, or a variant of it.
+        at_most: that there are more worlds breaks a promise.
+    """
     steps = Steps(Rim(machine, bounds), bounds)
     met: Counter[tuple[State | None, Phase]] = Counter()
     seen: dict[World, tuple[World | None, str]] = {}
     waiting: deque[World | None] = deque([None])
+    taken = 0
     while waiting:
         world = waiting.popleft()
         steps.what = ""
         try:
             for what, following in steps.begin() if world is None else steps.after(world):
+                taken += 1
                 if following in seen:
                     continue
                 seen[following] = (world, what)
                 met[following.life.state if following.life is not None else None, following.standing.record.phase] += 1
                 check(following)
-                if len(seen) > MOST_WORLDS:
+                if len(seen) > at_most:
                     raise Violation("there is no end of worlds")
                 waiting.append(following)
         except Violation as violation:
             last = [*history(seen, world), steps.what]
-            return Result(len(seen), met, f"{violation}, after: {', '.join(step for step in last if step)}")
-    return Result(len(seen), met)
+            return Result(len(seen), taken, met, str(violation), tuple(step for step in last if step))
+    return Result(len(seen), taken, met)
 
 
 def history(seen: Mapping[World, tuple[World | None, str]], world: World | None) -> list[str]:

@@ -6,14 +6,15 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from model.hosting_rim import Rim
-from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, World
+from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
 from pancakes.hosting import hosting_event as event
+from pancakes.hosting.machine import idle, settled
 from pancakes.hosting.standing import Standing
 from pancakes.life.life import CLOSES, State
-from pancakes.life.life_event import Began, Finished, Overdue, StartAsked, StopAsked
-from pancakes.migration.event import Adopt, Award, Checkpoint, Forget, Received, Resend
+from pancakes.life.life_event import Began, Finished, Overdue, Retry, StartAsked, StopAsked
+from pancakes.migration.event import AdoptionAsked, Award, Checkpoint, ForgettingAsked, Received, Resend
 from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
 from pancakes.request import Request
@@ -24,7 +25,7 @@ GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 MOST_WAIT: Final = 1
 """So many events wait for a record to be written; messages and timers that repeat themselves come later then."""
-MESSAGES: Final = (Received, Award, Adopt, Forget)
+MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)
 Following = Iterator[tuple[str, World]]
 
@@ -61,6 +62,9 @@ class Steps:
             if told in waiting or (len(waiting) >= MOST_WAIT and isinstance(told, (*MESSAGES, Resend))):
                 continue
             for following in self._rim.feed(before, told):
+                refused = following.life is not None and following.life.state is State.REFUSED
+                if isinstance(told, Retry) and refused and settled(world.standing) and following.writing == world.disk:
+                    raise Violation("each try of its start is written down")
                 yield what, following
         yield from self._of_the_service(world)
 
@@ -76,6 +80,8 @@ class Steps:
             yield "a part of what follows is done", replace(world, parts=world.parts - 1), event.PartConcluded()
         if world.blocked:
             yield "the other task has left", replace(world, blocked=False), event.PlaceFree()
+        elif self._bounds.blocked:
+            yield "another task of its name has left", world, event.PlaceFree()
 
     # This agent ------------------------------------------------------------------------------------------------
 
@@ -84,11 +90,11 @@ class Steps:
         if record is None:
             return
         done = replace(world, writing=None)
-        yield "the record is written", replace(done, disk=record, lost=False), event.Persisted()
+        yield "the record is written", _on_disk(done, record), event.Persisted()
         if spent.faults < self._bounds.faults:
             fault = replace(done, spent=replace(spent, faults=spent.faults + 1))
             yield "the record cannot be written", fault, event.NotPersisted("the disk is full")
-            written = replace(fault, disk=record)
+            written = _on_disk(fault, record)
             yield "the record is written, and an error reported", written, event.NotPersisted("the disk is full")
 
     def _of_its_actor(self, world: World) -> Iterator[Any]:
@@ -110,6 +116,8 @@ class Steps:
             closing = bool(world.closing)
             if actor != "made":
                 yield "it ends", replace(gone, carried=LATER), Finished("it ended", closing=closing)
+            if actor != "made" and bounds.checkpoints:
+                yield "it ends as it began", replace(gone, carried=BIRTH), Finished("it ended", closing=closing)
             if bounds.errors and not ends:
                 yield "it fails", gone, Finished("it failed", True, closing=closing)
                 yield "it fails for good", gone, Finished("it failed", True, True, closing)
@@ -121,7 +129,7 @@ class Steps:
             yield f"{type(timer).__name__} comes", replace(world, timers=world.timers - {timer}), timer
         life, bounds = world.life, self._bounds
         runs = life is not None and life.state is State.RUNNING
-        if bounds.checkpoints and runs and world.standing.idle and world.standing.record.snapshot != LATER:
+        if bounds.checkpoints and runs and idle(world.standing) and world.standing.record.snapshot != LATER:
             record = world.standing.record
             yield "it is written down", world, Checkpoint(record.epoch, record.incarnation, LATER)
 
@@ -192,16 +200,16 @@ class Steps:
         record, spent = world.standing.record, world.spent
         if spent.decisions >= self._bounds.decisions:
             return
-        if world.asked_for & {"adopt", "forget"}:
+        if world.asked_for & {"adopt", "forget", "forgotten"}:
             return
         asked = replace(world, spent=replace(spent, decisions=spent.decisions + 1))
         adopting = replace(asked, asked_for=world.asked_for | {"adopt"})
         if record.phase in DOUBT:
-            yield "it is adopted", adopting, Adopt()
+            yield "it is adopted", adopting, AdoptionAsked()
         if world.lost and record.phase is Phase.ABSENT:
-            yield "it is adopted", adopting, Adopt(BIRTH, 0, 2)
+            yield "it is adopted", adopting, AdoptionAsked(BIRTH, 0, 2)
             forgetting = replace(asked, asked_for=world.asked_for | {"forget"})
-            yield "it is forgotten", forgetting, Forget(NO_EPOCH)
+            yield "it is forgotten", forgetting, ForgettingAsked(NO_EPOCH)
 
     # The other agent -------------------------------------------------------------------------------------------
 
@@ -250,4 +258,12 @@ class Steps:
         ours = [offer for kind, offer in world.sent if kind == "commit"]
         given = [offer for offer, became in world.theirs if became == "committed"]
         birth = Epoch(0, PEER if self._bounds.visitor else "a")
-        return self._bounds.lost or max([birth, *ours, *given]) in ([*ours, birth] if self._bounds.visitor else ours)
+        anew = self._bounds.lost or self._bounds.wiped
+        return anew or max([birth, *ours, *given]) in ([*ours, birth] if self._bounds.visitor else ours)
+
+
+def _on_disk(world: World, record: Record) -> World:
+    """Returns the world in which a record is on disk."""
+    forgotten = "forget" in world.asked_for and record.phase is Phase.ABSENT and record.seen != NO_EPOCH
+    asked_for = world.asked_for - {"forget"} | {"forgotten"} if forgotten else world.asked_for
+    return replace(world, disk=record, lost=False, asked_for=asked_for)

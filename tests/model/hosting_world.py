@@ -50,6 +50,7 @@ class Bounds(msgspec.Struct, frozen=True):
         checkpoints: whether it is written down while it runs.
         decisions: so often a person has it adopted or forgotten.
         lost: whether its record was lost.
+        wiped: whether the whole disk was, and the agent does not know that it ever had a record.
         blocked: whether another task has its name at first.
         follows: whether it is to run because another task has left.
     """
@@ -71,6 +72,7 @@ class Bounds(msgspec.Struct, frozen=True):
     checkpoints: bool = False
     decisions: int = 0
     lost: bool = False
+    wiped: bool = False
     blocked: bool = False
     follows: bool = False
 

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Final
 
+from model import hosting_scenarios
+from model.hosting_convictions import CONVICTED_IN
+from model.hosting_mutants import make
+from model.hosting_search import search
 from model.mutants import MUTANTS
 from model.parts import Bounds
 from model.search import Result, Search
 
+MOST_WORLDS: Final = 1_000_000
+"""A deep search that finds more is not bounded as it should be."""
+
 
 @dataclass(frozen=True)
 class Job:
-    """One search: of the product's core within bounds, or of a mutant."""
+    """One search: of the hand-off's core within bounds, or of a mutant."""
 
     bounds: Bounds
     mutant: str = ""
@@ -21,6 +29,60 @@ class Job:
     def name(self) -> str:
         """What it is called on the command line and in figures."""
         return self.mutant or str(self.bounds)
+
+    @property
+    def heading(self) -> str:
+        """What searches of this kind are called."""
+        return "broken variants of the core:" if self.mutant else "the core:"
+
+    def search(self) -> Result:
+        """Makes the search.
+
+        Raises:
+            LookupError: a mutant's edit does not match the source exactly once.
+        """
+        if not self.mutant:
+            return Search(self.bounds).run()
+        mutant = next(mutant for mutant in MUTANTS if mutant.name == self.mutant)
+        return Search(self.bounds, mutant.make(), strict=False).run()
+
+
+@dataclass(frozen=True)
+class JoinedJob:
+    """One search: of the machine that joins a life with its hand-off in a scenario, or of a mutant of that."""
+
+    bounds: str
+    mutant: str = ""
+
+    @classmethod
+    def of(cls, mutant: str) -> JoinedJob:
+        """Returns the search that convicts a mutant."""
+        return cls(CONVICTED_IN[mutant], mutant)
+
+    @property
+    def name(self) -> str:
+        """What it is called on the command line and in figures."""
+        return self.mutant or self.bounds
+
+    @property
+    def heading(self) -> str:
+        """What searches of this kind are called."""
+        return "broken variants of the join:" if self.mutant else "a life joined with its hand-off:"
+
+    def search(self) -> Result:
+        """Makes the search.
+
+        Raises:
+            LookupError: a mutant's edit does not match the source exactly once.
+        """
+        deep = hosting_scenarios.DEEP.get(self.bounds)
+        if deep is not None:
+            found = search(deep, at_most=MOST_WORLDS)
+        elif self.mutant:
+            found = search(hosting_scenarios.SUITE[self.bounds], make(self.mutant))
+        else:
+            found = search(hosting_scenarios.SUITE[self.bounds])
+        return Result(found.violation, found.history, found.worlds, found.steps, found.worlds)
 
 
 @dataclass(frozen=True)
@@ -32,7 +94,7 @@ class Report:
         fault: why it could not be made; empty where it could.
     """
 
-    job: Job
+    job: Job | JoinedJob
     result: Result | None
     wall_s: float
     fault: str = ""
@@ -54,23 +116,11 @@ class Report:
         return self.result.complete and not self.result.violation
 
 
-def carry_out(job: Job) -> Report:
+def carry_out(job: Job | JoinedJob) -> Report:
     """Makes one search."""
     began_s = time.monotonic()
     try:
-        result = search(job)
+        result = job.search()
     except LookupError as error:
         return Report(job, None, time.monotonic() - began_s, str(error.args[0]))
     return Report(job, result, time.monotonic() - began_s)
-
-
-def search(job: Job) -> Result:
-    """Makes one search.
-
-    Raises:
-        LookupError: a mutant's edit does not match the source exactly once.
-    """
-    if not job.mutant:
-        return Search(job.bounds).run()
-    mutant = next(mutant for mutant in MUTANTS if mutant.name == job.mutant)
-    return Search(job.bounds, mutant.make(), strict=False).run()

@@ -145,7 +145,7 @@ def steps(world: World, rules: Rules, bounds: Bounds) -> Iterator[tuple[str, Wor
             yield "leave is given", feed(given, event.Admitted(), rules)
         yield "leave is refused", feed(given, event.LeaveRefused("it lacks something"), rules)
         yield "leave is refused for good", feed(given, event.LeaveRefused("it is elsewhere", for_good=True), rules)
-        if life.state is State.ASKED:
+        if life.state in (State.ASKED, State.CALLED_OFF):
             put_off = feed(world, event.PutOff("the disk is full"), rules)
             if not put_off.settled:
                 raise Violation("its keeper waits for a start that waits for the disk")

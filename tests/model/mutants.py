@@ -95,7 +95,7 @@ MUTANTS = (
         (
             (
                 candidate,
-                "    return [Persist(record), *recover(record, times)]",
+                "    return [Persist(record), Remember(Volatile()), *recover(record, times)]",
                 "    return [Persist(record), StartTask(record.offer, 0, record.snapshot), *recover(record, times)]",
             ),
         ),
@@ -124,7 +124,13 @@ MUTANTS = (
     Mutant(
         "prepared kept in memory only",
         "the destination saves itself a write",
-        ((candidate, "    return [Persist(record), *recover", "    return [Keep(record), *recover"),),
+        (
+            (
+                candidate,
+                "    return [Persist(record), Remember(Volatile()), *recover",
+                "    return [Keep(record), *recover",
+            ),
+        ),
     ),
     Mutant(
         "a lease that drops PREPARED",

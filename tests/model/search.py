@@ -28,7 +28,17 @@ from model.parts import BLANK, STREAM, TASK, Agent, App, Bounds, Core, Outcome, 
 from model.steps import Steps
 from model.words import cause
 
-from pancakes.migration.event import Adopt, Born, Frozen, GiveUp, PacketId, Received, Resend, ReservationExpired, Start
+from pancakes.migration.event import (
+    AdoptionAsked,
+    Born,
+    Frozen,
+    GiveUp,
+    PacketId,
+    Received,
+    Resend,
+    ReservationExpired,
+    RunAsked,
+)
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Wanted
 
 _SHIFT: Final = 24
@@ -197,7 +207,7 @@ class Search:
                 if self._may_adopt(configuration, i):
                     # Whoever adopts sets the other side up anew after that, so that nothing said before is believed.
                     other = self.steps.agents[agent].disk.peer
-                    adoptions = self._rows_for(configuration, i, Adopt(), 0)
+                    adoptions = self._rows_for(configuration, i, AdoptionAsked(), 0)
                     rows.extend(row._replace(clears=other) for row in adoptions)
                 if len(configuration.wiped) < self.bounds.wipes:
                     rows.append(self._loss(configuration, i))
@@ -351,7 +361,7 @@ class Search:
         if not outcomes:
             return at, net
         told.append(outcomes[0].story)
-        if isinstance(event, Adopt):
+        if isinstance(event, AdoptionAsked):
             net &= ~self._sent_to[self._agent(at, i).disk.peer]
         return self._apply(at, i, outcomes[0]), net | outcomes[0].sends
 
@@ -368,13 +378,13 @@ class Search:
         if volatile.asked:
             return (ReservationExpired(volatile.asked, offer),)
         if record.phase is Phase.OWNER and not volatile.running:
-            return (Start(),)
+            return (RunAsked(),)
         if record.phase is Phase.ABSENT and record.seen == NO_EPOCH and me == TASK.birthplace and not at.wiped:
             return (Born(self.steps.write(App())),)
         if number == 5 and record.phase is Phase.FROZEN:
             return (GiveUp(record.offer, "time is up"),)
         if number == 7 and self._may_adopt(at, i):
-            return (Adopt(),)
+            return (AdoptionAsked(),)
         return (Resend(record.offer, record.phase, 0),) if record.offer != NO_EPOCH else ()
 
     def _packets(self, _at: Configuration, _i: int, _round: int) -> tuple[Any, ...]:

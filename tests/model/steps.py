@@ -28,7 +28,7 @@ from pancakes.migration.event import (
     Received,
     Resend,
     ReservationExpired,
-    Start,
+    RunAsked,
 )
 from pancakes.migration.messages import Reserve, Reserved, Transfer
 from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Wanted
@@ -122,10 +122,10 @@ class Steps:
         elif record.phase is Phase.ABSENT and record.seen == NO_EPOCH and me == TASK.birthplace:
             yield Born(self.write(App()))
         elif not volatile.freezing:
-            yield Start()
+            yield RunAsked()
         yield from agent.pending
         if actor is not None and record.incarnation < bounds.restarts:
-            yield Start(again=True)
+            yield RunAsked(again=True)
             if bounds.stops:
                 yield Ended(Wanted.STOPPED, self.write(actor.app))
                 yield Ended(Wanted.FAILED)
@@ -249,7 +249,7 @@ class Steps:
     def _handle(self, i: int, agent: Agent, event: Event) -> tuple[Agent, list[Effect]]:
         """Returns the agent as it is when the event reaches the core, and the core's decision."""
         retried = event in agent.pending
-        if not retried and (isinstance(event, Ended) or (isinstance(event, Start) and event.again)):
+        if not retried and (isinstance(event, Ended) or (isinstance(event, RunAsked) and event.again)):
             agent = agent._replace(actor=None)
         if isinstance(event, FreezeFailed) and agent.actor is not None:
             agent = agent._replace(actor=agent.actor._replace(running=True))
@@ -259,7 +259,7 @@ class Steps:
 
     def _kept(self, event: Event, agent: Agent) -> int:
         """Returns the highest packet that an event leaves: with an actor, what it had not yet written down goes."""
-        gone = isinstance(event, Start) or (isinstance(event, Ended) and not event.snapshot)
+        gone = isinstance(event, RunAsked) or (isinstance(event, Ended) and not event.snapshot)
         if gone and self.bounds.lazy and agent.memory.snapshot:
             return self.read(agent.memory.snapshot).upto
         return ALL

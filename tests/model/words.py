@@ -8,7 +8,7 @@ from model.parts import Keep
 
 from pancakes.migration.effect import Ack, Discard, Effect, Freeze, Persist, Resume, Send, StartTask
 from pancakes.migration.event import (
-    Adopt,
+    AdoptionAsked,
     Award,
     Born,
     Checkpoint,
@@ -19,7 +19,7 @@ from pancakes.migration.event import (
     Received,
     Resend,
     ReservationExpired,
-    Start,
+    RunAsked,
 )
 from pancakes.migration.record import Phase, Record, Wanted
 
@@ -50,13 +50,13 @@ def cause(me: str, event: Any, late: bool = False) -> str:
             return f"agent {me} has waited long enough for {peer} to answer the reservation"
         case Checkpoint():
             return f"the task on agent {me} is written down"
-        case Start(again):
+        case RunAsked(again):
             what = "fails, and its service starts it again" if again else "is to be started, somebody says"
             return f"the task on agent {me} {what}"
         case Ended(wanted):
             how = "stopped by somebody" if wanted is Wanted.STOPPED else "given up by its service"
             return f"the task on agent {me} is {how}"
-        case Adopt():
+        case AdoptionAsked():
             return f"a person has agent {me} adopt the task"
         case _:
             return f"agent {me}: {event}"

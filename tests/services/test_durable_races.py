@@ -7,6 +7,7 @@ import pytest
 from pancakes.control import Migrate, Restart, Start, Stop
 from pancakes.devices.driver import Actuator
 from pancakes.devices.types import Load, Twist
+from pancakes.hosting.machine import idle
 from pancakes.migration.messages import Transfer, addressed
 from pancakes.migration.pieces import cut
 from pancakes.migration.record import Epoch, Phase, TaskId, Wanted
@@ -76,7 +77,7 @@ def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fle
     agent = fleet.start("a", tasks={"Count": Count})
     found = place(agent, "Count")
     fleet.run_for(0.5)
-    assert fleet.run_until(lambda: not found.standing.idle)
+    assert fleet.run_until(lambda: not idle(found.standing))
     n = agent.task("Count").state.n
     reply = agent.ask(Restart("Count"))
     assert reply.ok, reply.reason

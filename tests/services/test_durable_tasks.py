@@ -7,6 +7,7 @@ import pytest
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
 from pancakes.devices.types import Load, Pose
 from pancakes.hosting.client import ClientService
+from pancakes.hosting.machine import idle
 from pancakes.journal import JournalError, MemoryJournal
 from pancakes.migration.record import Record, Wanted
 from pancakes.service import Service
@@ -180,7 +181,7 @@ def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_
     fleet.run_for(2.5)
     (place,) = agent.component("client").places
     agent.task("Switch").state.on = True
-    assert fleet.run_until(lambda: not place.standing.idle)
+    assert fleet.run_until(lambda: not idle(place.standing))
     agent.task("Switch").state.on = False
     fleet.stop("a")
     assert fleet.restart("a").task("Switch").state.on is False
