@@ -6,7 +6,8 @@ from collections import Counter
 
 import pytest
 from model.hosting_convictions import CONVICTED_IN
-from model.hosting_mutants import HostingMutant, make, stories
+from model.hosting_mutant import HostingMutant
+from model.hosting_mutants import make, stories
 from model.hosting_scenarios import SUITE
 from model.hosting_search import search
 

@@ -9,47 +9,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any, Final
 
-import msgspec
+from model.hosting_mutant import HostingMutant, edited_machine
 from model.hosting_rim import Step
 
 from pancakes.hosting import machine
 from pancakes.hosting.hosting_event import HostingEvent
-
-
-class HostingMutant(msgspec.Struct, frozen=True):
-    """One broken variant.
-
-    Attributes:
-        story: what it does not do any more, or does wrongly.
-        old: text as it stands in the machine, once.
-        new: text instead.
-    """
-
-    story: str
-    old: str
-    new: str
-
-    def make(self) -> Step:
-        """Returns the machine with the edit made.
-
-        Raises:
-            LookupError: the text does not stand in the machine exactly once.
-        """
-        text = inspect.getsource(machine)
-        count = text.count(self.old)
-        if count != 1:
-            raise LookupError(f"the mutant {self.story!r} finds its text {count} times: {self.old}")
-        step: Step = _machine(text.replace(self.old, self.new)).handle
-        return step
-
-
-def _machine(text: str) -> ModuleType:
-    module = ModuleType(machine.__name__)
-    exec(compile(text, f"<mutant of {machine.__name__}>", "exec"), module.__dict__)
-    return module
 
 
 def _nothing(step: Any, what: Any) -> None:
@@ -68,7 +34,7 @@ def without(kind: type, table: str, instead: Callable[[Any, Any], None]) -> Step
         table: the name of the table in which it stands.
         instead: the rule instead.
     """
-    module = _machine(inspect.getsource(machine))
+    module = edited_machine(inspect.getsource(machine))
     setattr(module, table, {**getattr(module, table), kind: instead})
     step: Step = module.handle
     return step
