@@ -22,4 +22,4 @@ def state_dir_of(config: Config) -> Path | None:
     agent = config.agent
     if agent.role != "agent":
         return None
-    return Path(agent.state_dir).absolute() if agent.state_dir else default_state_dir(agent.fleet, agent.name)
+    return Path(agent.state_dir) if agent.state_dir else default_state_dir(agent.fleet, agent.name)

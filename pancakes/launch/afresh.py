@@ -59,7 +59,7 @@ def empty_state(config: Config) -> Path | None:
         JournalError: the directory is in use, or cannot be changed.
     """
     directory = state_dir_of(config)
-    return directory if directory is not None and empty(directory) else None
+    return directory.absolute() if directory is not None and empty(directory) else None
 
 
 def _at(addresses: Sequence[str]) -> list[tuple[str, str, str]]:

@@ -193,8 +193,8 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
             places = member.config.places
             if _same_port(_place(member), _place(other)):
                 yield places.fault(("agent", "listen"), f"{other.name} ({other.path}) listens at this port already")
-            directory = state_dir_of(member.config)
-            if directory is not None and directory == state_dir_of(other.config):
+            directory, taken = state_dir_of(member.config), state_dir_of(other.config)
+            if directory is not None and taken is not None and directory.absolute() == taken.absolute():
                 key = ("agent", "state_dir")
                 yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
 
