@@ -35,7 +35,7 @@ class Born(msgspec.Struct, frozen=True):
 
 
 class RunAsked(msgspec.Struct, frozen=True):
-    """The task is to run: somebody wants it, or its service starts it again after a failure.
+    """The task is to run: it is asked for, or its service starts it again after a failure.
 
     Attributes:
         again: a restart by its service; the actor that ran before is gone.
@@ -45,7 +45,7 @@ class RunAsked(msgspec.Struct, frozen=True):
 
 
 class Ended(msgspec.Struct, frozen=True):
-    """The task's actor has ended for good: stopped because somebody wanted that, or given up on; or never began.
+    """The task's actor has ended for good: stopped because that was asked for, or given up on; or never began.
 
     Attributes:
         wanted: what is wanted of it from now on, STOPPED or FAILED; RUNNING where only its start was refused.

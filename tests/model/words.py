@@ -51,10 +51,10 @@ def cause(me: str, event: Any, late: bool = False) -> str:
         case Checkpoint():
             return f"the task on agent {me} is written down"
         case RunAsked(again):
-            what = "fails, and its service starts it again" if again else "is to be started, somebody says"
+            what = "fails, and its service starts it again" if again else "is asked to start"
             return f"the task on agent {me} {what}"
         case Ended(wanted):
-            how = "stopped by somebody" if wanted is Wanted.STOPPED else "given up by its service"
+            how = "stopped as asked" if wanted is Wanted.STOPPED else "given up by its service"
             return f"the task on agent {me} is {how}"
         case AdoptionAsked():
             return f"a person has agent {me} adopt the task"
