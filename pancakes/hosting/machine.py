@@ -135,11 +135,10 @@ class HostingStep:
         self._going = False
 
     def _carry(self, effect: life_effect.Effect | handoff_effect.Effect) -> None:
-        rule = RULES.get(type(effect))
-        if rule is None:
-            self.effects.append(effect)
-        else:
-            rule(self, effect)
+        if isinstance(effect, hosting_effect.Joined):
+            RULES[type(effect)](self, effect)
+        elif not isinstance(effect, hosting_effect.OfPackets):
+            self.do(effect)
 
     def done(self) -> None:
         """The start that the hand-off asked for is decided: it goes on."""
