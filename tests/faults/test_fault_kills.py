@@ -33,12 +33,11 @@ def test_a_plan_divides_kills_and_goes_to_each_point_in_turn() -> None:
 
 
 FORGETFUL = """
-from pancakes.hosting import machine
-from pancakes.migration import source
+from pancakes.migration import core, source
 from pancakes.migration.record import Phase
 
-recover = machine.recover
-machine.recover = lambda record, *others: recover(
+recover = core.recover
+core.recover = lambda record, *others: recover(
     source.taken_back(record) if record.phase is Phase.COMMITTED else record, *others
 )
 """

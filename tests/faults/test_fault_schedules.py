@@ -76,7 +76,7 @@ def test_an_agent_that_takes_back_what_it_has_given_away_is_convicted(monkeypatc
             record = taken_back(record)
         return recover(record, *others)
 
-    monkeypatch.setattr("pancakes.hosting.machine.recover", forgetful)
+    monkeypatch.setattr(core, "recover", forgetful)
     assert any(" runs on " in violation for violation in convicted(range(1, 41)))
 
 
