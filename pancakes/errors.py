@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final, NamedTuple
 
-from pancakes.frames import place_of, place_of_user
+from pancakes.runtime.foundation.frames import place_of, place_of_user
 
 
 class PancakesError(Exception):

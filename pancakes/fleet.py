@@ -6,12 +6,12 @@ import random
 import uuid
 from collections.abc import Callable
 
-from pancakes.agent import Agent, Virtual
-from pancakes.config import Config
-from pancakes.journal import MemoryJournal
-from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.net.memory import MemoryNetwork, Quality
-from pancakes.plugins import Plugins
+from pancakes.mesh.net.memory import MemoryNetwork, Quality
+from pancakes.runtime.agent import Agent, Virtual
+from pancakes.runtime.config import Config
+from pancakes.runtime.journal import MemoryJournal
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.plugins import Plugins
 
 
 class VirtualFleet:

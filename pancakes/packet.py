@@ -19,9 +19,9 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pancakes import codecs
-from pancakes.arrays import as_list
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import as_list
 
 SYSTEM: Final = "system"
 """Channel for sensor readings and other news about the system."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from pancakes.clock import VirtualClock
+    from pancakes.runtime.clock import VirtualClock
     from pancakes.testing.agent_in_test import AgentInTest
     from pancakes.testing.fleet_in_test import FleetInTest
     from pancakes.testing.leaks import Leaks
@@ -191,6 +191,6 @@ def probe(no_leaks: Leaks) -> ProbeOn:
 @pytest.fixture
 def virtual_clock() -> VirtualClock:
     """A clock that stands still at 0 s until a test moves it with `advance_to`."""
-    from pancakes.clock import VirtualClock
+    from pancakes.runtime.clock import VirtualClock
 
     return VirtualClock()

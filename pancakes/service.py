@@ -7,32 +7,32 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from pancakes.answers import Answers
-from pancakes.closing import STUCK_S, Closing
 from pancakes.control import Command, Describe, Hold, Reschedule
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
-from pancakes.keeper import Keeper
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import on
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.tell import tell
-from pancakes.life.life import CLOSES, Life, State
-from pancakes.life.life_effect import Answer, Tell
-from pancakes.life.life_event import Admitted, Began, Finished, LeaveRefused, Overdue, StartAsked, Written
-from pancakes.life.restart import Restarts
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
-from pancakes.request import Request, request_of
-from pancakes.saved_types import check_saved
-from pancakes.service_messages import Close, ServiceEnded, ServiceReady
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.life.life import CLOSES, Life, State
+from pancakes.runtime.life.life_effect import Answer, Tell
+from pancakes.runtime.life.life_event import Admitted, Began, Finished, LeaveRefused, Overdue, StartAsked, Written
+from pancakes.runtime.life.request import Request, request_of
+from pancakes.runtime.life.restart import Restarts
+from pancakes.runtime.supervision.answers import Answers
+from pancakes.runtime.supervision.closing import STUCK_S, Closing
+from pancakes.runtime.supervision.keeper import Keeper
+from pancakes.runtime.supervision.saved_types import check_saved
+from pancakes.runtime.supervision.service_messages import Close, ServiceEnded, ServiceReady
+from pancakes.runtime.supervision.slot import Failure, Slot
+from pancakes.runtime.supervision.startup import STARTED_AT_ONCE, Startup
+from pancakes.runtime.supervision.task_commands import COMMANDS, WAITING
+from pancakes.runtime.supervision.task_description import describe_in_detail, describe_task
+from pancakes.runtime.supervision.task_messages import Carried, Changed, TaskBegan, TaskEnded
+from pancakes.runtime.supervision.task_news import tell_of_task
 from pancakes.settings import SettingsError, make_settings
-from pancakes.slot import Failure, Slot
-from pancakes.startup import STARTED_AT_ONCE, Startup
 from pancakes.task import Nothing, Task, TaskSpec
-from pancakes.task_commands import COMMANDS, WAITING
-from pancakes.task_description import describe_in_detail, describe_task
-from pancakes.task_messages import Carried, Changed, TaskBegan, TaskEnded
-from pancakes.task_news import tell_of_task
 
 
 def _stays(component: Component, error: BaseException | None) -> None:
@@ -44,7 +44,7 @@ class Service(Component):
 
     A service of one's own subclasses it, may bring tasks of its own (`own_tasks`), and is named in the entry point
     group `pancakes.services`. Control packets reach it as commands, one at a time and numbered. Each of its tasks has
-    a life (`pancakes.life`), which this actor feeds with events and whose effects it carries out.
+    a life (`pancakes.runtime.life`), which this actor feeds with events and whose effects it carries out.
 
     Args:
         kernel: the kernel.

@@ -22,11 +22,11 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get
 
 import msgspec
 
-from pancakes import codecs
-from pancakes.arrays import array_of, check_items, is_array, is_array_type, is_number
 from pancakes.errors import PancakesError
 from pancakes.packet import field_names, has_fields
-from pancakes.suggestion import suggestion
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import array_of, check_items, is_array, is_array_type, is_number
+from pancakes.runtime.foundation.suggestion import suggestion
 
 _T = TypeVar("_T")
 

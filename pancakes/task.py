@@ -24,19 +24,18 @@ import msgspec
 
 from pancakes.control import Configure, Describe, Migrate, Reschedule
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import Tick, checked_period, every, on, period_of
-from pancakes.kernel.keep import queue, reliable
-from pancakes.kernel.mailbox import Mailbox
-from pancakes.kernel.tell import tell
-from pancakes.life.restart import RestartSpec
-from pancakes.migration.cost import CostChoice
-from pancakes.migration.post import Incoming
-from pancakes.migration.rule import MigrationRule
+from pancakes.mesh.migration.cost import CostChoice
+from pancakes.mesh.migration.post import Incoming
+from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet
-from pancakes.saved_types import check_saved
-from pancakes.settings import change_settings, make_settings, plain_settings
-from pancakes.task_messages import (
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import Tick, checked_period, every, on, period_of
+from pancakes.runtime.kernel.keep import queue, reliable
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.life.restart import RestartSpec
+from pancakes.runtime.supervision.saved_types import check_saved
+from pancakes.runtime.supervision.task_messages import (
     Carried,
     Changed,
     ChangeTask,
@@ -51,9 +50,10 @@ from pancakes.task_messages import (
     TaskBegan,
     TaskEnded,
 )
+from pancakes.settings import change_settings, make_settings, plain_settings
 
 if TYPE_CHECKING:
-    from pancakes.kernel.kernel import Kernel
+    from pancakes.runtime.kernel.kernel import Kernel
 
 __all__ = ["Task", "TaskSpec", "Tick", "every", "on", "queue", "reliable"]
 

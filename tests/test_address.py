@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.config import Address, parse_address
+from pancakes.runtime.config import Address, parse_address
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from pancakes.devices.types import Load
+from pancakes.bodies.devices.types import Load
 from pancakes.errors import ClassError
 from pancakes.task import Task
 
@@ -20,8 +20,8 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from pancakes.devices.driver import Actuator, Sensor
-from pancakes.migration.cost import Cost
+from pancakes.bodies.devices.driver import Actuator, Sensor
+from pancakes.mesh.migration.cost import Cost
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
 class Gripper: ...

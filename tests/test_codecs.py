@@ -13,9 +13,11 @@ from dataclasses import dataclass
 
 import msgspec
 
-from pancakes import packet, schema, settings
-from pancakes.recording import message
-from pancakes.wire import codec, runs
+from pancakes import packet, settings
+
+from pancakes.runtime.foundation import schema
+from pancakes.tools.recording import message
+from pancakes.mesh.wire import codec, runs
 
 SOURCE = '''
 class Inner(msgspec.Struct, frozen=True):
@@ -103,15 +105,15 @@ SHORT = """
 import os, resource, sys
 from pancakes.errors import PancakesError
 from pancakes.packet import Packet, packet_type
-from pancakes.journal import JournalEntry
-from pancakes.journal.seal import seal
-from pancakes.migration.record import TaskId
-from pancakes.migration.snapshot import Snapshot
-from pancakes.recording import message
-from pancakes.hosting.checkpoints import plain_of
-from pancakes.task_messages import Carried
-from pancakes.wire.codec import Encoder
-from pancakes.wire.runs import RowEncoder, head_of
+from pancakes.runtime.journal import JournalEntry
+from pancakes.runtime.journal.seal import seal
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.tools.recording import message
+from pancakes.runtime.hosting.checkpoints import plain_of
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.runs import RowEncoder, head_of
 
 LARGE = b"x" * 12_000_000
 it = Packet("system", "unknown to all", "a/client/t", "b", 0.0, 1, {"data": LARGE})

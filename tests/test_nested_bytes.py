@@ -10,20 +10,20 @@ from typing import Any
 import msgspec
 import pytest
 
-from pancakes.cli.json_bodies import BadBody, body_of
+from pancakes.bodies.sim.bus import Attach, Refused, ReplyReader, RequestReader
 from pancakes.control import Stop
-from pancakes.demo.mission_record import read_events
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.journal.seal import JournalEntry, Unbelievable, seal, unseal
-from pancakes.migration.record import Record
-from pancakes.migration.sequel import Sequel
-from pancakes.migration.snapshot import Snapshot
+from pancakes.mesh.migration.record import Record
+from pancakes.mesh.migration.sequel import Sequel
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.mesh.wire.framing import frame
+from pancakes.mesh.wire.runs import messages_from_payload
 from pancakes.packet import type_name
-from pancakes.recording.message import packet_from_data
-from pancakes.runtime_dir import entries, runtime_dir
-from pancakes.sim.bus import Attach, Refused, ReplyReader, RequestReader
-from pancakes.wire.framing import frame
-from pancakes.wire.runs import messages_from_payload
+from pancakes.runtime.journal.seal import JournalEntry, Unbelievable, seal, unseal
+from pancakes.runtime.runtime_dir import entries, runtime_dir
+from pancakes.tools.cli.json_bodies import BadBody, body_of
+from pancakes.tools.demo.mission_record import read_events
+from pancakes.tools.recording.message import packet_from_data
 
 DEPTH = 50_000
 LIST = b"\x91" * DEPTH + b"\xc0"

@@ -4,11 +4,11 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose, Twist
 from pancakes.control import Configure, Reply, Reschedule, Stop
-from pancakes.devices.types import Load, Pose, Twist
+from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.settings import SettingsError
 from pancakes.task import Task, every, on, queue, reliable
-from pancakes.task_messages import Carried
 from pancakes.testing import FleetInTest, assert_published
 
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Load
 from pancakes.control import Migrate, Start, Stop
-from pancakes.devices.types import Load
 from pancakes.events import LogLine
-from pancakes.migration.cost import Cost
+from pancakes.mesh.migration.cost import Cost
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, Probe, assert_published, config_of, no_thread_left, threaded_agent
 

@@ -13,8 +13,8 @@ import msgspec
 import pytest
 
 from pancakes import control, events
-from pancakes.devices import types as devices
-from pancakes.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, is_small, weigh, weight_of
+from pancakes.bodies.devices import types as devices
+from pancakes.runtime.weight import LIGHT_BYTES, MOST_VALUES, SAMPLE, is_small, weigh, weight_of
 
 if TYPE_CHECKING:
     from collections.abc import Sized

@@ -7,13 +7,13 @@ import uuid
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pancakes.clock import Clock
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
-from pancakes.net.mesh import Mesh
-from pancakes.net.transport import Transport
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import SYSCTRL, Packet, body_class, type_name
-from pancakes.wire.link_messages import Hello, Identity
+from pancakes.runtime.clock import Clock
 
 Answer = Reply | str
 """What became of a request: the agent's reply, or the reason why there will be none."""

@@ -12,8 +12,8 @@ from pancakes.client.door import Door
 from pancakes.client.mesh_client import LOOK_S, Client
 from pancakes.control import Follow, Reply
 from pancakes.errors import ControlRefused, Unreachable
-from pancakes.kernel.backlog import Backlog
 from pancakes.packet import Packet
+from pancakes.runtime.kernel.backlog import Backlog
 
 SEARCH_S: Final = 0.5
 """How often agents are looked for that are away or new."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from pancakes.clock import Clock
-from pancakes.net.transport import Connection, Transport
-from pancakes.wire.link import Link, LinkTimes, Over
-from pancakes.wire.link_messages import Hello, Identity
+from pancakes.mesh.net.transport import Connection, Transport
+from pancakes.mesh.wire.link import Link, LinkTimes, Over
+from pancakes.mesh.wire.link_messages import Hello, Identity
+from pancakes.runtime.clock import Clock
 
 _NOBODY: Final = Identity("greeting", "greeting", role="client").hello()
 """Only to have a link; it is never sent, so the agent there refuses nothing."""

@@ -16,14 +16,14 @@ from typing import Any, Final
 from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
-from pancakes.clock import MonotonicClock
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
-from pancakes.net.transport import Transport
-from pancakes.plugins import Plugins
-from pancakes.runtime_dir import entries, runtime_dir
-from pancakes.suggestion import hint_of
-from pancakes.wire.link_messages import Hello
+from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.wire.link_messages import Hello
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.foundation.suggestion import hint_of
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.runtime_dir import entries, runtime_dir
 
 Answers = dict[tuple[str, str], Reply]
 """Replies by the fleet and the name of the agent."""

@@ -22,7 +22,7 @@ _ENVELOPE: Final = ("t_s", "agent", "source", "kind", "number", "entry")
 
 
 def is_quiet(record: Mapping[str, Any]) -> bool:
-    """Returns whether a person need not see a record of a log (`pancakes.services.log_record.record_of`)."""
+    """Returns whether a person need not see a record of a log (`pancakes.runtime.services.log_record.record_of`)."""
     kind = record["kind"]
     if kind == "line":
         return record["level"] not in ("warning", "error")

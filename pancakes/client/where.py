@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pancakes.address import dialled
 from pancakes.errors import PancakesError
+from pancakes.mesh.address import dialled
 
 
 @dataclass(frozen=True, slots=True)

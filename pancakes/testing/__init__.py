@@ -18,8 +18,8 @@ agents in virtual time, on one thread; `threaded_agent` runs one as it runs on a
 so a test may be written once for both. Nothing here sleeps, and no shipped module imports this one.
 """
 
-from pancakes.clock import VirtualClock
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
+from pancakes.runtime.clock import VirtualClock
 from pancakes.testing.agent_in_test import AgentInTest, threaded_agent
 from pancakes.testing.configuration import config_of, registered
 from pancakes.testing.faults import Faults

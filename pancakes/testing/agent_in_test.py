@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pancakes.agent import Agent
 from pancakes.control import Reply
 from pancakes.events import Event, LogLine
-from pancakes.kernel.component import Component
-from pancakes.kernel.kernel import Kernel
 from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
-from pancakes.slot import Slot
 from pancakes.testing.configuration import parts, registered
 from pancakes.testing.probe import BodyTest, Probe
 
@@ -143,8 +143,8 @@ class AgentInTest:
         """Returns the last lines and events on its `log`, one a line, as `pancakes log` shows them."""
         from click import unstyle  # only where something went wrong
 
-        from pancakes.cli.verbs.log import text_of
-        from pancakes.services.log import record_of
+        from pancakes.runtime.services.log import record_of
+        from pancakes.tools.cli.verbs.log import text_of
 
         return "\n".join(unstyle(text_of(record_of(packet))) for packet in self.probe.packets(channel=LOG)[-count:])
 

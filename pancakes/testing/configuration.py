@@ -8,11 +8,11 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from pancakes import codecs
-from pancakes.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse
-from pancakes.devices.driver import Driver
-from pancakes.migration.cost import Cost
-from pancakes.plugins import Plugins
+from pancakes.bodies.devices.driver import Driver
+from pancakes.mesh.migration.cost import Cost
+from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig, parse
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.plugins import Plugins
 from pancakes.service import Service
 from pancakes.task import Task
 

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pancakes.fleet import VirtualFleet
-from pancakes.journal import MemoryJournal
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import NETWORK, SYSCTRL, Packet, covers, type_name
+from pancakes.runtime.journal import MemoryJournal
 
 SPARED = (NETWORK, SYSCTRL)
 """What agents say to each other to keep themselves in order: links lose nothing of that unless they break."""

@@ -8,12 +8,12 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from pancakes.agent import Agent, Virtual
-from pancakes.config import Config, load
 from pancakes.fleet import VirtualFleet
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import Packet
-from pancakes.plugins import Plugins
+from pancakes.runtime.agent import Agent, Virtual
+from pancakes.runtime.config import Config, load
+from pancakes.runtime.plugins import Plugins
 from pancakes.testing.agent_in_test import PATIENCE_S, AgentInTest, with_probe
 from pancakes.testing.configuration import parts, registered, silent
 from pancakes.testing.faults import Faults

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pancakes.clock import MonotonicClock
+from pancakes.runtime.clock import MonotonicClock
 
 if TYPE_CHECKING:
     from pancakes.testing.agent_in_test import AgentInTest

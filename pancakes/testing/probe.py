@@ -6,12 +6,12 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import Subscription
-from pancakes.kernel.keep import queue
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Packet, type_name
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import Subscription
+from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.mailbox import Mailbox
 
 KEEP = queue(1_000_000)
 LOOK_S = 0.02

@@ -87,7 +87,7 @@ def _instead(listener: Probe, name: str, same: Sequence[Packet]) -> str:
 
 def _document(agent: str, packet: Packet, before: str = "") -> str:
     """Returns a packet as `pancakes channel echo` shows it, under a line that says where it went."""
-    from pancakes.cli.verbs.echo import record_of, text_of  # only where something went wrong
+    from pancakes.tools.cli.verbs.echo import record_of, text_of  # only where something went wrong
 
     to = f" to {packet.destination}" if packet.destination else ""
     try:

@@ -16,17 +16,17 @@ import click
 from msgspec import NODEFAULT
 from msgspec.inspect import Field
 
-from pancakes.cli.agent_command import agent as pancakes_agent
-from pancakes.cli.main import pancakes
-from pancakes.codecs import type_info
-from pancakes.config import tables
-from pancakes.devices.driver import Driver
-from pancakes.life.restart import DeviceRestartSpec, RestartSpec
-from pancakes.migration.rule import MigrationRule
+from pancakes.bodies.devices.driver import Driver
+from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import has_fields, known_types
-from pancakes.plugins import Plugins
-from pancakes.schema import dataclasses_of, field_notes, schema_of, summary_of
+from pancakes.runtime.config import tables
+from pancakes.runtime.foundation.codecs import type_info
+from pancakes.runtime.foundation.schema import dataclasses_of, field_notes, schema_of, summary_of
+from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
+from pancakes.runtime.plugins import Plugins
 from pancakes.task import Nothing
+from pancakes.tools.cli.agent_command import agent as pancakes_agent
+from pancakes.tools.cli.main import pancakes
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"
 DISTRIBUTION = "pancakes-agents"

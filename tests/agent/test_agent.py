@@ -5,18 +5,18 @@ from typing import ClassVar
 
 import pytest
 
-from pancakes.agent import Agent
-from pancakes.clock import Clock
-from pancakes.config import parse
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe
-from pancakes.devices.types import Load, Pose
 from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.fleet import VirtualFleet
-from pancakes.net.memory import Quality
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.memory import Quality
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.clock import Clock
+from pancakes.runtime.config import parse
+from pancakes.runtime.state_dir import default_state_dir
 from pancakes.service import Service
-from pancakes.state_dir import default_state_dir
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published, config_of, no_thread_left, registered, threaded_agent
 

@@ -25,9 +25,9 @@ from benchmarks.agent_process import agent_process, offer_tasks, process, read_r
 from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
 from benchmarks.figure import Figure, Plan, alone
 
-from pancakes.sim.drive import Wheels
-from pancakes.sim.simulation import STEP_S, Simulation
-from pancakes.sim.world import World
+from pancakes.bodies.sim.drive import Wheels
+from pancakes.bodies.sim.simulation import STEP_S, Simulation
+from pancakes.bodies.sim.world import World
 
 TITLE = "a world of Khepera III that move, 9 infrared sensors and wheels each asked and commanded at 10 Hz"
 BESIDE = ""

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
-from pancakes.agent import Agent
-from pancakes.config import parse
-from pancakes.plugins import Plugins
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.config import parse
+from pancakes.runtime.plugins import Plugins
 from pancakes.task import Task
 
 READY_S = 30.0

@@ -28,10 +28,10 @@ import pykka
 from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, usual_environment
 from benchmarks.figure import Figure, Plan, in_turns
 
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 from pancakes.packet import SYSTEM, Packet
+from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
-from pancakes.slot import Slot
 from pancakes.task import Task, TaskSpec, Tick, every, on
 
 TITLE = "many tasks in one agent, beside as many empty pykka actors"

@@ -37,9 +37,9 @@ from benchmarks.figure import Figure, Plan
 
 from pancakes.client import Client
 from pancakes.control import Begin, Configure, Describe, Start, Stop
-from pancakes.launch.ports import claim_ports
-from pancakes.web.feed import Feed
-from pancakes.web.watch import Watch
+from pancakes.tools.launch.ports import claim_ports
+from pancakes.tools.web.feed import Feed
+from pancakes.tools.web.watch import Watch
 
 TITLE = "being observed, the agents of the demo; bare: the same, unobserved"
 AGENTS = ("world", "agent1", "agent2", "sensor")

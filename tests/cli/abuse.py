@@ -12,11 +12,11 @@ from typing import Any
 from cli.processes import PATIENCE_S, Rig, Running
 
 from pancakes.client.door import Answer, Door
-from pancakes.clock import MonotonicClock
 from pancakes.control import Follow, Reply
 from pancakes.events import Event
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.tcp import TcpTransport
 from pancakes.packet import LOG, Packet
+from pancakes.runtime.clock import MonotonicClock
 
 RATE_HZ = 200.0
 CLIENTS = 4

@@ -25,7 +25,7 @@ class LiveOutput:
 
     def __init__(self, rig: Rig, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "pancakes.cli.main", *arguments],
+            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -117,7 +117,7 @@ def on_a_terminal(rig: Rig, height: int, width: int, *arguments: str, until: byt
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
     process = subprocess.Popen(
-        [sys.executable, "-m", "pancakes.cli.main", *arguments],
+        [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,

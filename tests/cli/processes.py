@@ -147,7 +147,7 @@ class Rig:
 
     def agent(self, config: Path | str, *options: str, ours: bool = False) -> Running:
         """Starts `pancakes-agent`; see `Running` for `ours`."""
-        return self.run("-m", "pancakes.cli.agent_command", "--config", str(config), *options, ours=ours)
+        return self.run("-m", "pancakes.tools.cli.agent_command", "--config", str(config), *options, ours=ours)
 
     def ready(self, name: str, rest: str = "", *options: str, fleet: str = "test", agent: str = "") -> Running:
         """Starts an agent and waits until it is ready."""
@@ -158,7 +158,7 @@ class Rig:
 
     def launch(self, *arguments: str | Path) -> Running:
         """Starts `pancakes launch`."""
-        return self.run("-m", "pancakes.cli.main", "launch", *map(str, arguments), whole=True)
+        return self.run("-m", "pancakes.tools.cli.main", "launch", *map(str, arguments), whole=True)
 
     def entry(self, pid: int) -> dict[str, Any]:
         """Waits for a process's entry in the runtime directory, and returns it."""
@@ -187,7 +187,7 @@ class Rig:
     def pancakes(self, *arguments: str) -> subprocess.CompletedProcess[str]:
         """Runs a command to its end."""
         return subprocess.run(
-            [sys.executable, "-m", "pancakes.cli.main", *arguments],
+            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
             capture_output=True,
             text=True,
             timeout=PATIENCE_S,

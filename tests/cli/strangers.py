@@ -11,10 +11,10 @@ from types import TracebackType
 from cli.processes import PATIENCE_S
 
 from pancakes.errors import RemoteProtocolError
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import FrameReader, frame
-from pancakes.wire.link_messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
-from pancakes.wire.runs import messages_from_payload
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.framing import FrameReader, frame
+from pancakes.mesh.wire.link_messages import VERSION, Hello, LinkMessage, Ping, Pong, RefuseLink, Role, Welcome
+from pancakes.mesh.wire.runs import messages_from_payload
 
 
 class Stranger:

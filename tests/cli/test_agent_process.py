@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from cli.processes import READY, Rig, Running
 
-from pancakes.cli.agent_process import TWICE_S
+from pancakes.tools.cli.agent_process import TWICE_S
 
 STOPPED_WITHIN_S = 2.0
 
@@ -265,7 +265,7 @@ def test_what_libraries_log_goes_to_the_log_without_a_traceback(rig: Rig):
 
 PARENT = """
 import subprocess, sys, time
-command = [sys.executable, "-m", "pancakes.cli.agent_command", "--config", sys.argv[1], "--die-with-parent"]
+command = [sys.executable, "-m", "pancakes.tools.cli.agent_command", "--config", sys.argv[1], "--die-with-parent"]
 agent = subprocess.Popen(command)
 agent.wait()
 """
@@ -302,7 +302,7 @@ HEAVY = (
     ),
     "websockets",
     # what only a recording, or a question about it, needs
-    *("pancakes.recording.recording", "pancakes.services.traces"),
+    *("pancakes.tools.recording.recording", "pancakes.runtime.services.traces"),
     # parts of Python, each of which takes milliseconds, and up to 4 MiB
     *("asyncio", "concurrent.futures", "configparser", "ctypes", "difflib", "encodings.idna"),
     *("http", "multiprocessing", "ssl", "subprocess", "unittest", "xml"),
@@ -327,7 +327,7 @@ def test_an_idle_agent_imports_nothing_heavy(rig: Rig):
 
 def test_help_imports_no_part_of_the_agent(rig: Rig):
     source = (
-        "import sys\nfrom pancakes.cli import agent_command, main\n"
+        "import sys\nfrom pancakes.tools.cli import agent_command, main\n"
         "for command in (agent_command.agent, main.pancakes):\n"
         "    try: command(['--help'])\n"
         "    except SystemExit: pass\n"

@@ -55,7 +55,7 @@ def test_a_file_that_is_not_there(rig: Rig):
 
 
 def test_no_file_at_all_is_a_mistake_of_usage(rig: Rig):
-    said = rig.run("-m", "pancakes.cli.agent_command")
+    said = rig.run("-m", "pancakes.tools.cli.agent_command")
 
     assert said.ended() == 2
     assert "--config" in said.everything()
@@ -75,8 +75,8 @@ def test_a_task_that_needs_a_device_that_the_agent_lacks(rig: Rig):
 
 
 def test_check_only_checks(rig: Rig):
-    good = rig.run("-m", "pancakes.cli.agent_command", "--config", str(rig.config("a")), "--check")
-    bad = rig.run("-m", "pancakes.cli.agent_command", "--config", str(rig.config("b", BAD)), "--check")
+    good = rig.run("-m", "pancakes.tools.cli.agent_command", "--config", str(rig.config("a")), "--check")
+    bad = rig.run("-m", "pancakes.tools.cli.agent_command", "--config", str(rig.config("b", BAD)), "--check")
 
     assert good.ended() == 0
     assert bad.ended() == 4

@@ -8,12 +8,12 @@ import pytest
 from cli.live_output import LiveOutput
 from cli.processes import Rig, Running
 
-from pancakes.cli.verbs.throughput import size_of
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 from pancakes.packet import Packet
+from pancakes.tools.cli.verbs.throughput import size_of
 
 SOURCE = """
-from pancakes.devices.types import Battery, Pose, Sonar
+from pancakes.bodies.devices.types import Battery, Pose, Sonar
 from pancakes.task import Task, every, on
 
 class Walk(Task):
@@ -192,7 +192,7 @@ def test_who_reads_the_output_may_go(rig: Rig, agent: Running, format_: str):
     import subprocess
     import sys
 
-    command = [sys.executable, "-m", "pancakes.cli.main", "channel", "echo", "a/pond", "--format", format_]
+    command = [sys.executable, "-m", "pancakes.tools.cli.main", "channel", "echo", "a/pond", "--format", format_]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=rig.environment, text=True
     ) as echo:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.cli.exit_codes import sentences
 from pancakes.errors import ConfigError, ControlRefused, Fault, PancakesError, Unreachable
+from pancakes.tools.cli.exit_codes import sentences
 
 
 @pytest.mark.parametrize(
@@ -90,15 +90,15 @@ def verb_into(output: int, *verb: str) -> tuple[int, bytes]:
 def checked(tmp_path: Path) -> tuple[str, ...]:
     config = tmp_path / "a.toml"
     config.write_text('schema = 1\n[agent]\nname = "a"\n')
-    return "pancakes.cli.agent_command", "--config", str(config), "--check"
+    return "pancakes.tools.cli.agent_command", "--config", str(config), "--check"
 
 
-LIST = ("pancakes.cli.main", "plugin", "list")
+LIST = ("pancakes.tools.cli.main", "plugin", "list")
 HELP = (
-    ("pancakes.cli.main", "--help"),
-    ("pancakes.cli.main", "--version"),
-    ("pancakes.cli.main", "plugin", "list", "--help"),
-    ("pancakes.cli.agent_command", "--help"),
+    ("pancakes.tools.cli.main", "--help"),
+    ("pancakes.tools.cli.main", "--version"),
+    ("pancakes.tools.cli.main", "plugin", "list", "--help"),
+    ("pancakes.tools.cli.agent_command", "--help"),
 )
 
 

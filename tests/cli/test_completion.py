@@ -106,7 +106,7 @@ def test_services_and_agents_are_completed(rig: Rig, pair: tuple[Running, Runnin
 def test_channels_are_completed(rig: Rig, pair: tuple[Running, Running]):
     from click import Argument, Command, Context
 
-    from pancakes.cli.name_types import CHANNEL_NAME
+    from pancakes.tools.cli.name_types import CHANNEL_NAME
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
@@ -177,7 +177,7 @@ def test_bash_completes_with_it(rig: Rig, pair: tuple[Running, Running]):
     commands = rig.directory / "bin"
     commands.mkdir()
     command = commands / "pancakes"
-    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m pancakes.cli.main "$@"\n')
+    command.write_text(f'#!/bin/sh\nexec {sys.executable} -m pancakes.tools.cli.main "$@"\n')
     command.chmod(0o755)
     environment = {**rig.environment, "PATH": f"{commands}:{rig.environment['PATH']}"}
 

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from cli.processes import Rig
 
-from pancakes.life.restart import RestartSpec
+from pancakes.runtime.life.restart import RestartSpec
 
 BAD = "[clock]\nsped = 1\n[device.x]\ndriver = 'host.lod'\n"
 

@@ -13,18 +13,18 @@ import pytest
 from cli.processes import Rig, Running
 
 from pancakes import __version__
-from pancakes.cli.verbs.agent_checks import check_entries, check_fleet
-from pancakes.cli.verbs.finding import Finding
-from pancakes.cli.verbs.machine_checks import (
+from pancakes.runtime.journal import FileJournal, JournalEntry
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.runtime_dir import VARIABLE, RunningAgent
+from pancakes.tools.cli.verbs.agent_checks import check_entries, check_fleet
+from pancakes.tools.cli.verbs.finding import Finding
+from pancakes.tools.cli.verbs.machine_checks import (
     check_files,
     check_plugins,
     check_python,
     check_runtime_dir,
     check_state_dirs,
 )
-from pancakes.journal import FileJournal, JournalEntry
-from pancakes.plugins import Plugins
-from pancakes.runtime_dir import VARIABLE, RunningAgent
 
 
 def diagnosis(rig: Rig, *arguments: str) -> tuple[int, list[tuple[str, str, str]]]:

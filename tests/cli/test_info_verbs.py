@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 from cli.processes import Rig, Running
 
-from pancakes.cli.verbs import service as service_verbs
-from pancakes.cli.verbs import task as task_verbs
-from pancakes.life.life import WORDS
+from pancakes.runtime.life.life import WORDS
+from pancakes.tools.cli.verbs import service as service_verbs
+from pancakes.tools.cli.verbs import task as task_verbs
 
 SOURCE = """
 from dataclasses import dataclass
-from pancakes.devices.types import Pose
-from pancakes.kernel.keep import queue
+from pancakes.bodies.devices.types import Pose
+from pancakes.runtime.kernel.keep import queue
 from pancakes.task import Task, every, on
 
 class Steer(Task):

@@ -15,14 +15,14 @@ def said(code):
 
 def test_an_agents_process_gives_way_often_and_collects_rarely():
     usual = said("pass")
-    prepared = said("from pancakes.cli import interpreter; interpreter.prepare()")
+    prepared = said("from pancakes.tools.cli import interpreter; interpreter.prepare()")
     assert float(prepared[0]) < float(usual[0]) / 5
     assert int(prepared[1]) > int(usual[1])
 
 
 def test_an_agents_process_may_open_more_files_than_some_systems_begin_with():
     begin = "import resource as r; r.setrlimit(r.RLIMIT_NOFILE, (256, r.getrlimit(r.RLIMIT_NOFILE)[1]))"
-    prepare = "from pancakes.cli import interpreter; interpreter.prepare()"
+    prepare = "from pancakes.tools.cli import interpreter; interpreter.prepare()"
     say = "print(r.getrlimit(r.RLIMIT_NOFILE)[0])"
     assert int(said(f"{begin}; {say}")[0]) == 256
     assert int(said(f"{begin}; {prepare}; {say}")[0]) >= 1024
@@ -44,4 +44,4 @@ def test_what_an_agents_process_has_imported_is_not_looked_through_again_and_aga
 
 
 def test_who_only_imports_pancakes_keeps_what_python_has():
-    assert said("import pancakes.agent, pancakes.testing, pancakes.cli.agent_command") == said("pass")
+    assert said("import pancakes.runtime.agent, pancakes.testing, pancakes.tools.cli.agent_command") == said("pass")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from cli.processes import PATIENCE_S, Rig
 
-ENTRY = "pancakes.cli.console_scripts"
+ENTRY = "pancakes.tools.cli.console_scripts"
 PANCAKES = f"import sys; from {ENTRY} import pancakes; sys.exit(pancakes())"
 AGENT = f"import sys; from {ENTRY} import agent; sys.exit(agent())"
 IMPORTED = "import time:"
@@ -99,7 +99,7 @@ def test_a_program_that_is_to_ignore_interrupts_ignores_them(rig: Rig):
 
 
 def test_nothing_but_the_programs_themselves_changes_what_an_interrupt_does():
-    source = "import signal, pancakes.cli.main, pancakes.cli.agent_command, pancakes.testing\n"
+    source = "import signal, pancakes.tools.cli.main, pancakes.tools.cli.agent_command, pancakes.testing\n"
     source += "print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
     found = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, timeout=PATIENCE_S)
     assert found.stdout == "True\n", found.stderr
@@ -119,7 +119,7 @@ SLOW = """
 import atexit
 import sys
 from pathlib import Path
-from pancakes.demo.demo import Comparison, Demo, Variant
+from pancakes.tools.demo.demo import Comparison, Demo, Variant
 
 def wait(what):
     print(what, flush=True)

@@ -189,7 +189,7 @@ def test_a_stop_while_they_start(rig: Rig, field: Path):
 
 def test_where_nobody_listens_any_more_the_fleet_ends(rig: Rig, field: Path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "pancakes.cli.main", "launch", str(field)],
+        [sys.executable, "-m", "pancakes.tools.cli.main", "launch", str(field)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

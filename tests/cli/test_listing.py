@@ -152,7 +152,7 @@ def test_an_address_at_which_something_else_listens(rig: Rig):
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(10.0)
         address = f"127.0.0.1:{server.getsockname()[1]}"
-        asking = rig.run("-m", "pancakes.cli.main", "agent", "list", "--at", address)
+        asking = rig.run("-m", "pancakes.tools.cli.main", "agent", "list", "--at", address)
         stranger, _ = server.accept()
         with stranger:
             stranger.sendall(b"220 mail.example.org ESMTP\r\n")

@@ -8,7 +8,7 @@ import pytest
 from cli.live_output import LiveOutput, on_a_terminal
 from cli.processes import Rig, Running
 
-from pancakes.cli.verbs.log import Known, wants, words_of
+from pancakes.tools.cli.verbs.log import Known, wants, words_of
 
 SOURCE = """
 from pancakes.task import Task, every

@@ -9,8 +9,8 @@ import pytest
 from cli.processes import Rig, Running
 from msgspec.structs import replace
 
-from pancakes.journal import FileJournal, JournalEntry
-from pancakes.migration.record import Epoch, Phase, Record
+from pancakes.mesh.migration.record import Epoch, Phase, Record
+from pancakes.runtime.journal import FileJournal, JournalEntry
 
 SOURCE = """
 import time

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from pancakes.cli.main import pancakes
-from pancakes.cli.verbs import distribution
-from pancakes.cli.verbs.distribution import KINDS, LONGEST, File, Names, files_of, write
 from pancakes.errors import PancakesError
+from pancakes.tools.cli.main import pancakes
+from pancakes.tools.cli.verbs import distribution
+from pancakes.tools.cli.verbs.distribution import KINDS, LONGEST, File, Names, files_of, write
 
 LONG = "abcdefghijklmnopqrstuvwxyzabcd"
 
@@ -72,7 +72,7 @@ class TestWhatIsWritten:
         configs = sorted((folder / "configs").glob("*.toml"))
         assert len(configs) == (2 if kind == "plugin" else 1)
         for config in configs:
-            checked = run(folder, environment, "pancakes.cli.agent_command", "--config", str(config), "--check")
+            checked = run(folder, environment, "pancakes.tools.cli.agent_command", "--config", str(config), "--check")
             assert checked.returncode == 0, checked.stderr
             assert checked.stderr == ""
             assert "is sound: the agent " in checked.stdout
@@ -136,7 +136,7 @@ def test_every_template_has_a_purpose_and_every_purpose_a_template():
 def test_templates_are_installed_with_the_package():
     parser = configparser.ConfigParser()
     parser.read(Path(__file__).parents[2] / "setup.cfg")
-    assert "templates/**/*.in" in parser["options.package_data"]["pancakes.cli.verbs"]
+    assert "templates/**/*.in" in parser["options.package_data"]["pancakes.tools.cli.verbs"]
 
 
 def test_the_next_commands_are_told(tmp_path):
@@ -203,7 +203,7 @@ def test_a_bad_name_is_a_sentence_and_leaves_nothing(text, why, tmp_path):
     [
         ("task", "numpy", "a module numpy is installed here already, in "),
         ("task", "pytest-timeout", "pytest_timeout"),
-        ("driver", "pose", "there is a packet type 'pose' already, pancakes.devices.types.Pose: choose another"),
+        ("driver", "pose", "there is a packet type 'pose' already, pancakes.bodies.devices.types.Pose: choose another"),
     ],
 )
 def test_what_is_installed_already_is_not_hidden(kind, name, why, tmp_path):

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from pancakes.cli.output import show, show_json, show_sections
+from pancakes.tools.cli.output import show, show_json, show_sections
 
 
 def test_json_has_only_numbers_that_json_knows(capsys: pytest.CaptureFixture[str]):

@@ -214,7 +214,7 @@ def test_a_load_does_what_is_good_and_names_who_refuses(rig: Rig, agent: Running
 
 def test_settings_come_from_standard_input_too(rig: Rig, agent: Running):
     result = subprocess.run(
-        [sys.executable, "-m", "pancakes.cli.main", "param", "load", "a/Count", "-"],
+        [sys.executable, "-m", "pancakes.tools.cli.main", "param", "load", "a/Count", "-"],
         input="[task.Count.settings]\nstep = 9\n",
         capture_output=True,
         text=True,
@@ -269,7 +269,7 @@ def test_names_of_settings_are_completed(rig: Rig, agent: Running):
     rig.environment.update(
         _PANCAKES_COMPLETE="bash_complete", COMP_WORDS="pancakes param set a/Count st", COMP_CWORD="4"
     )
-    source = "from pancakes.cli.main import pancakes; pancakes(prog_name='pancakes')"
+    source = "from pancakes.tools.cli.main import pancakes; pancakes(prog_name='pancakes')"
     asked = rig.run("-c", source, whole=True)
 
     assert "plain,step=" in asked.everything()

@@ -14,7 +14,7 @@ def test_every_plugin_is_listed_with_who_offers_it(rig: Rig):
     assert row == {
         "group": "drivers",
         "name": "host.load",
-        "class": "pancakes.devices.host:HostProcessorLoad",
+        "class": "pancakes.bodies.devices.host:HostProcessorLoad",
         "distribution": "pancakes-agents",
         "state": "ok",
         "reason": "",

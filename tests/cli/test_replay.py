@@ -6,10 +6,10 @@ import signal
 
 import pytest
 
-from pancakes.recording.recording_reader import RecordingReader
+from pancakes.tools.recording.recording_reader import RecordingReader
 
 ANSWER = """
-from pancakes.devices.types import Load, Pose
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.task import Task, on
 
 
@@ -23,7 +23,7 @@ class Answer(Task):
 """
 ENTRY = "[pancakes.tasks]\nreplays.Answer = plugin_replays:Answer\nreplays.Walk = plugin_walk:Walk\n"
 WALK = """
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 from pancakes.task import Task, every
 
 
@@ -105,7 +105,7 @@ def test_what_runs_in_the_fleet_says_it_itself_and_what_is_not_there_is_told(wal
 
 def test_ctrl_c_ends_it_in_order(walk):
     agent = walk.ready("a", LISTENER)
-    running = walk.run("-m", "pancakes.cli.main", "replay", "r", "--speed", "0.1", "--format", "json", whole=True)
+    running = walk.run("-m", "pancakes.tools.cli.main", "replay", "r", "--speed", "0.1", "--format", "json", whole=True)
     agent.hear("heard 3 of its own")
     running.process.send_signal(signal.SIGINT)
     assert running.ended() == 0, running.everything()

@@ -7,7 +7,7 @@ import pytest
 TASK = """
 from dataclasses import dataclass
 
-from pancakes.devices.types import Load
+from pancakes.bodies.devices.types import Load
 from pancakes.task import Task, every, on
 
 

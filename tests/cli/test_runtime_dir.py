@@ -11,7 +11,7 @@ import pytest
 from cli.processes import Rig
 
 from pancakes.errors import PancakesError
-from pancakes.runtime_dir import RunningAgent, entries, register, runtime_dir
+from pancakes.runtime.runtime_dir import RunningAgent, entries, register, runtime_dir
 
 ENTRY = RunningAgent("a", "default", "agent", "tcp://127.0.0.1:7401", 42)
 

@@ -8,11 +8,11 @@ from cli.processes import PATIENCE_S, Rig
 from cli.strangers import Strangers
 
 from pancakes.client.door import Door
-from pancakes.clock import MonotonicClock
 from pancakes.control import Describe
-from pancakes.net.mesh import MAX_HANDSHAKES
-from pancakes.net.peers import MAX_AGENTS, MAX_CLIENTS
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.clock import MonotonicClock
 
 
 def asked(rig: Rig, address: str) -> None:

@@ -9,7 +9,7 @@ from cli.live_output import LiveOutput, on_a_terminal
 from cli.processes import Rig, Running
 from rich.console import Console
 
-from pancakes.cli.verbs.top import picture
+from pancakes.tools.cli.verbs.top import picture
 
 SOURCE = """
 from pancakes.task import Task, every

@@ -5,11 +5,11 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from pancakes.cli.main import pancakes
-from pancakes.devices.types import Pose, Twist
+from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.packet import Fence, Packet
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.recording.writer import RecordingWriter
+from pancakes.tools.cli.main import pancakes
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.recording.writer import RecordingWriter
 
 MS = 1_000_000
 POSE = Pose(1.0, 2.0, 0.0)

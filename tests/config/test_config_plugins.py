@@ -7,15 +7,15 @@ from typing import Annotated, Any
 import pytest
 from msgspec import Meta
 
-from pancakes.config import load, parse
-from pancakes.devices.driver import Actuator, Sensor
-from pancakes.devices.types import Battery, Pose
+from pancakes.bodies.devices.driver import Actuator, Sensor
+from pancakes.bodies.devices.types import Battery, Pose
 from pancakes.errors import ConfigError
-from pancakes.net.tcp import TcpTransport
-from pancakes.plugins import Plugins
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.config import load, parse
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.device import DeviceService
+from pancakes.runtime.services.network import NetworkService
 from pancakes.service import Service
-from pancakes.services.device import DeviceService
-from pancakes.services.network import NetworkService
 from pancakes.task import Task
 
 

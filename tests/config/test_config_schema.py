@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from pancakes.config import AgentConfig, DeviceConfig, TaskConfig, load, parse
-from pancakes.config.config_schema import config_schema
-from pancakes.config.effective import effective, origin
-from pancakes.config.toml_text import document_text
-from pancakes.plugins import Plugins
+from pancakes.runtime.config import AgentConfig, DeviceConfig, TaskConfig, load, parse
+from pancakes.runtime.config.config_schema import config_schema
+from pancakes.runtime.config.effective import effective, origin
+from pancakes.runtime.config.toml_text import document_text
+from pancakes.runtime.plugins import Plugins
 from pancakes.task import Task
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pancakes.suggestion import suggestion
+from pancakes.runtime.foundation.suggestion import suggestion
 
 KNOWN = ["encirclement.GoHome", "encirclement.ScanTarget", "sim.ir", "sim.sonar", "pose"]
 

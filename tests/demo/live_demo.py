@@ -35,7 +35,7 @@ class LiveDemo:
     def __init__(self, out: Path, *arguments: str) -> None:
         self.out = out
         self.lines: list[str] = []
-        command = [sys.executable, "-m", "pancakes.cli.main", "demo", self.name, "--headless", "--out", str(out)]
+        command = [sys.executable, "-m", "pancakes.tools.cli.main", "demo", self.name, "--headless", "--out", str(out)]
         self.process = subprocess.Popen(
             [*command, *arguments],
             stdin=subprocess.DEVNULL,
@@ -86,7 +86,7 @@ class LiveDemo:
 
     def name_of(self, words: list[str]) -> str:
         """Returns the name of a process by its command line; an empty string: it is none of ours."""
-        if "pancakes.cli.agent_command" in words and "--config" in words:
+        if "pancakes.tools.cli.agent_command" in words and "--config" in words:
             return Path(words[words.index("--config") + 1]).stem
         return ""
 

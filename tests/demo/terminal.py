@@ -33,7 +33,7 @@ class Terminal:
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES", "NO_COLOR")}
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "pancakes.cli.main", *arguments],
+            [sys.executable, "-m", "pancakes.tools.cli.main", *arguments],
             stdin=theirs,
             stdout=theirs,
             stderr=theirs,

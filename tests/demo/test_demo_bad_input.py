@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from pancakes.cli.main import pancakes
+from pancakes.tools.cli.main import pancakes
 
 USAGE, REFUSED, BAD_CONFIGURATION = 2, 1, 4
 

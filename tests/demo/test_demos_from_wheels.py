@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.demo import Comparison
-from pancakes.plugins import Plugins
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.demo import Comparison
 
 ROOT = Path(__file__).parents[2]
 DEMOS = ("encirclement", "energy", "intruder", "pioneer", "sensor-field")
@@ -45,7 +45,7 @@ def pancakes(installed: Path, tmp_path: Path) -> Pancakes:
     folder.mkdir()
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "pancakes.cli.main", *arguments]
+        command = [sys.executable, "-m", "pancakes.tools.cli.main", *arguments]
         return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
 
     return run

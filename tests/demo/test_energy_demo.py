@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from pancakes.cli.verbs.demo import demo
+from pancakes.tools.cli.verbs.demo import demo
 
 SHORTER = (
     "world:task.World.settings.robots.agent1.battery.capacity_j=400.0",

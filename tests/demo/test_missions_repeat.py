@@ -17,7 +17,7 @@ TASKS = {"", "ScanTarget", "GoHome"}
 
 def begin(out: Path, seed: int, hash_seed: int) -> subprocess.Popen[str]:
     """Starts a mission as a person would, in a process of its own."""
-    command = [sys.executable, "-m", "pancakes.cli.main", "demo", "encirclement", "--virtual", "--faults"]
+    command = [sys.executable, "-m", "pancakes.tools.cli.main", "demo", "encirclement", "--virtual", "--faults"]
     return subprocess.Popen(
         [*command, "--seed", str(seed), "--out", str(out)],
         stdin=subprocess.DEVNULL,

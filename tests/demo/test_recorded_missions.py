@@ -2,8 +2,8 @@
 
 from demo.flights import fly
 
-from pancakes.plugins import Plugins
-from pancakes.recording.recording_reader import RecordingReader
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.recording.recording_reader import RecordingReader
 
 FILES = ("trajectory.csv", "events.jsonl", "summary.json")
 

@@ -6,9 +6,9 @@ import random
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.net.memory import MemoryNetwork
-from pancakes.net.transport import Transport
+from pancakes.mesh.net.memory import MemoryNetwork
+from pancakes.mesh.net.transport import Transport
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _T = TypeVar("_T")
 

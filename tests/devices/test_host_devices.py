@@ -7,7 +7,7 @@ from typing import NamedTuple
 import psutil
 import pytest
 
-from pancakes.devices import host
+from pancakes.bodies.devices import host
 from pancakes.errors import PancakesError
 
 

@@ -5,10 +5,10 @@ import math
 import pytest
 from devices.driver_context import DriverContext
 
-from pancakes.devices import null
-from pancakes.devices.driver import Sensor
-from pancakes.devices.static import StaticPose
-from pancakes.devices.types import Pose, Twist
+from pancakes.bodies.devices import null
+from pancakes.bodies.devices.driver import Sensor
+from pancakes.bodies.devices.static import StaticPose
+from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.settings import SettingsError, make_settings
 
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from pancakes.demo import Run
-from pancakes.sim.trajectory import HEADER
+from pancakes.bodies.sim.trajectory import HEADER
 from pancakes.testing import AgentInTest, FleetInTest
+from pancakes.tools.demo import Run
 
 
 class Crew:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.demo import Run
+from pancakes.tools.demo import Run
 from pancakes_encirclement.endurance import Drain, Endurance, endurance, share_of
 from pancakes_encirclement.energy_verdict import judge_energy
 from pancakes_encirclement.record import Record, Row

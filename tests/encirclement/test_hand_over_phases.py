@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from pancakes.devices.types import Pose, Twist
-from pancakes.sim.models import robot_model
-from pancakes.sim.settings import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
-from pancakes.sim.simulation import Simulation
-from pancakes.sim.wayfinder import MoverSettings
+from pancakes.bodies.devices.types import Pose, Twist
+from pancakes.bodies.sim.models import robot_model
+from pancakes.bodies.sim.settings import ArenaSettings, ContentSettings, RobotSettings, SensorSettings
+from pancakes.bodies.sim.simulation import Simulation
+from pancakes.bodies.sim.wayfinder import MoverSettings
 from pancakes_encirclement.angles import wrap
 from pancakes_encirclement.avoidance import Avoidance
 from pancakes_encirclement.circle import curvature

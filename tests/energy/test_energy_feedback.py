@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
-from pancakes.energy.feedback import Feedback, FeedbackSettings, slope
+from pancakes.bodies.energy.feedback import Feedback, FeedbackSettings, slope
 
 
 class Pack:

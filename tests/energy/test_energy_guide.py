@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.config import parse
-from pancakes.config.plugin_check import check_plugins
-from pancakes.plugins import Plugins
+from pancakes.runtime.config import parse
+from pancakes.runtime.config.plugin_check import check_plugins
+from pancakes.runtime.plugins import Plugins
 
 GUIDE = Path(__file__).parents[2] / "docs" / "energy.md"
 BLOCKS = re.findall(r"```toml\n(.*?)```", GUIDE.read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from pancakes.energy.governing import GovernorSettings
-from pancakes.energy.knobs import Range, RateRange, Sleep
+from pancakes.bodies.energy.governing import GovernorSettings
+from pancakes.bodies.energy.knobs import Range, RateRange, Sleep
 from pancakes.settings import SettingsError, make_settings
 
 

@@ -33,8 +33,8 @@ def test_a_plan_divides_kills_and_goes_to_each_point_in_turn() -> None:
 
 
 FORGETFUL = """
-from pancakes.migration import core, source
-from pancakes.migration.record import Phase
+from pancakes.mesh.migration import core, source
+from pancakes.mesh.migration.record import Phase
 
 recover = core.recover
 core.recover = lambda record, *others: recover(

@@ -12,9 +12,9 @@ from torture import __main__ as command
 from torture import schedules
 from torture.schedules import Outcome, run_schedule
 
-from pancakes.config import Config
-from pancakes.migration import core
-from pancakes.migration.record import Phase, Record
+from pancakes.mesh.migration import core
+from pancakes.mesh.migration.record import Phase, Record
+from pancakes.runtime.config import Config
 from pancakes.testing import config_of
 
 
@@ -71,7 +71,7 @@ def test_an_agent_that_takes_back_what_it_has_given_away_is_convicted(monkeypatc
 
     def forgetful(record: Record, *others: Any) -> Any:
         if record.phase is Phase.COMMITTED:
-            from pancakes.migration.source import taken_back
+            from pancakes.mesh.migration.source import taken_back
 
             record = taken_back(record)
         return recover(record, *others)
@@ -82,7 +82,7 @@ def test_an_agent_that_takes_back_what_it_has_given_away_is_convicted(monkeypatc
 
 def test_an_agent_that_forgets_what_it_was_given_is_convicted(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is dormant may not be dropped by a time-out: it may have been given away."""
-    from pancakes.migration import candidate
+    from pancakes.mesh.migration import candidate
 
     monkeypatch.setattr(candidate, "recover", lambda record, times: [])
     monkeypatch.setattr(candidate, "resend", lambda record, event, times: [])
@@ -91,7 +91,7 @@ def test_an_agent_that_forgets_what_it_was_given_is_convicted(monkeypatch: pytes
 
 
 def test_a_task_that_forgets_what_it_has_heard_is_convicted(monkeypatch: pytest.MonkeyPatch) -> None:
-    from pancakes.migration.post import Incoming
+    from pancakes.mesh.migration.post import Incoming
 
     monkeypatch.setattr(Incoming, "is_old", lambda self, stream, seq: False)
     monkeypatch.setattr(Incoming, "is_next", lambda self, stream, seq, first: True)

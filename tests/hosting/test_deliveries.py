@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from pancakes.hosting import task_letters
-from pancakes.hosting.client import ClientService
-from pancakes.hosting.deliveries import CameFor
-from pancakes.kernel.tell import tell
-from pancakes.migration.post import Letter
+from pancakes.mesh.migration.post import Letter
 from pancakes.packet import packet_type
+from pancakes.runtime.hosting import task_letters
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.hosting.deliveries import CameFor
+from pancakes.runtime.kernel.tell import tell
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 

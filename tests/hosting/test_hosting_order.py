@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from pancakes.hosting.hosting_effect import AskRoom, Prepare, TakeDown
-from pancakes.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill
-from pancakes.hosting.machine import AnyEffect, AnyEvent, handle, idle
-from pancakes.hosting.now import Now
-from pancakes.hosting.standing import Standing
-from pancakes.life.life import Life, State
-from pancakes.life.life_event import Admitted, Began
-from pancakes.life.restart import Restarts, RestartSpec
-from pancakes.migration.effect import Ack, Persist, Resume, Send
-from pancakes.migration.event import Award, Checkpoint, Frozen, PacketId, Received
-from pancakes.migration.messages import Activated, Prepared, Reserved, Solicit
-from pancakes.migration.record import Epoch, Phase, Record, TaskId
-from pancakes.migration.volatile import Volatile
+from pancakes.mesh.migration.effect import Ack, Persist, Resume, Send
+from pancakes.mesh.migration.event import Award, Checkpoint, Frozen, PacketId, Received
+from pancakes.mesh.migration.messages import Activated, Prepared, Reserved, Solicit
+from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.volatile import Volatile
+from pancakes.runtime.hosting.hosting_effect import AskRoom, Prepare, TakeDown
+from pancakes.runtime.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill
+from pancakes.runtime.hosting.machine import AnyEffect, AnyEvent, handle, idle
+from pancakes.runtime.hosting.now import Now
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.life.life import Life, State
+from pancakes.runtime.life.life_event import Admitted, Began
+from pancakes.runtime.life.restart import Restarts, RestartSpec
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client")

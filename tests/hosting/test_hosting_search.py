@@ -11,8 +11,8 @@ from model.hosting_mutants import make, stories
 from model.hosting_scenarios import SUITE
 from model.hosting_search import search
 
-from pancakes.life.life import State
-from pancakes.migration.record import Phase
+from pancakes.mesh.migration.record import Phase
+from pancakes.runtime.life.life import State
 
 NEVER: dict[State | None, str] = {
     None: "FROZEN",

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import pytest
 
-from pancakes.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
+from pancakes.runtime.journal import FileJournal, Journal, JournalEntry, JournalError, MemoryJournal
 
 
 class Disk(Protocol):

@@ -8,9 +8,9 @@ from kernel.actors import Actor, holding
 from kernel.hooked_pool import HookedPool
 from kernel.virtual_rig import VirtualRig
 
-from pancakes.kernel.guest import Guest
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.pool import WATCH_S
+from pancakes.runtime.kernel.guest import Guest
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.pool import WATCH_S
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0
@@ -42,7 +42,7 @@ def pools(monkeypatch):
             super().__init__(*args)
             made.append(self)
 
-    monkeypatch.setattr("pancakes.kernel.kernel.PoolDispatcher", Listed)
+    monkeypatch.setattr("pancakes.runtime.kernel.kernel.PoolDispatcher", Listed)
     return made
 
 

@@ -6,9 +6,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from pancakes.clock import Clock
-from pancakes.kernel.pool import PoolDispatcher
-from pancakes.kernel.shift import Shift
+from pancakes.runtime.clock import Clock
+from pancakes.runtime.kernel.pool import PoolDispatcher
+from pancakes.runtime.kernel.shift import Shift
 
 
 def _nothing() -> None:

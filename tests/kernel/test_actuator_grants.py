@@ -2,8 +2,8 @@
 
 import pytest
 
-from pancakes.kernel.component import Component
-from pancakes.kernel.registry import DeviceEntry, Registry
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.registry import DeviceEntry, Registry
 
 CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
 

@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from pancakes.devices.types import Load
-from pancakes.kernel.backlog import Backlog
+from pancakes.bodies.devices.types import Load
 from pancakes.packet import Packet
+from pancakes.runtime.kernel.backlog import Backlog
 
 KIB = 1024
 

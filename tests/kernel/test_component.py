@@ -5,9 +5,9 @@ from kernel.virtual_rig import Diary, Number, VirtualRig, Word
 
 from pancakes.errors import LocalProtocolError, MailboxFull, UnknownChannel
 from pancakes.events import Event, LogLine
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import every, on
-from pancakes.kernel.keep import reliable
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import every, on
+from pancakes.runtime.kernel.keep import reliable
 from pancakes.testing import assert_published
 
 

@@ -3,13 +3,13 @@
 import pytest
 from kernel.virtual_rig import Diary, Number, Word
 
-from pancakes.kernel.call import Call
-from pancakes.kernel.component import Component
-from pancakes.kernel.dispatch import defer
-from pancakes.kernel.handlers import on
-from pancakes.kernel.keep import queue, reliable
-from pancakes.kernel.letters import ATTEMPTS
-from pancakes.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.call import Call
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.dispatch import defer
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.keep import queue, reliable
+from pancakes.runtime.kernel.letters import ATTEMPTS
+from pancakes.runtime.kernel.mailbox import Mailbox
 
 
 def ends_of(virtual, cls, *bodies, address="a/client/T", mailbox=None):

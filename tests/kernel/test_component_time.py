@@ -7,10 +7,10 @@ import pytest
 from kernel.actors import put_back
 from kernel.virtual_rig import Diary, VirtualRig
 
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import Tick, every
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import Tick, every
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 
 class Metronome(Component):

@@ -8,10 +8,10 @@ import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.component import Component
-from pancakes.kernel.handlers import on
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.testing import Probe, VirtualClock, assert_published
 
 PATIENCE_S = 10.0
@@ -280,7 +280,7 @@ class Restless(Component):
 
 
 def test_an_endless_loop_at_one_moment_is_named_and_does_not_hang(monkeypatch):
-    monkeypatch.setattr("pancakes.kernel.virtual.MOST_TURNS", 1000)
+    monkeypatch.setattr("pancakes.runtime.kernel.virtual.MOST_TURNS", 1000)
     dispatcher = VirtualDispatcher()
     Kernel("a", virtual=dispatcher).spawn(Restless, "a/test")
     with pytest.raises(PancakesError, match="stands still at 0.0 s: after 1000 turns a/test still has work"):

@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from kernel.hooked_pool import HookedPool
 
-from pancakes.clock import MonotonicClock
 from pancakes.events import LogLine
-from pancakes.kernel.component import Component
-from pancakes.kernel.dispatch import defer
-from pancakes.kernel.guest import Guest
-from pancakes.kernel.handlers import every, on
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.pool import DOZE_LOOKS, WATCH_S, PoolDispatcher
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.dispatch import defer
+from pancakes.runtime.kernel.guest import Guest
+from pancakes.runtime.kernel.handlers import every, on
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.pool import DOZE_LOOKS, WATCH_S, PoolDispatcher
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 10.0

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pancakes.devices.types import Battery, Pose
+from pancakes.bodies.devices.types import Battery, Pose
 from pancakes.errors import LocalProtocolError
-from pancakes.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
-from pancakes.kernel.keep import LATEST, Keep, reliable
+from pancakes.runtime.kernel.handlers import Period, Subscription, every, on, period_of, periods_of, subscriptions_of
+from pancakes.runtime.kernel.keep import LATEST, Keep, reliable
 
 
 class Base:

@@ -4,10 +4,10 @@ import threading
 
 from kernel.actors import holding
 
-from pancakes.kernel import pool as pool_module
-from pancakes.kernel.guest import Guest
-from pancakes.kernel.pool import WATCH_S
-from pancakes.kernel.shift import Shift
+from pancakes.runtime.kernel import pool as pool_module
+from pancakes.runtime.kernel.guest import Guest
+from pancakes.runtime.kernel.pool import WATCH_S
+from pancakes.runtime.kernel.shift import Shift
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from kernel.actors import bounded, drained, put_back
 from pykka import ActorDeadError, ActorRef
 
-from pancakes.kernel.component import Component
-from pancakes.kernel.flag import Flag
-from pancakes.kernel.keep import LATEST, Keep, queue, reliable
-from pancakes.kernel.mailbox import Mailbox
 from pancakes.packet import Packet
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.flag import Flag
+from pancakes.runtime.kernel.keep import LATEST, Keep, queue, reliable
+from pancakes.runtime.kernel.mailbox import Mailbox
 
 
 def packet(seq, type_name="pose", channel="system"):

@@ -5,10 +5,10 @@ import threading
 
 import pytest
 
-from pancakes.clock import MissionClock, MonotonicClock, VirtualClock
-from pancakes.kernel.schedule import Due
-from pancakes.kernel.timer import Timer, VirtualTimer
-from pancakes.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.clock import MissionClock, MonotonicClock, VirtualClock
+from pancakes.runtime.kernel.schedule import Due
+from pancakes.runtime.kernel.timer import Timer, VirtualTimer
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.testing import no_thread_left
 
 

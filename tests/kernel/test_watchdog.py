@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from pancakes.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
+from pancakes.runtime.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
 PATIENCE_S = 10.0
 LATER_S = 1.1 * WATCH_S

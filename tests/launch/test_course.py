@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pancakes.config import parse
-from pancakes.launch.course import (
+from pancakes.runtime.config import parse
+from pancakes.tools.launch.course import (
     ALL_END_S,
     END_S,
     READY_S,
@@ -15,7 +15,7 @@ from pancakes.launch.course import (
     TellPerson,
     Terminate,
 )
-from pancakes.launch.member import Member, ProcessRestart
+from pancakes.tools.launch.member import Member, ProcessRestart
 
 
 def member(name: str, *after: str, restart: ProcessRestart | None = None, hold: bool = False) -> Member:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from pancakes.errors import ConfigError, PancakesError
-from pancakes.launch.fleet_file import fleet_schema
-from pancakes.launch.fleet_plan import check_free, make_fleet
-from pancakes.launch.member import Member, ProcessRestart
-from pancakes.runtime_dir import VARIABLE, Registration, RunningAgent, register
+from pancakes.runtime.runtime_dir import VARIABLE, Registration, RunningAgent, register
+from pancakes.tools.launch.fleet_file import fleet_schema
+from pancakes.tools.launch.fleet_plan import check_free, make_fleet
+from pancakes.tools.launch.member import Member, ProcessRestart
 
 
 def write(path: Path, name: str = "", rest: str = "") -> Path:

@@ -3,9 +3,9 @@
 import pytest
 from model.life_search import search
 
-from pancakes.life.life import State
-from pancakes.life.restart import RestartSpec
-from pancakes.life.table import TABLE
+from pancakes.runtime.life.life import State
+from pancakes.runtime.life.restart import RestartSpec
+from pancakes.runtime.life.table import TABLE
 
 SPECS = {
     "permanent": RestartSpec("permanent", at_most=1),

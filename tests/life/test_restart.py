@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.life.restart import DeviceRestartSpec, Next, Restarts, RestartSpec, tries
+from pancakes.runtime.life.restart import DeviceRestartSpec, Next, Restarts, RestartSpec, tries
 
 
 def longest(low, high):

@@ -9,11 +9,11 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as openmetrics_families
 from prometheus_client.parser import text_string_to_metric_families
 
+from pancakes.bodies.devices.types import Battery, Load, Pose
 from pancakes.control import Reschedule, Restart, Stop
-from pancakes.devices.types import Battery, Load, Pose
-from pancakes.metrics.metrics_server import MOST_REQUESTS
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest, threaded_agent
+from pancakes.tools.metrics.metrics_server import MOST_REQUESTS
 
 SERVICES = {"metrics": {"type": "metrics", "settings": {"port": 0}}}
 

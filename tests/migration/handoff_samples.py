@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.migration.core import handle
-from pancakes.migration.effect import (
+from pancakes.mesh.migration.core import handle
+from pancakes.mesh.migration.effect import (
     Effect,
 )
-from pancakes.migration.event import (
+from pancakes.mesh.migration.event import (
     Received,
 )
-from pancakes.migration.messages import (
+from pancakes.mesh.migration.messages import (
     Solicit,
 )
-from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId
-from pancakes.migration.volatile import Volatile
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.volatile import Volatile
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from pancakes.migration.capability import Capability, compatible
-from pancakes.migration.cost import ActiveTasks, HostLoad
-from pancakes.migration.messages import Solicit
-from pancakes.migration.record import Epoch, TaskId
-from pancakes.migration.reservations import Reservation, Reservations
+from pancakes.mesh.migration.capability import Capability, compatible
+from pancakes.mesh.migration.cost import ActiveTasks, HostLoad
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.reservations import Reservation, Reservations
 
 SCAN = TaskId("agent1", "ScanTarget")
 REQUEST = Solicit(SCAN, 1, "encirclement.ScanTarget", "0.1.2", "client", ("pose", "motors"), moves_on_below=0.65)

@@ -9,8 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
-from pancakes.migration.capability import Capability
-from pancakes.migration.cost import (
+from pancakes.mesh.migration.capability import Capability
+from pancakes.mesh.migration.cost import (
     ActiveTasks,
     BusyHost,
     Cost,
@@ -23,8 +23,8 @@ from pancakes.migration.cost import (
     fault_of,
     fault_of_choice,
 )
-from pancakes.migration.messages import Solicit
-from pancakes.migration.record import TaskId
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import body_from_plain
 
 ROBOT = HostLoad(3, battery_level=0.6, agent_share=0.25, host_share=0.5, lateness_share=0.01, rtt_s=0.02)

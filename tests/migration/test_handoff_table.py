@@ -30,8 +30,8 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
-from pancakes.migration.core import recover
-from pancakes.migration.effect import (
+from pancakes.mesh.migration.core import recover
+from pancakes.mesh.migration.effect import (
     After,
     AttemptFailed,
     Decline,
@@ -46,7 +46,7 @@ from pancakes.migration.effect import (
     StartTask,
     Warn,
 )
-from pancakes.migration.event import (
+from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
     Award,
@@ -59,7 +59,7 @@ from pancakes.migration.event import (
     Resend,
     ReservationExpired,
 )
-from pancakes.migration.messages import (
+from pancakes.mesh.migration.messages import (
     Abort,
     Activated,
     Commit,
@@ -71,8 +71,8 @@ from pancakes.migration.messages import (
     Transfer,
     Unknown,
 )
-from pancakes.migration.record import Epoch, Phase, Record, Wanted
-from pancakes.migration.volatile import Volatile
+from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.volatile import Volatile
 
 
 class TestSource:

@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from pancakes.migration.ledger import Line
-from pancakes.migration.messages import Solicit
-from pancakes.migration.negotiation import Awarded, Exhausted, Negotiation
-from pancakes.migration.record import TaskId
+from pancakes.mesh.migration.ledger import Line
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation
+from pancakes.mesh.migration.record import TaskId
 
 REQUEST = Solicit(TaskId("agent1", "ScanTarget"), 1, "encirclement.ScanTarget", "0.1.0", "client", ("pose", "motors"))
 

@@ -4,9 +4,9 @@ import gc
 
 import pytest
 
-from pancakes.migration.outbox import Outbox
-from pancakes.migration.post import ForwardTo, Outgoing, Receipt
-from pancakes.migration.record import TaskId
+from pancakes.mesh.migration.outbox import Outbox
+from pancakes.mesh.migration.post import ForwardTo, Outgoing, Receipt
+from pancakes.mesh.migration.record import TaskId
 
 SINK = TaskId("a", "Sink")
 ME = "s/Source"

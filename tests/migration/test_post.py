@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from pancakes.errors import MailboxFull
-from pancakes.migration.post import (
+from pancakes.mesh.migration.post import (
     IN_FLIGHT,
     LONGEST_S,
     MOST_HOPS,
@@ -21,7 +21,7 @@ from pancakes.migration.post import (
     Receipt,
     onward,
 )
-from pancakes.migration.record import TaskId
+from pancakes.mesh.migration.record import TaskId
 
 SCAN = TaskId("a", "Scan")
 STREAM = "me/1"

@@ -22,9 +22,9 @@ from migration.handoff_samples import (
 )
 from msgspec.structs import replace
 
-from pancakes.migration.candidate import would_take
-from pancakes.migration.core import TIMES, recover
-from pancakes.migration.effect import (
+from pancakes.mesh.migration.candidate import would_take
+from pancakes.mesh.migration.core import TIMES, recover
+from pancakes.mesh.migration.effect import (
     Ack,
     After,
     AttemptFailed,
@@ -36,7 +36,7 @@ from pancakes.migration.effect import (
     Resume,
     StartTask,
 )
-from pancakes.migration.event import (
+from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
     Born,
@@ -47,7 +47,7 @@ from pancakes.migration.event import (
     PersistFailed,
     RunAsked,
 )
-from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
 
 
 class TestLifeOnOneAgent:

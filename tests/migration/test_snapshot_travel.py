@@ -10,11 +10,11 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError, RemoteProtocolError
-from pancakes.migration import messages
-from pancakes.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
-from pancakes.migration.pieces import PIECE_BYTES, Assembly, cut
-from pancakes.migration.record import Epoch, Phase, Record, TaskId, Wanted
-from pancakes.migration.snapshot import LIMIT_BYTES, Heard, Posted, PostedTo, Snapshot, TimerPhase
+from pancakes.mesh.migration import messages
+from pancakes.mesh.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
+from pancakes.mesh.migration.pieces import PIECE_BYTES, Assembly, cut
+from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.snapshot import LIMIT_BYTES, Heard, Posted, PostedTo, Snapshot, TimerPhase
 from pancakes.packet import body_from_plain, known_types, type_name
 
 SCAN = TaskId("agent1", "ScanTarget")

@@ -8,7 +8,7 @@ from types import ModuleType
 import msgspec
 from model.hosting_rim import Step
 
-from pancakes.hosting import machine
+from pancakes.runtime.hosting import machine
 
 
 class HostingMutant(msgspec.Struct, frozen=True):

@@ -14,8 +14,8 @@ from typing import Any, Final
 from model.hosting_mutant import HostingMutant, edited_machine
 from model.hosting_rim import Step
 
-from pancakes.hosting import machine
-from pancakes.hosting.hosting_event import HostingEvent
+from pancakes.runtime.hosting import machine
+from pancakes.runtime.hosting.hosting_event import HostingEvent
 
 
 def _nothing(step: Any, what: Any) -> None:

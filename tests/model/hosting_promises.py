@@ -6,13 +6,13 @@ from typing import Final
 
 from model.hosting_world import Spent, Violation, World
 
-from pancakes.hosting.hosting_event import StillOverdue
-from pancakes.hosting.machine import idle, settled
-from pancakes.life.life import State
-from pancakes.life.life_event import Overdue, Retry, TryDue
-from pancakes.migration.effect import Persist, StartTask
-from pancakes.migration.event import GiveUp, Resend, WriteAgain
-from pancakes.migration.record import NO_EPOCH, Phase, Wanted
+from pancakes.mesh.migration.effect import Persist, StartTask
+from pancakes.mesh.migration.event import GiveUp, Resend, WriteAgain
+from pancakes.mesh.migration.record import NO_EPOCH, Phase, Wanted
+from pancakes.runtime.hosting.hosting_event import StillOverdue
+from pancakes.runtime.hosting.machine import idle, settled
+from pancakes.runtime.life.life import State
+from pancakes.runtime.life.life_event import Overdue, Retry, TryDue
 
 ACTOR: Final = (State.STARTING, State.RUNNING, State.STOPPING, State.STUCK)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)

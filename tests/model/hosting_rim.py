@@ -10,18 +10,18 @@ from typing import Any, Final, get_args
 from model.hosting_world import BIRTH, LATER, ME, SEQUEL, Bounds, Violation, World
 from msgspec.structs import replace
 
-from pancakes.hosting import hosting_effect as effect
-from pancakes.hosting import hosting_event as event
-from pancakes.hosting.now import Now
-from pancakes.hosting.standing import Standing
-from pancakes.life import life_effect
-from pancakes.life.life import CLOSES, Life, State
-from pancakes.life.life_event import Admitted, Finished, LeaveRefused, Overdue, Retry, TryDue
-from pancakes.life.restart import Restarts
-from pancakes.migration import effect as handoff_effect
-from pancakes.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
-from pancakes.migration.messages import Commit, Moved, Prepared, Reserve, Transfer
-from pancakes.migration.record import Phase, Record, Wanted
+from pancakes.mesh.migration import effect as handoff_effect
+from pancakes.mesh.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
+from pancakes.mesh.migration.messages import Commit, Moved, Prepared, Reserve, Transfer
+from pancakes.mesh.migration.record import Phase, Record, Wanted
+from pancakes.runtime.hosting import hosting_effect as effect
+from pancakes.runtime.hosting import hosting_event as event
+from pancakes.runtime.hosting.now import Now
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.life import life_effect
+from pancakes.runtime.life.life import CLOSES, Life, State
+from pancakes.runtime.life.life_event import Admitted, Finished, LeaveRefused, Overdue, Retry, TryDue
+from pancakes.runtime.life.restart import Restarts
 
 Step = Callable[..., tuple[Life | None, Standing, list[Any]]]
 

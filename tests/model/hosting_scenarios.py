@@ -7,7 +7,7 @@ from typing import Final
 
 from model.hosting_world import Bounds
 
-from pancakes.life.restart import RestartSpec
+from pancakes.runtime.life.restart import RestartSpec
 
 TRIED_AGAIN: Final = RestartSpec("permanent", at_most=1, again_s=60.0)
 TRANSIENT: Final = RestartSpec("transient", at_most=1)

@@ -9,15 +9,15 @@ from model.hosting_rim import Rim
 from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
-from pancakes.hosting import hosting_event as event
-from pancakes.hosting.machine import idle, settled
-from pancakes.hosting.standing import Standing
-from pancakes.life.life import CLOSES, State
-from pancakes.life.life_event import Began, Finished, Overdue, Retry, StartAsked, StopAsked
-from pancakes.migration.event import AdoptionAsked, Award, Checkpoint, ForgettingAsked, Received, Resend
-from pancakes.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
-from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
-from pancakes.request import Request
+from pancakes.mesh.migration.event import AdoptionAsked, Award, Checkpoint, ForgettingAsked, Received, Resend
+from pancakes.mesh.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
+from pancakes.runtime.hosting import hosting_event as event
+from pancakes.runtime.hosting.machine import idle, settled
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.life.life import CLOSES, State
+from pancakes.runtime.life.life_event import Began, Finished, Overdue, Retry, StartAsked, StopAsked
+from pancakes.runtime.life.request import Request
 
 TASK: Final = TaskId("a", "Task")
 GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)

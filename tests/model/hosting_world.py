@@ -6,12 +6,12 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.hosting.standing import Standing
-from pancakes.life.life import Life
-from pancakes.life.restart import RestartSpec
-from pancakes.migration.messages import Solicit
-from pancakes.migration.record import Epoch, Record, TaskId
-from pancakes.migration.snapshot import Snapshot
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import Epoch, Record, TaskId
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.life.life import Life
+from pancakes.runtime.life.restart import RestartSpec
 
 ME: Final = "a"
 PEER: Final = "b"

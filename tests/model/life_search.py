@@ -12,12 +12,12 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.life import life_effect as effect
-from pancakes.life import life_event as event
-from pancakes.life.life import Life, State
-from pancakes.life.restart import Restarts, RestartSpec
-from pancakes.life.table import TABLE, Moment
-from pancakes.request import Request
+from pancakes.runtime.life import life_effect as effect
+from pancakes.runtime.life import life_event as event
+from pancakes.runtime.life.life import Life, State
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.life.restart import Restarts, RestartSpec
+from pancakes.runtime.life.table import TABLE, Moment
 
 
 class Bounds(msgspec.Struct, frozen=True):

@@ -15,7 +15,7 @@ from types import ModuleType
 
 from model.parts import Bounds, Core, Keep
 
-from pancakes.migration import candidate, core, owner, snapshot, source
+from pancakes.mesh.migration import candidate, core, owner, snapshot, source
 
 Edit = tuple[ModuleType, str, str]
 

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from pancakes.migration import core, snapshot
-from pancakes.migration.effect import Effect
-from pancakes.migration.event import Event
-from pancakes.migration.messages import Solicit
-from pancakes.migration.record import Epoch, Record, TaskId
-from pancakes.migration.snapshot import Heard, Snapshot
-from pancakes.migration.volatile import Volatile
+from pancakes.mesh.migration import core, snapshot
+from pancakes.mesh.migration.effect import Effect
+from pancakes.mesh.migration.event import Event
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import Epoch, Record, TaskId
+from pancakes.mesh.migration.snapshot import Heard, Snapshot
+from pancakes.mesh.migration.volatile import Volatile
 
 TASK: Final = TaskId("A", "ScanTarget")
 """The task that moves; it is born on A."""

@@ -12,8 +12,19 @@ from typing import Any
 from model.parts import ALL, REQUEST, STREAM, TASK, Actor, Agent, App, Bounds, Core, Keep, Outcome, Violation, heard_of
 from model.words import cause, deeds, shows
 
-from pancakes.migration.effect import Ack, After, Discard, Effect, Freeze, Persist, Remember, Resume, Send, StartTask
-from pancakes.migration.event import (
+from pancakes.mesh.migration.effect import (
+    Ack,
+    After,
+    Discard,
+    Effect,
+    Freeze,
+    Persist,
+    Remember,
+    Resume,
+    Send,
+    StartTask,
+)
+from pancakes.mesh.migration.event import (
     Award,
     Born,
     Checkpoint,
@@ -30,10 +41,10 @@ from pancakes.migration.event import (
     ReservationExpired,
     RunAsked,
 )
-from pancakes.migration.messages import Reserve, Reserved, Transfer
-from pancakes.migration.record import NO_EPOCH, Epoch, Phase, Wanted
-from pancakes.migration.snapshot import Heard, Snapshot
-from pancakes.migration.volatile import Volatile
+from pancakes.mesh.migration.messages import Reserve, Reserved, Transfer
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Wanted
+from pancakes.mesh.migration.snapshot import Heard, Snapshot
+from pancakes.mesh.migration.volatile import Volatile
 
 CRASH = "crash"
 TAKE = "take a checkpoint"

@@ -6,8 +6,8 @@ from typing import Any
 
 from model.parts import Keep
 
-from pancakes.migration.effect import Ack, Discard, Effect, Freeze, Persist, Resume, Send, StartTask
-from pancakes.migration.event import (
+from pancakes.mesh.migration.effect import Ack, Discard, Effect, Freeze, Persist, Resume, Send, StartTask
+from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Award,
     Born,
@@ -21,7 +21,7 @@ from pancakes.migration.event import (
     ReservationExpired,
     RunAsked,
 )
-from pancakes.migration.record import Phase, Record, Wanted
+from pancakes.mesh.migration.record import Phase, Record, Wanted
 
 
 def cause(me: str, event: Any, late: bool = False) -> str:

@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from pancakes.clock import Clock, MonotonicClock, VirtualClock
-from pancakes.net.loop import TimerHandle
-from pancakes.net.memory import MemoryNetwork
-from pancakes.net.mesh import Mesh
-from pancakes.net.tcp import TcpTransport
-from pancakes.net.transport import Connection, Transport
+from pancakes.mesh.net.loop import TimerHandle
+from pancakes.mesh.net.memory import MemoryNetwork
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.transport import Connection, Transport
+from pancakes.mesh.wire.framing import frame
+from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
-from pancakes.wire.framing import frame
-from pancakes.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
-from pancakes.wire.link_messages import Identity, Role
+from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 
 PATIENCE_S = 20.0
 

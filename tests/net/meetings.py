@@ -1,9 +1,9 @@
 """Two agents that meet, and what a stranger sends."""
 
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import frame
-from pancakes.wire.link_messages import VERSION, Hello
-from pancakes.wire.runs import RowEncoder, head_of, run_of
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.framing import frame
+from pancakes.mesh.wire.link_messages import VERSION, Hello
+from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 
 
 def pair(rig, agent, **more):

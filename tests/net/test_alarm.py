@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.net.alarm import Alarm
+from pancakes.mesh.net.alarm import Alarm
 
 
 @pytest.fixture

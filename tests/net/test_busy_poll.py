@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from pancakes.agent import Agent
-from pancakes.config import ServiceConfig
 from pancakes.errors import PancakesError
-from pancakes.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.config import ServiceConfig
 from pancakes.testing import config_of, no_thread_left, threaded_agent
 
 AWAKE_S = 0.0002
@@ -144,7 +144,7 @@ def test_timers_that_are_due_soon_are_no_dialogue(sockets: Sockets) -> None:
 
 def test_it_gives_way_each_time_that_nothing_is_ready(sockets: Sockets, monkeypatch: pytest.MonkeyPatch) -> None:
     given = []
-    monkeypatch.setattr("pancakes.net.busy_poll.give_way", lambda: given.append(sockets.now_s))
+    monkeypatch.setattr("pancakes.mesh.net.busy_poll.give_way", lambda: given.append(sockets.now_s))
     waits = BusyPoll(sockets.poll, sockets.now, AWAKE_S)
     talk(sockets, waits, STREAK)
     assert not given

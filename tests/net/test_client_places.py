@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from pancakes.net.client_places import (
+from pancakes.mesh.net.client_places import (
     IDLE_S,
     THIS_MACHINE,
     ClientPlace,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from pancakes.mesh.wire.framing import frame
+from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
-from pancakes.wire.framing import frame
-from pancakes.wire.link import LinkTimes
-from pancakes.wire.runs import RowEncoder, head_of, run_of
 
 NEWS = Packet("chat", "words", "a/client/test", "b", 0.0, 1, "news")
 

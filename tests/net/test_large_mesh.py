@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pancakes.net.mesh import GOSSIP_ADDRESSES
-from pancakes.net.peers import BEACON_ADDRESSES
+from pancakes.mesh.net.mesh import GOSSIP_ADDRESSES
+from pancakes.mesh.net.peers import BEACON_ADDRESSES
 
 MANY = 3 * BEACON_ADDRESSES
 

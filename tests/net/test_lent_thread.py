@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from pancakes.clock import MonotonicClock
-from pancakes.kernel.component import Component
-from pancakes.kernel.kernel import Kernel
-from pancakes.net.loop import READ
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.loop import READ
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
 
 PATIENCE_S = 20.0
 

@@ -10,9 +10,9 @@ from functools import partial
 
 import pytest
 
-from pancakes.clock import MonotonicClock
-from pancakes.net import loop as module
-from pancakes.net.loop import READ, Loop
+from pancakes.mesh.net import loop as module
+from pancakes.mesh.net.loop import READ, Loop
+from pancakes.runtime.clock import MonotonicClock
 from pancakes.testing import no_thread_left
 
 PATIENCE_S = 20.0

@@ -9,14 +9,14 @@ import numpy
 import pytest
 from net.meetings import pair, raw_hello
 
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.net.memory import Quality
-from pancakes.net.send_buffer import PeerBusy
+from pancakes.mesh.net.memory import Quality
+from pancakes.mesh.net.send_buffer import PeerBusy
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
+from pancakes.mesh.wire.link import LinkTimes
 from pancakes.packet import NEIGHBOURS, Packet
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
-from pancakes.wire.link import LinkTimes
 
 
 def bodies(who):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 
-from pancakes.net.session import Session
+from pancakes.mesh.net.session import Session
 from pancakes.packet import NEIGHBOURS
 
 

@@ -6,12 +6,12 @@ import pytest
 from msgspec.structs import replace
 from net.meetings import message_of, pair, raw_hello
 
-from pancakes.devices.types import Pose
-from pancakes.net.mesh import MAX_HANDSHAKES
+from pancakes.bodies.devices.types import Pose
+from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
+from pancakes.mesh.wire.link_messages import Welcome
 from pancakes.packet import Packet
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import MAX_PAYLOAD_BYTES, frame
-from pancakes.wire.link_messages import Welcome
 
 
 def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):

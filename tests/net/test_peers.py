@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from pancakes.net.peers import (
+from pancakes.mesh.net.peers import (
     FORGET_AFTER,
     MAX_AGENTS,
     MAX_CLIENTS,
@@ -18,8 +18,8 @@ from pancakes.net.peers import (
     TurnDown,
     reachable,
 )
-from pancakes.wire.link import LinkTimes
-from pancakes.wire.link_messages import Goodbye, Hello
+from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.wire.link_messages import Goodbye, Hello
 
 
 def hello(name, listen=None, **more):

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.errors import MailboxFull
-from pancakes.migration.pieces import PIECE_BYTES
-from pancakes.migration.snapshot import LIMIT_BYTES
-from pancakes.net.send_buffer import (
+from pancakes.mesh.migration.pieces import PIECE_BYTES
+from pancakes.mesh.migration.snapshot import LIMIT_BYTES
+from pancakes.mesh.net.send_buffer import (
     MAX_BYTES,
     MAX_PACKETS,
     MOST_GONE,

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from pancakes.errors import LocalProtocolError, PeerLost
-from pancakes.net.send_buffer import PeerBusy
-from pancakes.net.sending import MOST_WAYS, Sending, Way
-from pancakes.net.session import BATCH_BYTES
+from pancakes.mesh.net.send_buffer import PeerBusy
+from pancakes.mesh.net.sending import MOST_WAYS, Sending, Way
+from pancakes.mesh.net.session import BATCH_BYTES
+from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
+from pancakes.mesh.wire.runs import PacketRun, messages_from_payload, packets_of, run_of
 from pancakes.packet import NEIGHBOURS, Fence, Packet, packet_type
-from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.runs import PacketRun, messages_from_payload, packets_of, run_of
 
 
 @packet_type("sending test level")

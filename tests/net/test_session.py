@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from pancakes.net.session import MOST_UNSENT_BYTES, Session
-from pancakes.net.transport import Connection
-from pancakes.wire.codec import Encoder
-from pancakes.wire.link_messages import Pong
+from pancakes.mesh.net.session import MOST_UNSENT_BYTES, Session
+from pancakes.mesh.net.transport import Connection
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.link_messages import Pong
 
 
 class Nobody:

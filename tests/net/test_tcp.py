@@ -9,9 +9,9 @@ import threading
 
 import pytest
 
-from pancakes.clock import MonotonicClock
 from pancakes.errors import PancakesError
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.clock import MonotonicClock
 
 
 @pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "tcp://::1:80", "tcp://a:65536", "tcp://a", "tcp://a:²"])

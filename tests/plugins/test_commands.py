@@ -38,7 +38,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def pancakes(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "pancakes.cli.main", *arguments], capture_output=True, text=True)
+    return subprocess.run([sys.executable, "-m", "pancakes.tools.cli.main", *arguments], capture_output=True, text=True)
 
 
 def test_it_runs_and_its_errors_are_sentences_as_everywhere(installed: Path):

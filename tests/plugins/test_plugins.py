@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pancakes.errors import PluginError
-from pancakes.plugins import Plugins, UnknownPlugin
+from pancakes.runtime.plugins import Plugins, UnknownPlugin
 
 Install = Callable[..., None]
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 from pancakes.packet import Packet
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.recording.writer import RecordingWriter
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.recording.writer import RecordingWriter
 
 S = 1_000_000_000
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from pancakes.devices.types import Pose, Twist
+from pancakes.bodies.devices.types import Pose, Twist
 from pancakes.packet import Packet
-from pancakes.recording.chains import Causes
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.report.reactions import Reactions
+from pancakes.tools.recording.chains import Causes
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.report.reactions import Reactions
 
 MS = 1_000_000
 

@@ -5,11 +5,11 @@ import random
 import pytest
 
 from pancakes.control import Start, Stop
-from pancakes.recording.latenesses import LEAST_S, STEP, Latenesses, bucket_of, quantile_s
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.report.rate_figures import Rates
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
+from pancakes.tools.recording.latenesses import LEAST_S, STEP, Latenesses, bucket_of, quantile_s
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.report.rate_figures import Rates
 
 
 class Tick100(Task):

@@ -2,10 +2,10 @@
 
 import pytest
 
-from pancakes.devices.types import Load
+from pancakes.bodies.devices.types import Load
 from pancakes.packet import Packet
-from pancakes.recording.mission_time import MissionTime
-from pancakes.recording.recorded_packet import RecordedPacket
+from pancakes.tools.recording.mission_time import MissionTime
+from pancakes.tools.recording.recorded_packet import RecordedPacket
 
 S = 1_000_000_000
 

@@ -7,19 +7,19 @@ from typing import Any
 import pytest
 from recording.files import made_files
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe, Migrate, Reschedule, Restart, Start, Stop
-from pancakes.devices.types import Load, Pose
-from pancakes.kernel.counter import Counter
-from pancakes.kernel.stream import InformationStream
 from pancakes.packet import packet_type
-from pancakes.recording.description import TaskDescription
-from pancakes.recording.parts import RecordingParts, parts_of
-from pancakes.recording.recording import Recording
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.recording.settings import RecordingSettings
-from pancakes.recording.summary import Summary, TopicCount
+from pancakes.runtime.kernel.counter import Counter
+from pancakes.runtime.kernel.stream import InformationStream
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
+from pancakes.tools.recording.description import TaskDescription
+from pancakes.tools.recording.parts import RecordingParts, parts_of
+from pancakes.tools.recording.recording import Recording
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.recording.settings import RecordingSettings
+from pancakes.tools.recording.summary import Summary, TopicCount
 
 RECORDER = "log/Recorder"
 

@@ -5,14 +5,14 @@ import json
 import pytest
 from mcap.reader import make_reader
 
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
+from pancakes.bodies.sim.state import BodyState, WorldState
 from pancakes.packet import Packet, known_types
-from pancakes.plugins import Plugins
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.recording.schemas import schema_for, viewable
-from pancakes.recording.viewing import Viewer
-from pancakes.recording.writer import RecordingWriter
-from pancakes.sim.state import BodyState, WorldState
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.recording.schemas import schema_for, viewable
+from pancakes.tools.recording.viewing import Viewer
+from pancakes.tools.recording.writer import RecordingWriter
 
 SIMPLE = {"boolean", "string", "number", "integer"}
 S = 1_000_000_000

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pancakes.control import Start, Stop
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.replay.comparison import RunComparison, Tolerance, compare
-from pancakes.replay.rerun import Outcome, Rerun
-from pancakes.replay.script import Script, read_script
-from pancakes.replay.stays import Stay, choose_stays, find_stays
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.replay.comparison import RunComparison, Tolerance, compare
+from pancakes.tools.replay.rerun import Outcome, Rerun
+from pancakes.tools.replay.script import Script, read_script
+from pancakes.tools.replay.stays import Stay, choose_stays, find_stays
 
 RECORDER = "log/Recorder"
 

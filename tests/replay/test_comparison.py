@@ -2,9 +2,9 @@
 
 import math
 
-from pancakes.devices.types import Infrared, Load, Motion, Pose
+from pancakes.bodies.devices.types import Infrared, Load, Motion, Pose
 from pancakes.packet import Packet
-from pancakes.replay.comparison import Stream, Tolerance, compare
+from pancakes.tools.replay.comparison import Stream, Tolerance, compare
 
 ME = "a/client/Me"
 

@@ -2,13 +2,13 @@
 
 import pytest
 
+from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe
-from pancakes.devices.types import Load
 from pancakes.errors import ControlRefused, PeerLost, Unreachable
 from pancakes.packet import Packet
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.replay.feeding import Feeder
-from pancakes.replay.selection import Live, Selection
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.replay.feeding import Feeder
+from pancakes.tools.replay.selection import Live, Selection
 
 
 class Door:

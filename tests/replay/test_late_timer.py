@@ -2,9 +2,9 @@
 
 import pytest
 
-from pancakes.clock import MissionClock
-from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.replay.late_timer import LateTimer
+from pancakes.runtime.clock import MissionClock
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.tools.replay.late_timer import LateTimer
 
 
 class Target:

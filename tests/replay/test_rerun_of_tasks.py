@@ -8,18 +8,18 @@ from numpy.typing import NDArray
 from recording.files import made_files
 from replay.runs_again import recorded, run_again
 
+from pancakes.bodies.devices.types import Load, Pose, Temperature
 from pancakes.control import Configure, Describe, Migrate, Reply, Reschedule, Restart, Start, Stop
-from pancakes.devices.types import Load, Pose, Temperature
 from pancakes.errors import PancakesError
 from pancakes.packet import task_address
-from pancakes.recording.recorded_packet import RecordingError
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.replay.comparison import StreamKey
-from pancakes.replay.rerun import class_of
-from pancakes.replay.stays import choose_stays, find_stays
 from pancakes.task import Task, every, on
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 from pancakes.testing.configuration import registered
+from pancakes.tools.recording.recorded_packet import RecordingError
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.replay.comparison import StreamKey
+from pancakes.tools.replay.rerun import class_of
+from pancakes.tools.replay.stays import choose_stays, find_stays
 
 
 class Track(Task):

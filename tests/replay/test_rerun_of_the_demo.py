@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from replay.runs_again import run_again
 
-from pancakes.plugins import Plugins
-from pancakes.replay.comparison import StreamKey
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.replay.comparison import StreamKey
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,7 +19,16 @@ scan_target = pytest.importorskip("pancakes_encirclement.scan_target")
 def mission(tmp_path_factory):
     """The first 20 s of the encirclement, recorded; at about 12 s the robot comes to the circle."""
     out = tmp_path_factory.mktemp("mission")
-    command = [sys.executable, "-m", "pancakes.cli.main", "demo", "encirclement", "--virtual", "--record", "--headless"]
+    command = [
+        sys.executable,
+        "-m",
+        "pancakes.tools.cli.main",
+        "demo",
+        "encirclement",
+        "--virtual",
+        "--record",
+        "--headless",
+    ]
     options = ["--duration", "20", "--out", str(out), "--configs", str(ROOT / "configs" / "encirclement")]
     subprocess.run([*command, *options], capture_output=True, check=False, timeout=100)
     Plugins().load_packets()

@@ -4,9 +4,9 @@ import pytest
 
 from pancakes.events import Event
 from pancakes.packet import Packet, type_name
-from pancakes.recording.description import TaskDescription
-from pancakes.recording.recorded_packet import RecordedPacket, RecordingError
-from pancakes.replay.stays import choose_stays, find_stays
+from pancakes.tools.recording.description import TaskDescription
+from pancakes.tools.recording.recorded_packet import RecordedPacket, RecordingError
+from pancakes.tools.replay.stays import choose_stays, find_stays
 
 
 def seen(time_ns, agent, body, source, channel="log"):

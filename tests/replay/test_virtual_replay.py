@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import pytest
 from replay.runs_again import recorded
 
-from pancakes.config import parse
-from pancakes.devices.driver import Sensor
-from pancakes.devices.types import Load, Pose
+from pancakes.bodies.devices.driver import Sensor
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.errors import ConfigError
-from pancakes.recording.recording_reader import RecordingReader
-from pancakes.replay.selection import Selection, tally_of
-from pancakes.replay.virtual_replay import VirtualReplay
+from pancakes.runtime.config import parse
 from pancakes.task import Task, on
 from pancakes.testing import FleetInTest
 from pancakes.testing.configuration import registered
+from pancakes.tools.recording.recording_reader import RecordingReader
+from pancakes.tools.replay.selection import Selection, tally_of
+from pancakes.tools.replay.virtual_replay import VirtualReplay
 
 CONFIG = """
 schema = 1

@@ -1,9 +1,9 @@
 """A command to an actuator, for tests of what a report tells of them."""
 
-from pancakes.devices.types import Twist
+from pancakes.bodies.devices.types import Twist
 from pancakes.packet import Packet
-from pancakes.recording.chains import Chain, ChainStep
-from pancakes.recording.commands import ActuatorCommand
+from pancakes.tools.recording.chains import Chain, ChainStep
+from pancakes.tools.recording.commands import ActuatorCommand
 
 MS = 1_000_000
 

@@ -10,16 +10,16 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
-from pancakes.cli.main import pancakes
-from pancakes.devices.types import Battery, Pose, Twist
+from pancakes.bodies.devices.types import Battery, Pose, Twist
+from pancakes.bodies.sim.state import BodyState, WorldState
 from pancakes.errors import PancakesError
 from pancakes.events import Event, LogLine
 from pancakes.packet import Fence, Packet
-from pancakes.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
-from pancakes.recording.recorded_packet import RecordedPacket
-from pancakes.recording.writer import RecordingWriter
-from pancakes.report.making import make_report
-from pancakes.sim.state import BodyState, WorldState
+from pancakes.tools.cli.main import pancakes
+from pancakes.tools.recording.figures import OneLink, OneTask, TaskFigures, TimerFigures
+from pancakes.tools.recording.recorded_packet import RecordedPacket
+from pancakes.tools.recording.writer import RecordingWriter
+from pancakes.tools.report.making import make_report
 
 S = 1_000_000_000
 PICTURES = {

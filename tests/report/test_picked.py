@@ -7,10 +7,10 @@ import msgspec
 import pytest
 from report.commanded import command
 
-from pancakes.recording.mission_time import MissionTime
-from pancakes.report.picked import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands
-from pancakes.report.picker import picker_html
-from pancakes.report.reactions import Reactions
+from pancakes.tools.recording.mission_time import MissionTime
+from pancakes.tools.report.picked import MOST_ACTUATORS, MOST_EVEN_EACH, MOST_SLOW, PickedCommands
+from pancakes.tools.report.picker import picker_html
+from pancakes.tools.report.reactions import Reactions
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from report.commanded import command
 
-from pancakes.report.findings import Findings
-from pancakes.report.report_page import make_page
-from pancakes.report.style import Picture
+from pancakes.tools.report.findings import Findings
+from pancakes.tools.report.report_page import make_page
+from pancakes.tools.report.style import Picture
 
 PHONE = {"width": 360, "height": 740}
 

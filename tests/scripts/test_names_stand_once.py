@@ -14,7 +14,7 @@ MAY_STAND_TWICE = {
     "__init__.py": "Python demands it",
     "settings.py": "the settings of the package that it lies in",
 }
-VERBS = ROOT / "pancakes" / "cli" / "verbs"
+VERBS = ROOT / "pancakes" / "tools" / "cli" / "verbs"
 """A verb's file bears the name of what it calls."""
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
-from pancakes.migration.record import Phase, TaskId
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

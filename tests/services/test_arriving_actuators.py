@@ -2,10 +2,10 @@
 
 import pytest
 
+from pancakes.bodies.devices.types import Twist
 from pancakes.control import Migrate, Start
-from pancakes.devices.types import Twist
-from pancakes.migration.record import Phase, TaskId
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

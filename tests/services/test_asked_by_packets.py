@@ -6,6 +6,7 @@ from typing import Annotated
 import pytest
 from msgspec import Meta
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import (
     Channels,
     Configure,
@@ -18,7 +19,6 @@ from pancakes.control import (
     Start,
     Stop,
 )
-from pancakes.devices.types import Load, Pose
 from pancakes.service import Service
 from pancakes.task import Task, every, on, queue
 from pancakes.testing import FleetInTest

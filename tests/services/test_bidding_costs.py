@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from pancakes.bodies.devices.types import Battery
 from pancakes.control import Migrate
-from pancakes.devices.types import Battery
-from pancakes.migration.cost import Cost
+from pancakes.mesh.migration.cost import Cost
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 

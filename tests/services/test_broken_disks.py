@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from pancakes.bodies.devices.driver import Sensor
+from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Describe, Start, Stop
-from pancakes.devices.driver import Sensor
-from pancakes.devices.types import Pose
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.driver import Actuator, Sensor
+from pancakes.bodies.devices.types import Battery, Load, Pose, Twist
 from pancakes.control import Configure, Describe, Hold, Reschedule, Restart, Start, Stop
-from pancakes.devices.driver import Actuator, Sensor
-from pancakes.devices.types import Battery, Load, Pose, Twist
 from pancakes.events import Event
 from pancakes.packet import Fence, Packet
 from pancakes.task import Task, every, on

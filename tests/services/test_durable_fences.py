@@ -2,14 +2,14 @@
 
 import pytest
 
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.bodies.devices.types import Twist
+from pancakes.bodies.sim.state import WorldState
 from pancakes.control import Migrate, Restart, Stop
-from pancakes.devices.driver import Actuator
-from pancakes.devices.types import Twist
-from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import Fence, Packet
-from pancakes.services.fences import Fences
-from pancakes.sim.state import WorldState
+from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
+from pancakes.runtime.services.fences import Fences
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 from pancakes.testing.faults import DISK_FULL

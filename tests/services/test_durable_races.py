@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.bodies.devices.types import Load, Twist
 from pancakes.control import Migrate, Restart, Start, Stop
-from pancakes.devices.driver import Actuator
-from pancakes.devices.types import Load, Twist
-from pancakes.hosting.machine import idle
-from pancakes.migration.messages import Transfer, addressed
-from pancakes.migration.pieces import cut
-from pancakes.migration.record import Epoch, Phase, TaskId, Wanted
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.messages import Transfer, addressed
+from pancakes.mesh.migration.pieces import cut
+from pancakes.mesh.migration.record import Epoch, Phase, TaskId, Wanted
+from pancakes.mesh.net.memory import Quality
+from pancakes.runtime.hosting.machine import idle
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Configure, Describe, Reschedule, Start, Stop
-from pancakes.devices.types import Load, Pose
-from pancakes.hosting.client import ClientService
-from pancakes.hosting.machine import idle
-from pancakes.journal import JournalError, MemoryJournal
-from pancakes.migration.record import Record, Wanted
+from pancakes.mesh.migration.record import Record, Wanted
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.hosting.machine import idle
+from pancakes.runtime.journal import JournalError, MemoryJournal
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec, every, on
 from pancakes.testing import FleetInTest, threaded_agent

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Follow, Unfollow
-from pancakes.devices.types import Load, Pose
-from pancakes.services.follower import LEAST_HZ, SOON_S
+from pancakes.runtime.services.follower import LEAST_HZ, SOON_S
 from pancakes.testing import FleetInTest
 
 

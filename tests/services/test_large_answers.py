@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.control import Configure, Describe, Restart
+from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES
 from pancakes.service import Service
 from pancakes.task import Task
 from pancakes.testing import FleetInTest, no_thread_left, threaded_agent
-from pancakes.wire.framing import MAX_MESSAGE_BYTES
 
 
 class Map(Task):

@@ -4,9 +4,9 @@ import pytest
 from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
-from pancakes.hosting.ledgers import KEPT, KIND, Ledgers
-from pancakes.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
-from pancakes.migration.ledger import Ledger, Line
+from pancakes.mesh.migration.ledger import Ledger, Line
+from pancakes.runtime.hosting.ledgers import KEPT, KIND, Ledgers
+from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 

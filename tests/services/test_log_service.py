@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pancakes.bodies.devices.types import Pose
 from pancakes.control import History, Stop
-from pancakes.devices.types import Pose
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, packet_type
-from pancakes.services.log import REMEMBERED_BYTES
-from pancakes.services.log_record import line_of, record_of
+from pancakes.runtime.services.log import REMEMBERED_BYTES
+from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 

@@ -2,12 +2,12 @@
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Memory, Pose
 from pancakes.client.looks import Looks
 from pancakes.control import Channels, Describe
-from pancakes.devices.types import Load, Memory, Pose
-from pancakes.recording.figures import figures_of
 from pancakes.task import Task, on, queue
-from pancakes.web.fleet_model import FleetModel
+from pancakes.tools.recording.figures import figures_of
+from pancakes.tools.web.fleet_model import FleetModel
 
 
 class Newest(Task):

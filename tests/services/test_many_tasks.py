@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 from pancakes.control import Command, Stop
 from pancakes.events import LogLine
-from pancakes.life.life import State
 from pancakes.packet import SYSCTRL, Packet
+from pancakes.runtime.life.life import State
+from pancakes.runtime.supervision.startup import STARTED_AT_ONCE
 from pancakes.service import Service
-from pancakes.startup import STARTED_AT_ONCE
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Battery, Load, Pose, Twist
 from pancakes.control import Configure, Describe, Migrate, Migrations, Reschedule, Restart, Start, Stop
-from pancakes.devices.types import Battery, Load, Pose, Twist
-from pancakes.migration.record import Phase, TaskId
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest

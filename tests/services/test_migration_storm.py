@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.control import Migrate, Restart, Start, Stop
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Migrate, Start, Stop
-from pancakes.devices.types import Load, Pose
-from pancakes.hosting.client import ClientService
-from pancakes.kernel.handlers import on
-from pancakes.life.restart import RestartSpec
-from pancakes.migration.record import Phase, TaskId
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.life.restart import RestartSpec
 from pancakes.service import Service
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest

@@ -6,7 +6,7 @@ import pytest
 from services.numbered import HOSTS, Sink, Source, fails, numbers, sent_by, upto
 
 from pancakes.control import Migrate, Stop
-from pancakes.net.memory import Quality
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
 from pancakes.testing import FleetInTest
 

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe, Reply, Restart, Start, Stop
-from pancakes.devices.driver import Actuator
-from pancakes.devices.types import Load
 from pancakes.events import Event
-from pancakes.hosting.client import ClientService
-from pancakes.kernel.handlers import on
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, every
 from pancakes.testing import AgentInTest, FleetInTest, no_thread_left, threaded_agent

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pancakes.services.rotated_file import RotatedFile
+from pancakes.runtime.services.rotated_file import RotatedFile
 
 LINE = "x" * 99
 
@@ -93,7 +93,7 @@ def test_a_place_that_comes_to_be_is_written(path):
 
 WRITES = """
 import sys
-from pancakes.services.rotated_file import RotatedFile
+from pancakes.runtime.services.rotated_file import RotatedFile
 
 file = RotatedFile(sys.argv[1], 2000, 4)
 for number in range(int(sys.argv[2]), 10**9):

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import pytest
 
 from pancakes.control import Migrate, Migrations, Stop
-from pancakes.hosting.client import ClientService
-from pancakes.migration.record import Phase, TaskId
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
+from pancakes.runtime.hosting.client import ClientService
 from pancakes.service import Service
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest

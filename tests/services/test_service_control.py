@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import (
     Begin,
     Configure,
@@ -17,11 +18,10 @@ from pancakes.control import (
     Stop,
     Unfollow,
 )
-from pancakes.devices.types import Load, Pose
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
-from pancakes.kernel.handlers import on
 from pancakes.packet import SYSCTRL
+from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec, every
 from pancakes.testing import FleetInTest, assert_published, no_thread_left, threaded_agent

@@ -2,8 +2,8 @@
 
 import threading
 
-from pancakes.clock import MonotonicClock
-from pancakes.devices.driver import Actuator
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.runtime.clock import MonotonicClock
 from pancakes.task import Task, every
 from pancakes.testing import threaded_agent
 

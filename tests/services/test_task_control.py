@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Configure, Describe, Reschedule, Restart, Start, Stop
-from pancakes.devices.types import Load, Pose
 from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL
 from pancakes.service import Service

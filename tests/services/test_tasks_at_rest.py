@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pancakes.control import Describe, Migrate, Start, Stop
-from pancakes.migration.record import Epoch, Record, TaskId
-from pancakes.migration.rest import rest_of
+from pancakes.mesh.migration.record import Epoch, Record, TaskId
+from pancakes.mesh.migration.rest import rest_of
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 

@@ -2,10 +2,10 @@
 
 from typing import Any
 
+from pancakes.bodies.devices.types import Load, Pose, Twist
 from pancakes.control import Reply, Traces
-from pancakes.devices.types import Load, Pose, Twist
 from pancakes.packet import Packet
-from pancakes.services.traces import (
+from pancakes.runtime.services.traces import (
     CHAINS_STEP,
     LARGE_BYTES,
     LEASE_S,

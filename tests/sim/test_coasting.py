@@ -5,9 +5,9 @@ import random
 
 import pytest
 
-from pancakes.sim.arena import Arena
-from pancakes.sim.disc import Disc
-from pancakes.sim.solver import Solver
+from pancakes.bodies.sim.arena import Arena
+from pancakes.bodies.sim.disc import Disc
+from pancakes.bodies.sim.solver import Solver
 
 DT_S = 0.01
 

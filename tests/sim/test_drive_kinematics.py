@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from pancakes.devices.types import Twist
-from pancakes.sim.drive import Wheels
-from pancakes.sim.khepera import KHEPERA_III
-from pancakes.sim.pioneer import PIONEER_3DX
+from pancakes.bodies.devices.types import Twist
+from pancakes.bodies.sim.drive import Wheels
+from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.bodies.sim.pioneer import PIONEER_3DX
 
 KHEPERA = KHEPERA_III.drive
 

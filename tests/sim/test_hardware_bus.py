@@ -7,17 +7,17 @@ from typing import Any
 import pytest
 from devices.driver_context import DriverContext
 
-from pancakes.clock import MonotonicClock
-from pancakes.devices.types import Battery, Pose, Twist
+from pancakes.bodies.devices.types import Battery, Pose, Twist
+from pancakes.bodies.sim import bus
+from pancakes.bodies.sim.bus_client import BusClient
+from pancakes.bodies.sim.bus_server import BusServer
+from pancakes.bodies.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
 from pancakes.errors import PancakesError, RemoteProtocolError
-from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.net.memory import MemoryNetwork
-from pancakes.net.tcp import TcpTransport
+from pancakes.mesh.net.memory import MemoryNetwork
+from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.settings import SettingsError, make_settings
-from pancakes.sim import bus
-from pancakes.sim.bus_client import BusClient
-from pancakes.sim.bus_server import BusServer
-from pancakes.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
 
 ADDRESS = "tcp://127.0.0.1:7499"
 

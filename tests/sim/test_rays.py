@@ -6,10 +6,10 @@ import random
 import pymunk
 import pytest
 
-from pancakes.sim.arena import Arena
-from pancakes.sim.khepera import KHEPERA_III
-from pancakes.sim.rays import Fan
-from pancakes.sim.robot import IrRing, SonarRing
+from pancakes.bodies.sim.arena import Arena
+from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.bodies.sim.rays import Fan
+from pancakes.bodies.sim.robot import IrRing, SonarRing
 
 HALF_M = (2.0, 1.5)
 INSET_M = 0.05

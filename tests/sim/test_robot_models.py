@@ -4,10 +4,10 @@ import math
 
 import pytest
 
+from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.bodies.sim.models import robot_model
+from pancakes.bodies.sim.pioneer import PIONEER_3DX
 from pancakes.errors import PancakesError
-from pancakes.sim.khepera import KHEPERA_III
-from pancakes.sim.models import robot_model
-from pancakes.sim.pioneer import PIONEER_3DX
 
 
 def degrees(ring):

@@ -6,13 +6,11 @@ import time
 
 import pytest
 
-from pancakes.devices.types import Battery, Infrared, Motion, Pose, Sonar, Twist
-from pancakes.errors import PancakesError
-from pancakes.settings import SettingsError, check_settings, make_settings
-from pancakes.sim.battery import BatterySettings
-from pancakes.sim.drive import Wheels
-from pancakes.sim.khepera import KHEPERA_III
-from pancakes.sim.settings import (
+from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar, Twist
+from pancakes.bodies.sim.battery import BatterySettings
+from pancakes.bodies.sim.drive import Wheels
+from pancakes.bodies.sim.khepera import KHEPERA_III
+from pancakes.bodies.sim.settings import (
     ArenaSettings,
     ContentSettings,
     MotionSettings,
@@ -20,8 +18,10 @@ from pancakes.sim.settings import (
     RobotSettings,
     SensorSettings,
 )
-from pancakes.sim.simulation import Simulation
-from pancakes.sim.wayfinder import MoverSettings
+from pancakes.bodies.sim.simulation import Simulation
+from pancakes.bodies.sim.wayfinder import MoverSettings
+from pancakes.errors import PancakesError
+from pancakes.settings import SettingsError, check_settings, make_settings
 
 QUIET = NoiseSettings(wheel=0.0, ir_share=0.0, ir_raw=0.0, sonar_m=0.0)
 

@@ -7,20 +7,20 @@ from typing import Any
 
 import pytest
 
+from pancakes.bodies.sim import bus
+from pancakes.bodies.sim.motion_capture import MotionCapture, measured
+from pancakes.bodies.sim.state import BodyState, WorldState
+from pancakes.bodies.sim.trajectory import HEADER, Trajectory, row
+from pancakes.bodies.sim.world import World
 from pancakes.events import Event
-from pancakes.kernel.kernel import Kernel
-from pancakes.kernel.virtual import VirtualDispatcher
-from pancakes.net.memory import MemoryNetwork
-from pancakes.net.transport import Connection
+from pancakes.mesh.net.memory import MemoryNetwork
+from pancakes.mesh.net.transport import Connection
 from pancakes.packet import Packet
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.settings import SettingsError, make_settings
-from pancakes.sim import bus
-from pancakes.sim.motion_capture import MotionCapture, measured
-from pancakes.sim.state import BodyState, WorldState
-from pancakes.sim.trajectory import HEADER, Trajectory, row
-from pancakes.sim.world import World
 from pancakes.task import Task, on
-from pancakes.task_messages import Carried
 
 BUS = "tcp://127.0.0.1:7499"
 CONTENTS = {

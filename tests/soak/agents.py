@@ -65,7 +65,7 @@ class AgentProcess:
 
     def start(self, environment: Mapping[str, str]) -> None:
         """Starts it, or starts it again with the state that it left. It ends with this process."""
-        command = [sys.executable, "-m", "pancakes.cli.agent_command", "--config", str(self._config)]
+        command = [sys.executable, "-m", "pancakes.tools.cli.agent_command", "--config", str(self._config)]
         command.append(f"--die-with-parent={os.getpid()}")
         self.is_ready, self.links, self.pieces = False, set(), 0
         with self.log.open("ab") as out:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import pytest
 from soak.held import held_by
 
-from pancakes.config import parse
 from pancakes.control import Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
 from pancakes.errors import MailboxFull
 from pancakes.fleet import VirtualFleet
-from pancakes.hosting.ledgers import KEPT as LEDGERS
 from pancakes.packet import NEIGHBOURS, SYSCTRL, SYSTEM, Packet, join, packet_type, type_name
+from pancakes.runtime.config import parse
+from pancakes.runtime.hosting.ledgers import KEPT as LEDGERS
 from pancakes.task import Task, Tick, every, on, reliable
 from pancakes.testing import registered
 

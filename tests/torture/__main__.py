@@ -17,7 +17,7 @@ from torture.missions import FIGURES, figures_of, fly_all
 from torture.schedules import run_schedule, run_schedules
 from torture.standstill_command import standstill
 
-from pancakes.plugins import Plugins, UnknownPlugin
+from pancakes.runtime.plugins import Plugins, UnknownPlugin
 
 
 @click.group()

@@ -12,9 +12,9 @@ import select
 from pathlib import Path
 from urllib.parse import quote
 
-from pancakes.hosting.records import KIND
-from pancakes.journal.journal import SUFFIX
-from pancakes.migration.record import Phase, TaskId
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.runtime.hosting.records import KIND
+from pancakes.runtime.journal.journal import SUFFIX
 
 PIPE_BYTES = 4096
 BALLAST_BYTES = 2 * PIPE_BYTES

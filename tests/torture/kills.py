@@ -27,7 +27,7 @@ from torture.waits import Waits
 from pancakes.client import Client
 from pancakes.control import Migrate
 from pancakes.errors import PancakesError
-from pancakes.migration.record import TaskId
+from pancakes.mesh.migration.record import TaskId
 
 NAMES = ("a", "b", "c")
 TELLER = "teller"

@@ -16,8 +16,8 @@ import os
 import time
 from dataclasses import dataclass
 
-from pancakes.devices.driver import Actuator
-from pancakes.devices.types import Twist
+from pancakes.bodies.devices.driver import Actuator
+from pancakes.bodies.devices.types import Twist
 from pancakes.errors import MailboxFull
 from pancakes.packet import packet_type
 from pancakes.task import Task, every, on, reliable
@@ -252,7 +252,7 @@ class LiveFleet:
 
     def start(self, name: str, wait: bool = False) -> None:
         """Starts an agent, or starts it again with the state that it left. It ends with this thread."""
-        command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.cli.agent_command"]
+        command = [*self._commands.get(name, ()), sys.executable, "-m", "pancakes.tools.cli.agent_command"]
         command += ["--config", str(self._configs[name])]
         self.running[name] = Running(command, self.rig.environment, self.directory, ours=True)
         if wait:

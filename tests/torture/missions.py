@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pancakes.demo.conductor import Mission
-from pancakes.demo.demo_plan import find_configs, make_plan
-from pancakes.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
-from pancakes.plugins import Plugins
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.demo.conductor import Mission
+from pancakes.tools.demo.demo_plan import find_configs, make_plan
+from pancakes.tools.demo.launcher import NetworkFaults, fresh, judge, run_of, run_virtual
 
 BATTERY = "task.World.settings.robots.agent1.battery.capacity_j"
 LEAST_SHARE, MOST_SHARE = 0.90, 1.12

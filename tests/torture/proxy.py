@@ -11,12 +11,12 @@ from typing import Any
 
 import msgspec
 
-from pancakes.wire.framing import FrameReader
-from pancakes.wire.link_messages import HELLO_NUMBER, Gossip
-from pancakes.wire.packet_bodies import unpacked
+from pancakes.mesh.wire.framing import FrameReader
+from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip
+from pancakes.mesh.wire.packet_bodies import unpacked
 
 RUN = 0
-"""What the array of a run of packets begins with; see `pancakes.wire.runs`."""
+"""What the array of a run of packets begins with; see `pancakes.mesh.wire.runs`."""
 
 LISTEN = 7  # where a hello has the address at which its sender may be dialled
 

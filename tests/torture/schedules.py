@@ -23,18 +23,18 @@ from typing import Any
 from torture.oracle import Drives, Oracle, Roamer, Violation
 from torture.story import Story
 
-from pancakes.agent import Agent, Virtual
 from pancakes.control import Configure, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import PancakesError
 from pancakes.fleet import VirtualFleet
-from pancakes.hosting.client import ClientService
-from pancakes.hosting.records import KIND
-from pancakes.journal import JournalEntry
-from pancakes.kernel.mailbox import Mailbox
-from pancakes.migration.record import Phase, Record, Wanted
-from pancakes.net.memory import Quality
+from pancakes.mesh.migration.record import Phase, Record, Wanted
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, Packet, agent_of, join
-from pancakes.plugins import Plugins
+from pancakes.runtime.agent import Agent, Virtual
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.hosting.records import KIND
+from pancakes.runtime.journal import JournalEntry
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.plugins import Plugins
 from pancakes.testing import Probe, config_of, registered
 
 ROBOTS = ("a", "b", "c")

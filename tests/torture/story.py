@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from pancakes.events import Event, LogLine
-from pancakes.migration.record import Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.packet import Packet, agent_of
 
 UNTOLD = ("migration",)

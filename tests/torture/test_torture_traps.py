@@ -14,9 +14,9 @@ from torture.tally import Tally
 from torture.traps import Field, Trap
 from torture.waits import Waits
 
-from pancakes.hosting.records import KIND
-from pancakes.journal import FileJournal, JournalEntry, JournalError
-from pancakes.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.runtime.hosting.records import KIND
+from pancakes.runtime.journal import FileJournal, JournalEntry, JournalError
 
 TASK = TaskId("a", "One")
 

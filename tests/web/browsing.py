@@ -43,7 +43,7 @@ def chip(page: Any, agent: str, task: str) -> Any:
 
 def view(rig: Rig, *options: str) -> str:
     return (
-        rig.run("-u", "-m", "pancakes.cli.main", "view", *options, whole=True)
+        rig.run("-u", "-m", "pancakes.tools.cli.main", "view", *options, whole=True)
         .hear("the page is at ")
         .rpartition(" ")[2]
     )

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 
-from pancakes.devices.types import Twist
+from pancakes.bodies.devices.types import Twist
 from pancakes.packet import Packet
-from pancakes.recording.chains import Chain, ChainStep
-from pancakes.recording.commands import ActuatorCommand
-from pancakes.web.causes import FEW, Explaining
+from pancakes.tools.recording.chains import Chain, ChainStep
+from pancakes.tools.recording.commands import ActuatorCommand
+from pancakes.tools.web.causes import FEW, Explaining
 
 S = 1_000_000_000
 

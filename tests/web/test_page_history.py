@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from web.told import packet, record, world
 
-from pancakes.devices.types import Infrared
-from pancakes.web.feed import Feed
-from pancakes.web.history import CHUNK_S, FrameHistory
+from pancakes.bodies.devices.types import Infrared
+from pancakes.tools.web.feed import Feed
+from pancakes.tools.web.history import CHUNK_S, FrameHistory
 
 
 def piece(history: FrameHistory, t: float) -> dict[str, Any]:

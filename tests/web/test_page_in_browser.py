@@ -40,7 +40,7 @@ def mission(rig: Rig) -> str:
     """The address of the page of a demo in which the task moves early; it stays when the demo is over."""
     arguments = ["encirclement", "--virtual", "--view", "--speed", "6", "--duration", "45", "--configs", str(CONFIGS)]
     early = ["--set", "world:task.World.settings.robots.agent1.battery.capacity_j=150"]
-    demo = rig.run("-u", "-m", "pancakes.cli.main", "demo", *arguments, *early, whole=True)
+    demo = rig.run("-u", "-m", "pancakes.tools.cli.main", "demo", *arguments, *early, whole=True)
     return demo.hear("the page is at ").rpartition(" ")[2]
 
 

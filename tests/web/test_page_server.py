@@ -20,9 +20,9 @@ from websockets.sync.client import ClientConnection, connect
 from pancakes.control import Migrate, Reply
 from pancakes.errors import NoAnswer, PancakesError
 from pancakes.packet import Cause
-from pancakes.web.feed import Feed
-from pancakes.web.page import Shown, open_page
-from pancakes.web.page_server import MOST_ASIDE, MOST_PAGES, PageServer
+from pancakes.tools.web.feed import Feed
+from pancakes.tools.web.page import Shown, open_page
+from pancakes.tools.web.page_server import MOST_ASIDE, MOST_PAGES, PageServer
 
 PATIENCE_S = 20.0
 
@@ -157,7 +157,7 @@ def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageSer
     with pytest.raises(PancakesError, match=f"cannot be at port {server.port}: .*--port"):
         open_page(Shown(fleet.feed, fleet.explain), server.port)
 
-    monkeypatch.setattr("pancakes.web.page_server.PORT", server.port)
+    monkeypatch.setattr("pancakes.tools.web.page_server.PORT", server.port)
     other = open_page(Shown(fleet.feed, fleet.explain), None)
     assert other.port not in (0, server.port)
     other.close()

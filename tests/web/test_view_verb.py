@@ -23,7 +23,7 @@ def fetched(address: str) -> str:
 
 def test_the_address_is_printed_and_the_page_is_there_until_it_is_ended(rig: Rig):
     rig.ready("a")
-    view = rig.run("-m", "pancakes.cli.main", "view", whole=True)
+    view = rig.run("-m", "pancakes.tools.cli.main", "view", whole=True)
     address = view.hear("the page is at ").rpartition(" ")[2]
 
     assert "<title>Pancakes</title>" in fetched(address)
@@ -34,7 +34,7 @@ def test_the_address_is_printed_and_the_page_is_there_until_it_is_ended(rig: Rig
 
 def test_with_control_the_address_has_a_token_and_programs_get_it_as_json(rig: Rig):
     rig.ready("a")
-    view = rig.run("-u", "-m", "pancakes.cli.main", "view", "--control", "--format", "json", whole=True)
+    view = rig.run("-u", "-m", "pancakes.tools.cli.main", "view", "--control", "--format", "json", whole=True)
     view.hear("]")
 
     (told,) = json.loads("\n".join(view.said))
@@ -70,7 +70,7 @@ def test_where_the_library_is_missing_it_is_named(rig: Rig):
 
 def test_a_demo_with_a_page_says_where_it_is_and_stays_after_its_end(rig: Rig):
     arguments = ["encirclement", "--virtual", "--view", "--speed", "50", "--duration", "5", "--configs", str(CONFIGS)]
-    demo = rig.run("-u", "-m", "pancakes.cli.main", "demo", *arguments, whole=True)
+    demo = rig.run("-u", "-m", "pancakes.tools.cli.main", "demo", *arguments, whole=True)
     address = demo.hear("the page is at ").rpartition(" ")[2]
     demo.hear("verdict: ")
     demo.hear(f"the page stays at {address} until Ctrl-C")
@@ -82,7 +82,7 @@ def test_a_demo_with_a_page_says_where_it_is_and_stays_after_its_end(rig: Rig):
 
 def test_a_live_demo_is_seen_from_its_beginning_to_its_end_and_not_how_its_agents_stop(rig: Rig):
     arguments = ["encirclement", "--view", "--headless", "--speed", "5", "--duration", "30", "--configs", str(CONFIGS)]
-    demo = rig.run("-u", "-m", "pancakes.cli.main", "demo", *arguments, whole=True)
+    demo = rig.run("-u", "-m", "pancakes.tools.cli.main", "demo", *arguments, whole=True)
     address = demo.hear("the page is at ").rpartition(" ")[2].rstrip("/")
     seen: dict[str, Any] = {}
     events: list[str] = []

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from cli.processes import Rig
 
-from pancakes.config import parse
 from pancakes.control import Reschedule, Stop
 from pancakes.errors import ControlRefused, Unreachable
 from pancakes.fleet import VirtualFleet
-from pancakes.web.feed import Feed
-from pancakes.web.virtual_watch import VirtualWatch
-from pancakes.web.watch import Watch, fleet_among
+from pancakes.runtime.config import parse
+from pancakes.tools.web.feed import Feed
+from pancakes.tools.web.virtual_watch import VirtualWatch
+from pancakes.tools.web.watch import Watch, fleet_among
 
 PATIENCE_S = 20.0
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 5\n'
@@ -117,7 +117,7 @@ def test_a_fleet_that_has_ended_is_said_to_have_ended_until_somebody_comes_back(
 
 
 STEER = """
-from pancakes.devices.types import Load
+from pancakes.bodies.devices.types import Load
 from pancakes.task import Task, on
 
 class Steer(Task):

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.devices.types import Infrared, Pose
+from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
+from pancakes.mesh.wire.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
+from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
+from pancakes.mesh.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
+from pancakes.mesh.wire.runs import PacketRun, RowEncoder, head_of, messages_from_payload, packets_of, run_of
 from pancakes.packet import Fence, Packet, packet_type
-from pancakes.wire.codec import Encoder, packet_from_row, rows_from_payload
-from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
-from pancakes.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
-from pancakes.wire.runs import PacketRun, RowEncoder, head_of, messages_from_payload, packets_of, run_of
 
 
 class Colour(enum.Enum):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.wire.framing import (
+from pancakes.mesh.wire.framing import (
     MAX_MESSAGE_BYTES,
     MAX_PAYLOAD_BYTES,
     FrameReader,

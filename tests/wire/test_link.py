@@ -5,12 +5,12 @@ from __future__ import annotations
 import msgpack
 import pytest
 
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.framing import frame
+from pancakes.mesh.wire.link import Greeted, Learnt, Link, LinkState, LinkTimes, Over, PacketsReceived, SendMessage, Up
+from pancakes.mesh.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
+from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 from pancakes.packet import Packet
-from pancakes.wire.codec import Encoder
-from pancakes.wire.framing import frame
-from pancakes.wire.link import Greeted, Learnt, Link, LinkState, LinkTimes, Over, PacketsReceived, SendMessage, Up
-from pancakes.wire.link_messages import VERSION, Goodbye, Gossip, Hello, Ping, Pong, RefuseLink, Welcome
-from pancakes.wire.runs import RowEncoder, head_of, run_of
 
 
 def hello(name, **more):

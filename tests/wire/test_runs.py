@@ -15,15 +15,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pancakes.devices.types import Infrared, Pose
+from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.packet import Fence, Packet, known_types, packet_type
-from pancakes.plugins import Plugins
-from pancakes.wire.closed import is_closed
-from pancakes.wire.framing import MAX_MESSAGE_BYTES, frame
-from pancakes.wire.link_messages import HELLO_NUMBER, Ping
-from pancakes.wire.packet_bodies import encodable
-from pancakes.wire.runs import (
+from pancakes.mesh.wire.closed import is_closed
+from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
+from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Ping
+from pancakes.mesh.wire.packet_bodies import encodable
+from pancakes.mesh.wire.runs import (
     LONGEST_REASON,
     PacketRun,
     RowEncoder,
@@ -34,6 +32,8 @@ from pancakes.wire.runs import (
     packets_of,
     run_of,
 )
+from pancakes.packet import Fence, Packet, known_types, packet_type
+from pancakes.runtime.plugins import Plugins
 
 if TYPE_CHECKING:
     from typing import SupportsIndex

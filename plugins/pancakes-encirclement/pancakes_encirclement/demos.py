@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.demo import Comparison, Demo, Run, Variant
+from pancakes.tools.demo import Comparison, Demo, Run, Variant
 from pancakes_encirclement.energy_verdict import judge_energy, judge_mission
 from pancakes_encirclement.intruder_verdict import judge_intruder
 from pancakes_encirclement.verdict import Limits, judge_encirclement

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.demo import Run
 from pancakes.errors import PancakesError
+from pancakes.tools.demo import Run
 from pancakes_encirclement.endurance import KINDS, Endurance, read_endurance
 
 if TYPE_CHECKING:

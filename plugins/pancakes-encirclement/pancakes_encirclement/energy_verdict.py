@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.demo import Run
+from pancakes.tools.demo import Run
 from pancakes_encirclement.endurance import Endurance, read_endurance, share_of
 from pancakes_encirclement.record import read_record
 from pancakes_encirclement.scenario import read_scenario

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from pancakes.demo import Run
-from pancakes.demo.mission_record import holders
 from pancakes.errors import PancakesError
+from pancakes.tools.demo import Run
+from pancakes.tools.demo.mission_record import holders
 from pancakes_encirclement.record import Record, Row, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario
 

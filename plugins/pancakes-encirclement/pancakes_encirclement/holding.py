@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from pancakes.demo.mission_record import Holder
+from pancakes.tools.demo.mission_record import Holder
 from pancakes_encirclement.record import Row
 
 _CLOCKS_AGREE_S = 0.05

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pancakes.demo import Run
-from pancakes.demo.mission_record import holders
+from pancakes.tools.demo import Run
+from pancakes.tools.demo.mission_record import holders
 from pancakes_encirclement.holding import driven
 from pancakes_encirclement.record import Record, read_record
 from pancakes_encirclement.scenario import Scenario, read_scenario

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pancakes.devices.types import Pose
+from pancakes.bodies.devices.types import Pose
 
 Point = tuple[float, float]
 

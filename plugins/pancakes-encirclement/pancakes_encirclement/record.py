@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from pancakes.demo.mission_record import Story, read_events, read_lines
 from pancakes.errors import PancakesError
+from pancakes.tools.demo.mission_record import Story, read_events, read_lines
 
 
 class Row(NamedTuple):

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pancakes.bodies.sim.models import robot_model
 from pancakes.errors import PancakesError
-from pancakes.sim.models import robot_model
 
 Table = Mapping[str, Any]
 
@@ -57,7 +57,8 @@ def read_scenario(configs: Mapping[str, Table]) -> Scenario:
     """Reads it out of the configurations of all agents.
 
     Args:
-        configs: the agents' configurations, overrides included, by the agent's name (`pancakes.demo.Run.configs`).
+        configs: the agents' configurations, overrides included, by the agent's name; see
+            `pancakes.tools.demo.Run.configs`.
 
     Raises:
         PancakesError: no agent simulates a world, or none has a `ScanTarget`.

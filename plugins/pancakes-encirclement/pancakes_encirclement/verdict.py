@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pancakes.demo import Run
-from pancakes.demo.mission_record import Holder, holders
+from pancakes.tools.demo import Run
+from pancakes.tools.demo.mission_record import Holder, holders
 from pancakes_encirclement.holding import gap_s, overlap_s, radius_error
 from pancakes_encirclement.laps import ON_CIRCLE_SHARE
 from pancakes_encirclement.record import Record, Row, read_record

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from pancakes.demo import Demo, Run
+from pancakes.tools.demo import Demo, Run
 from pancakes_sensor_field.verdict import judge_sensor_field
 
 AGENTS: Final = ("field", "gateway", "north", "east", "south", "west")

@@ -13,13 +13,13 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from pancakes.config import parse_address
-from pancakes.devices.driver import DeviceContext, Sensor
-from pancakes.devices.network_devices import NetworkSensor
-from pancakes.devices.types import Motion, Temperature
+from pancakes.bodies.devices.driver import DeviceContext, Sensor
+from pancakes.bodies.devices.network_devices import NetworkSensor
+from pancakes.bodies.devices.types import Motion, Temperature
+from pancakes.bodies.sim.drivers import SimulatedSensor
+from pancakes.bodies.sim.quantities import Positive
 from pancakes.packet import SYSTEM, Packet, join
-from pancakes.sim.drivers import SimulatedSensor
-from pancakes.sim.quantities import Positive
+from pancakes.runtime.config import parse_address
 from pancakes_sensor_field.frame import TEMPERATURE
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
 from pancakes_sensor_field.packets import LineReport, ReportPeriod

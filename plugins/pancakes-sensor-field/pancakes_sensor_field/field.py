@@ -11,13 +11,13 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.devices.types import Battery, Motion, Temperature
+from pancakes.bodies.devices.types import Battery, Motion, Temperature
+from pancakes.bodies.sim.battery import BatteryModel
+from pancakes.bodies.sim.bus import Attach, Attached, Reading, Refused, Reply, Request, Sample
+from pancakes.bodies.sim.bus_server import BusServer
+from pancakes.bodies.sim.state import BodyState, WorldState
 from pancakes.errors import PancakesError
 from pancakes.packet import SYSTEM
-from pancakes.sim.battery import BatteryModel
-from pancakes.sim.bus import Attach, Attached, Reading, Refused, Reply, Request, Sample
-from pancakes.sim.bus_server import BusServer
-from pancakes.sim.state import BodyState, WorldState
 from pancakes.task import Task, Tick, every
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 from pancakes_sensor_field.physics import NodeSettings, Scene, SceneSettings

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from pancakes.bodies.sim.quantities import Positive
+from pancakes.bodies.sim.row_file import RowFile
 from pancakes.packet import SYSTEM, Packet
-from pancakes.sim.quantities import Positive
-from pancakes.sim.row_file import RowFile
 from pancakes.task import on
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 

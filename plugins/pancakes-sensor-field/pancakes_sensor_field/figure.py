@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pancakes.demo import Run
 from pancakes.errors import PancakesError
+from pancakes.tools.demo import Run
 from pancakes_sensor_field.record import Record, Row, Table, find_task, read_record
 
 if TYPE_CHECKING:

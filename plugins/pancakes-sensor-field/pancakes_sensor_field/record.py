@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pancakes.demo.mission_record import Story, read_events, read_lines
 from pancakes.errors import PancakesError
+from pancakes.tools.demo.mission_record import Story, read_events, read_lines
 
 Table = Mapping[str, Any]
 
@@ -71,7 +71,7 @@ def find_task(configs: Mapping[str, Table], kind: str) -> tuple[str, str, Table]
     """Returns the first task of a type: its agent, its name, and its table.
 
     Args:
-        configs: the agents' configurations, by the agent's name (`pancakes.demo.Run.configs`).
+        configs: the agents' configurations, by the agent's name (`pancakes.tools.demo.Run.configs`).
         kind: the type.
 
     Raises:

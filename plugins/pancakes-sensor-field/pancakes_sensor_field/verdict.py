@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
-from pancakes.demo import Run
-from pancakes.demo.mission_record import Holder, holders
+from pancakes.tools.demo import Run
+from pancakes.tools.demo.mission_record import Holder, holders
 from pancakes_sensor_field.record import Record, Row, Table, find_task, read_record
 
 

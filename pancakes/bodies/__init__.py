@@ -1,0 +1,1 @@
+"""What stands for hardware: devices, the simulated world, energy."""

@@ -1,0 +1,148 @@
+"""What a driver is: the one place that knows a piece of hardware (paper §3.3).
+
+A driver is made by the Device Service, one for each `[device.NAME]`, and is owned by that device's task:
+all of its methods are called in that task's actor, one at a time. A driver that has to wait for its
+hardware says `blocking = True`; its task then gets a thread of its own.
+"""
+
+from __future__ import annotations
+
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeVar
+
+from pancakes.mesh.net.transport import Transport
+from pancakes.packet import Packet
+from pancakes.runtime.foundation.signatures import check_overrides
+from pancakes.runtime.supervision.saved_types import check_saved
+
+_T = TypeVar("_T")
+
+
+class DeviceContext(Protocol):
+    """What a driver may ask of the agent that it serves.
+
+    Attributes:
+        agent: the agent's name.
+        device: the device's name, as in `[device.NAME]`.
+        random: a source of random numbers, seeded from the agent's seed and the device's address.
+        transport: how this agent reaches others; for drivers whose hardware is at the end of a connection.
+    """
+
+    agent: str
+    device: str
+    random: random.Random
+    transport: Transport
+
+    def now(self) -> float:
+        """Returns the mission time in seconds."""
+        ...
+
+    def deliver(self, body: Any) -> None:
+        """Publishes a reading of this device on `system`. May be called from any thread."""
+        ...
+
+    def send(self, channel: str, body: Any, to: str) -> None:
+        """Publishes a packet to a destination, in the device's name; for devices that live elsewhere."""
+        ...
+
+    def call(self, function: Callable[[], None]) -> None:
+        """Runs `function` in the device's actor, after what it is doing now. May be called from any thread."""
+        ...
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> None:
+        """Runs `function` in the device's actor in `delay_s` seconds of mission time."""
+        ...
+
+    def log(self, level: str, text: str) -> None:
+        """Publishes a line on `log`; `level` is `debug`, `info`, `warning` or `error`. From any thread."""
+        ...
+
+    def mission_packets_sent(self) -> int:
+        """Returns how many mission packets this agent has sent to others so far (heartbeats do not count)."""
+        ...
+
+    def network_awake(self) -> bool:
+        """Returns whether the Network Service is awake, so that this agent hears others."""
+        ...
+
+    def shared(self, key: str, make: Callable[[], _T]) -> _T:
+        """Returns what this agent's drivers share under `key`, making it at the first call.
+
+        It is closed (by its `close()`) when the agent stops.
+        """
+        ...
+
+
+class Driver(ABC):
+    """The base of all drivers.
+
+    Attributes:
+        type: the type of the device, which is also the type of its packets (`pose`, `motors`, ...).
+        blocking: whether its methods may wait for the hardware.
+        networked: whether its readings come from another agent; then the network may not sleep while a task needs them.
+    """
+
+    type: ClassVar[str]
+    blocking: ClassVar[bool] = False
+    networked: ClassVar[bool] = False
+
+    @dataclass
+    class Settings:
+        """The driver's settings, from `[device.NAME] settings`; a driver replaces this dataclass by its own."""
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where the class cannot work: a method that Pancakes calls, or `Settings`."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
+        check_saved(cls, "Settings")
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        self.context = context
+        self.settings = settings
+
+    def open(self) -> None:
+        """Prepares the hardware. An error here fails the device, which its service then restarts."""
+
+    def close(self) -> None:
+        """Lets go of the hardware. Called once, also after a failed `open`."""
+
+    def receive(self, packet: Packet) -> None:
+        """Takes a packet that was addressed to this device (a virtual device's way in)."""
+
+
+class Sensor(Driver):
+    """A driver that brings readings."""
+
+    @abstractmethod
+    def sample(self) -> Any | None:
+        """Returns a reading, at each tick of the device's rate.
+
+        Returns:
+            The body of a packet of the driver's type. None where the reading comes later, by
+            `context.deliver`, or where there is none.
+        """
+
+
+class Actuator(Driver):
+    """A driver that carries commands out."""
+
+    @abstractmethod
+    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+        """Carries a command out.
+
+        Args:
+            command: the body of a packet of the driver's type.
+            ttl_s: for how long it is good, in mission seconds; the hardware must go to its safe hold when
+                no other command comes in that time, even if this process is gone.
+            source: address of the task that gave it.
+        """
+
+    @abstractmethod
+    def hold(self) -> None:
+        """Goes to the safe hold: the state that is harmless and needs no attention (wheels: stand still)."""
+
+    def tick(self) -> None:
+        """Called at the device's rate, if it has one."""

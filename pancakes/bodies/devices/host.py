@@ -1,0 +1,133 @@
+"""Devices that every computer has: its own load, memory, temperature and battery (`host.*`).
+
+They say what the operating system says, by psutil, on whatever system that knows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pancakes.bodies.devices.driver import Sensor
+from pancakes.bodies.devices.types import Battery, Load, Memory, Temperature
+from pancakes.errors import PancakesError
+
+POWER_SUPPLIES: Final = Path("/sys/class/power_supply")
+"""Where Linux tells the voltage of batteries, which psutil does not."""
+
+
+class HostProcessorLoad(Sensor):
+    """The share of all processor time in use since the reading before (`host.load`)."""
+
+    type = "load"
+
+    def open(self) -> None:
+        self._busy_s, self._all_s = _processor_times()
+
+    def sample(self) -> Load:
+        # Not `psutil.cpu_percent`: it compares with the call before in the same thread, and a pool has several.
+        before = self._busy_s, self._all_s
+        self._busy_s, self._all_s = _processor_times()
+        busy_s, all_s = self._busy_s - before[0], self._all_s - before[1]
+        return Load(min(max(busy_s / all_s, 0.0), 1.0) if all_s > 0 else 0.0)
+
+
+def _processor_times() -> tuple[float, float]:
+    """Returns how long all processors have been busy, and how long they have been at all, in seconds."""
+    import psutil
+
+    times = psutil.cpu_times()
+    # What a guest used is in `user` already; waiting for a disk is no work.
+    whole_s = sum(times) - getattr(times, "guest", 0.0) - getattr(times, "guest_nice", 0.0)
+    return whole_s - times.idle - getattr(times, "iowait", 0.0), whole_s
+
+
+class HostMemory(Sensor):
+    """The memory in use: what programs could not get if they asked for it (`host.memory`)."""
+
+    type = "memory"
+
+    def sample(self) -> Memory:
+        import psutil
+
+        memory = psutil.virtual_memory()
+        return Memory(memory.total - memory.available, memory.total)
+
+
+class HostTemperature(Sensor):
+    """The temperature of the hottest sensor, or of one kind of sensors (`host.temperature`)."""
+
+    type = "temperature"
+    blocking = True  # some of these sensors sit on slow buses
+
+    @dataclass
+    class Settings:
+        """Which sensors are asked.
+
+        Attributes:
+            chip: name of the chip that has them, such as `coretemp` or `cpu_thermal`; empty: all.
+        """
+
+        chip: str = ""
+
+    settings: Settings
+
+    def open(self) -> None:
+        chips = _temperatures()
+        if not chips:
+            raise PancakesError("this computer has no temperature sensor that its operating system tells of")
+        if self.settings.chip and self.settings.chip not in chips:
+            raise PancakesError(
+                f"this computer has no temperature sensor {self.settings.chip!r}, only {', '.join(sorted(chips))}"
+            )
+
+    def sample(self) -> Temperature | None:
+        chips = _temperatures()
+        wanted = [self.settings.chip] if self.settings.chip else list(chips)
+        celsius = [value for chip in wanted for value in chips.get(chip, [])]
+        return Temperature(max(celsius)) if celsius else None
+
+
+class HostBattery(Sensor):
+    """The battery of a laptop (`host.battery`). Its voltage is NaN where the system does not tell it."""
+
+    type = "battery"
+    blocking = True  # asking may go through the firmware
+
+    def open(self) -> None:
+        if _battery_share() is None:
+            raise PancakesError("this computer has no battery that its operating system tells of")
+
+    def sample(self) -> Battery | None:
+        share = _battery_share()
+        return Battery(_battery_voltage_v(), share) if share is not None else None
+
+
+def _temperatures() -> dict[str, list[float]]:
+    """Returns what all temperature sensors say, by the chip they sit on."""
+    import psutil
+
+    ask = getattr(psutil, "sensors_temperatures", None)  # not on every system
+    if ask is None:
+        return {}
+    chips = {chip: [entry.current for entry in entries] for chip, entries in ask().items()}
+    return {chip: values for chip, values in chips.items() if values}
+
+
+def _battery_share() -> float | None:
+    import psutil
+
+    ask = getattr(psutil, "sensors_battery", None)  # not on every system
+    battery = ask() if ask is not None else None
+    return None if battery is None else min(max(battery.percent / 100.0, 0.0), 1.0)
+
+
+def _battery_voltage_v() -> float:
+    for path in sorted(POWER_SUPPLIES.glob("BAT*/voltage_now")):
+        try:
+            return int(path.read_text()) / 1e6
+        except (OSError, ValueError):
+            continue
+    return math.nan

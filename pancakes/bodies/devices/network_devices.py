@@ -1,0 +1,168 @@
+"""Virtual devices: the hardware is another agent's, the packets come over the mesh (`network.*`; paper §3.3).
+
+To the tasks of an agent a virtual sensor is a local one. The agent that has the reading sends it to the device's
+address, as a motion capture sends a robot its pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import msgspec
+
+from pancakes.bodies.devices.driver import Actuator, DeviceContext, Sensor
+from pancakes.bodies.devices.pace import Pace
+from pancakes.control import Hold
+from pancakes.packet import CTRL, Packet
+
+ROUNDING_S = 1e-9
+"""A timer may come earlier than it should by a rounding; waiting for the rest would make virtual time stand still."""
+
+_Positive = Annotated[float, msgspec.Meta(gt=0)]
+
+
+class NetworkSensor(Sensor):
+    """A sensor whose readings come from another agent; a type of one's own needs a subclass that names it.
+
+    A reading is published as soon as it comes, so the device needs no rate.
+    """
+
+    networked = True
+
+    @dataclass
+    class Settings:
+        """How many readings are wanted.
+
+        Attributes:
+            max_hz: how many readings a second are published, where more come; without it, all are.
+            stale_after_s: after so long without a reading the log has a warning.
+        """
+
+        max_hz: _Positive | None = None
+        stale_after_s: _Positive = 2.0
+
+    settings: Settings
+
+    def __init__(self, context: DeviceContext, settings: Any) -> None:
+        super().__init__(context, settings)
+        self._pace = Pace(settings.max_hz) if settings.max_hz is not None else None
+        self._last_s = 0.0
+        self._stale = False
+        self._strange_told = False
+        self._closed = False
+
+    def open(self) -> None:
+        self._last_s = self.context.now()
+        self._watch()
+
+    def close(self) -> None:
+        self._closed = True
+
+    def sample(self) -> None:
+        return None
+
+    def receive(self, packet: Packet) -> None:
+        """Publishes a reading that came as this device's own."""
+        if packet.type != self.type or isinstance(packet.body, dict):
+            if not self._strange_told:
+                self._strange_told = True
+                self.context.log(
+                    "warning",
+                    f"this device takes packets of the type {self.type!r}; {packet.source} sent {packet.type!r}",
+                )
+            return
+        now_s = self.context.now()
+        self._last_s = now_s
+        if self._stale:
+            self._stale = False
+            self.context.log("info", f"readings come again, from {packet.source}")
+        if self._pace is None or self._pace.due(now_s):
+            self.context.deliver(packet.body)
+
+    def _watch(self) -> None:
+        """Looks whether readings still come, each time that the newest may have grown too old."""
+        if self._closed:
+            return
+        stale_after_s = self.settings.stale_after_s
+        now_s = self.context.now()
+        left_s = self._last_s + stale_after_s - now_s
+        if left_s <= ROUNDING_S:
+            if not self._stale:
+                self._stale = True
+                self.context.log("warning", f"no reading has come for {now_s - self._last_s:.1f} s of mission time")
+            left_s = stale_after_s
+        self.context.after(left_s, self._watch)
+
+
+class NetworkPose(NetworkSensor):
+    """A pose that another agent measures (`network.pose`)."""
+
+    type = "pose"
+
+
+class NetworkMotion(NetworkSensor):
+    """Motion that another agent senses (`network.motion`)."""
+
+    type = "motion"
+
+
+class NetworkBattery(NetworkSensor):
+    """A battery that another agent measures (`network.battery`)."""
+
+    type = "battery"
+
+
+class NetworkInfrared(NetworkSensor):
+    """Infrared sensors of another agent (`network.ir`)."""
+
+    type = "ir"
+
+
+class NetworkSonar(NetworkSensor):
+    """Sonars of another agent (`network.sonar`)."""
+
+    type = "sonar"
+
+
+class NetworkTemperature(NetworkSensor):
+    """A thermometer of another agent (`network.temperature`)."""
+
+    type = "temperature"
+
+
+class NetworkActuator(Actuator):
+    """An actuator of another agent; a type of one's own needs a subclass that names it.
+
+    The other agent's device counts the command's time to live from when it comes, by its own `hold_after_s`.
+    """
+
+    networked = True
+
+    @dataclass
+    class Settings:
+        """Which actuator it is.
+
+        Attributes:
+            target: the device's address, such as `agent2/device/motors`.
+        """
+
+        target: str
+
+        def __post_init__(self) -> None:
+            if self.target.count("/") != 2 or not all(self.target.split("/")):
+                raise ValueError(f"target = {self.target!r} is no device's address, such as 'agent2/device/motors'")
+
+    settings: Settings
+
+    def apply(self, command: Any, ttl_s: float, source: str) -> None:
+        self.context.send(CTRL, command, self.settings.target)
+
+    def hold(self) -> None:
+        self.context.send(CTRL, Hold(f"{self.context.agent}/device/{self.context.device} holds"), self.settings.target)
+
+
+class NetworkMotors(NetworkActuator):
+    """Wheels of another agent (`network.motors`)."""
+
+    type = "motors"

@@ -1,0 +1,1 @@
+"""How agents meet, and hand tasks over."""

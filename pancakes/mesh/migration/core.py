@@ -1,0 +1,198 @@
+"""The hand-off's core: one pure function for everything that can happen to one task on one agent.
+
+`handle` reads no clock, draws no random numbers and touches nothing: an event goes in, effects come out.
+The same function runs in every agent and in the exhaustive search of `tests/migration`, which lets every
+message be lost, doubled, reordered and delayed, and crashes every agent between any two effects.
+
+What it promises: at any moment at most one copy of a task runs; once the network heals and agents come
+back, exactly one does; no acknowledged packet is lost or takes effect twice.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from msgspec.structs import replace
+
+from pancakes.mesh.migration import candidate, owner, source
+from pancakes.mesh.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
+from pancakes.mesh.migration.event import (
+    AdoptionAsked,
+    Arrived,
+    Award,
+    Born,
+    Checkpoint,
+    Concluded,
+    Ended,
+    Event,
+    ForgettingAsked,
+    FreezeFailed,
+    Frozen,
+    GiveUp,
+    InDoubt,
+    PersistFailed,
+    Received,
+    Resend,
+    ReservationExpired,
+    RunAsked,
+    WriteAgain,
+)
+from pancakes.mesh.migration.messages import (
+    Abort,
+    Activated,
+    Commit,
+    Nak,
+    Prepared,
+    Reserve,
+    Reserved,
+    Transfer,
+    Unknown,
+)
+from pancakes.mesh.migration.record import Phase, Record
+from pancakes.mesh.migration.times import Times
+from pancakes.mesh.migration.volatile import Volatile
+
+TIMES: Final = Times()
+"""The durations that PROTOCOL names."""
+
+
+def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Times = TIMES) -> list[Effect]:
+    """Decides what one event means for one task.
+
+    Args:
+        me: this agent's name.
+        record: the task's durable record here; `Record(task_id)` where there is none.
+        volatile: what is known until the next crash.
+        event: what has happened.
+        times: how long things may take.
+
+    Returns:
+        What to do, strictly in this order; empty where nothing follows.
+    """
+    match event:
+        case Received():
+            return _received(me, record, volatile, event, times)
+        case Resend():
+            return _resend(record, event, times)
+        case Checkpoint():
+            return owner.checkpoint(record, volatile, event)
+        case Arrived():
+            return owner.arrived(record, volatile, event)
+        case Award():
+            return source.awarded(me, record, volatile, event, times)
+        case ReservationExpired():
+            return source.reservation_expired(me, record, volatile, event)
+        case Frozen():
+            return source.frozen(me, record, volatile, event, times)
+        case FreezeFailed():
+            return source.freeze_failed(me, record, volatile, event)
+        case GiveUp():
+            return source.give_up(record, event)
+        case InDoubt():
+            return _in_doubt(record, event)
+        case Born():
+            return owner.born(me, record, event)
+        case RunAsked():
+            return owner.start(record, volatile, event)
+        case Ended():
+            return owner.ended(record, volatile, event)
+        case Concluded():
+            return source.concluded(record)
+        case AdoptionAsked():
+            return owner.adopt(me, record, event)
+        case ForgettingAsked():
+            return owner.forget(me, record, event)
+        case PersistFailed():
+            return _persist_failed(record, volatile, event, times)
+        case WriteAgain():
+            return owner.write_again(record, volatile, event)
+
+
+def recover(record: Record, times: Times = TIMES) -> list[Effect]:
+    """Decides what to do about a task after a restart of the agent, its record read back from disk."""
+    match record.phase:
+        case Phase.OWNER:
+            return owner.recover(record)
+        case Phase.FROZEN:
+            # Presumed abort: no candidate can have got a COMMIT.
+            back = source.taken_back(record)
+            return [Persist(back), *owner.recover(back)]
+        case Phase.COMMITTED:
+            return source.recover(record, times)
+        case Phase.PREPARED:
+            return candidate.recover(record, times)
+        case Phase.RELEASED:
+            return source.remind(record)
+        case _:
+            return []
+
+
+def _received(me: str, record: Record, volatile: Volatile, event: Received, times: Times) -> list[Effect]:
+    peer, message = event.peer, event.message
+    match message:
+        case Reserve():
+            return candidate.reserve(record, event, message)
+        case Transfer():
+            return candidate.transfer(record, event, message, times)
+        case Commit():
+            return candidate.commit(record, event, message)
+        case Abort():
+            return candidate.abort(record, event, message)
+        case Reserved():
+            return source.reserved(me, record, volatile, peer, message)
+        case Nak():
+            return source.nak(me, record, volatile, peer, message)
+        case Prepared():
+            return source.prepared(me, record, peer, message, times)
+        case Activated():
+            return source.activated(record, peer, message)
+        case Unknown():
+            return source.unknown(record, peer, message)
+        case _:
+            # MOVED is news for the senders of packets to the task; it changes no agent's right to run it.
+            return []
+
+
+def _resend(record: Record, event: Resend, times: Times) -> list[Effect]:
+    if (record.phase, record.offer) != (event.phase, event.offer):
+        return []
+    half = candidate.resend if record.phase is Phase.PREPARED else source.resend
+    return half(record, event, times)
+
+
+def _in_doubt(record: Record, event: InDoubt) -> list[Effect]:
+    if (record.phase, record.offer) != (event.phase, event.offer):
+        return []
+    if record.phase is Phase.PREPARED:
+        story = f"is here, at rest, and {record.peer} does not say whether it was given away"
+    else:
+        story = f"was given to {record.peer}, which does not say that it has it"
+    return [Warn(f"{record.task_id} {story} (offer {record.offer}): the hand-off goes on by itself once it answers")]
+
+
+def _persist_failed(record: Record, volatile: Volatile, event: PersistFailed, times: Times) -> list[Effect]:
+    """Goes on after a write that failed.
+
+    The disk may hold the old record or the new one; `record` is the old one. Nothing that was to follow has
+    happened, in particular no message was sent. Both are as safe as a crash just before, or just after. The journal's
+    store tells people.
+    """
+    if record.phase is Phase.OWNER and volatile.freezing:
+        return [
+            Remember(Volatile(running=True)),
+            Resume(record.epoch, record.incarnation, record.snapshot),
+            AttemptFailed(volatile.asked, event.reason),
+        ]
+    again = _again(record, volatile, event)
+    if isinstance(again, WriteAgain):
+        return [Remember(replace(volatile, again=again.record)), After(times.retry_write_s, again)]
+    return [After(times.retry_write_s, again)] if again is not None else []
+
+
+def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | None:
+    """Returns what to try again by itself; in the other phases the other side's next message does it."""
+    if record.phase is Phase.FROZEN:
+        return GiveUp(record.offer, event.reason)
+    if record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER and not volatile.running:
+        return WriteAgain(record, event.record)
+    return None

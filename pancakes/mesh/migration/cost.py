@@ -1,0 +1,193 @@
+"""What it would cost a neighbour to take a task: by plug-in (entry point group `pancakes.costs`; paper §3.4).
+
+Costs of different kinds are made comparable by weights: `cost = { tasks = 1.0, battery = 2.0 }`. So each function
+states in what its cost is counted.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import msgspec
+
+from pancakes.errors import MigrationError
+from pancakes.runtime.foundation.signatures import check_overrides
+
+CostChoice = str | dict[str, float]
+"""What a task is to cost: the name of a cost function, or the weight of each of several."""
+
+
+class HostLoad(msgspec.Struct, frozen=True):
+    """What a cost function may know of the agent that is asked. Everything was measured before; nothing waits.
+
+    Attributes:
+        active_tasks: how many tasks run here in the Client Service, and how many slots are kept for arrivals.
+        battery_level: what is left of its battery, 0 to 1; None where it has none; NaN where it has one that has not
+            been read yet.
+        agent_share: processor time that the agent's own process takes, in processors (1: one is busy all the time);
+            None where it has not been measured yet. In virtual time 0, for nothing of the wall may enter there.
+        host_share: processes that run or wait to run on its computer, for each processor; as above.
+        lateness_share: how late the ticks of its time-driven tasks come, in periods on the average (a missed tick
+            counts as one period); as above.
+        rtt_s: smoothed round trip to the agent that asks; None where it has not been measured yet.
+    """
+
+    active_tasks: int
+    battery_level: float | None = None
+    agent_share: float | None = None
+    host_share: float | None = None
+    lateness_share: float | None = None
+    rtt_s: float | None = None
+
+
+class Cost(ABC):
+    """A cost function. The entry point names the class, which is called without arguments.
+
+    Attributes:
+        name: its name in `migrate = { cost = "NAME" }`.
+    """
+
+    name: ClassVar[str]
+
+    def __init_subclass__(cls, **others: Any) -> None:
+        """Raises `ClassError` where `terms` cannot be called as Pancakes calls it."""
+        super().__init_subclass__(**others)
+        check_overrides(cls)
+
+    @abstractmethod
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        """Returns what the cost is made of, by a name for people; their sum is the cost.
+
+        Each must be finite and not negative, else the answer counts as a refusal.
+
+        Raises:
+            MigrationError: the cost cannot be told, for the reason that it says; the agent then refuses.
+        """
+
+    def __call__(self, load: HostLoad) -> float:
+        """Returns the cost."""
+        return math.fsum(self.terms(load).values())
+
+
+class ActiveTasks(Cost):
+    """The number of active tasks (the paper's)."""
+
+    name = "tasks"
+
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        return {"active tasks": float(load.active_tasks)}
+
+
+class EmptyBattery(Cost):
+    """What is gone of the battery, from 0 (full, or no battery at all) to 1 (empty)."""
+
+    name = "battery"
+
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        if load.battery_level is None:
+            return {"battery used": 0.0}
+        if math.isnan(load.battery_level):
+            raise MigrationError("its battery has not been read yet")
+        return {"battery used": 1.0 - load.battery_level}
+
+
+class BusyHost(Cost):
+    """How busy it is: processors that the agent takes, load of its computer for each processor, lateness in periods."""
+
+    name = "load"
+
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        if load.agent_share is None or load.host_share is None or load.lateness_share is None:
+            raise MigrationError("its load has not been measured yet")
+        return {"agent": load.agent_share, "host": load.host_share, "lateness": load.lateness_share}
+
+
+class RoundTrip(Cost):
+    """The measured round trip between the two agents, in seconds."""
+
+    name = "link"
+
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        if load.rtt_s is None:
+            raise MigrationError("its round trip to the source has not been measured yet")
+        return {"round trip": load.rtt_s}
+
+
+class Weighted(Cost):
+    """A weighted sum of cost functions.
+
+    Args:
+        parts: each function with its weight; None: the core's four, each with the weight 1.
+    """
+
+    name = "weighted"
+
+    def __init__(self, parts: Mapping[str, tuple[Cost, float]] | None = None) -> None:
+        core = (ActiveTasks(), EmptyBattery(), BusyHost(), RoundTrip())
+        self._parts = dict(parts) if parts is not None else {cost.name: (cost, 1.0) for cost in core}
+
+    def terms(self, load: HostLoad) -> Mapping[str, float]:
+        return {
+            f"{name}: {term}": weight * value
+            for name, (cost, weight) in self._parts.items()
+            for term, value in cost.terms(load).items()
+        }
+
+
+def cost_of(choice: CostChoice, known: Mapping[str, Cost]) -> Cost:
+    """Returns the cost function that is chosen, among those that are `known` by name.
+
+    Raises:
+        MigrationError: one is not known, or a weight is no weight.
+    """
+    fault = fault_of_choice(choice)
+    if fault:
+        raise MigrationError(fault)
+    for name in names_of(choice):
+        if name not in known:
+            raise MigrationError(f"knows no cost function {name!r}")
+    if isinstance(choice, str):
+        return known[choice]
+    return Weighted({name: (known[name], weight) for name, weight in choice.items()})
+
+
+def names_of(choice: CostChoice) -> tuple[str, ...]:
+    """Returns the names of the cost functions that are chosen."""
+    return (choice,) if isinstance(choice, str) else tuple(choice)
+
+
+def cost_text(choice: CostChoice) -> str:
+    """Returns the choice for people: `tasks`, or `1 tasks + 2 battery`."""
+    return choice if isinstance(choice, str) else " + ".join(f"{weight:g} {name}" for name, weight in choice.items())
+
+
+def faults_of_weights(weights: Mapping[str, float]) -> list[tuple[str, str]]:
+    """Returns (name, problem) for each weight that is none; an empty name means the table as a whole."""
+    if not weights:
+        return [("", "names no cost function")]
+    return [
+        (name, f"a weight is a finite number of at least 0, not {weight:g}")
+        for name, weight in weights.items()
+        if not (math.isfinite(weight) and weight >= 0)
+    ]
+
+
+def fault_of_choice(choice: CostChoice) -> str:
+    """Returns what is wrong with a choice by itself, whatever functions there are; or an empty string."""
+    if isinstance(choice, str):
+        return "" if choice else "no cost function is named"
+    faults = faults_of_weights(choice)
+    return "; ".join(f"cost.{name}: {problem}" if name else f"cost {problem}" for name, problem in faults)
+
+
+def fault_of(cost: float, terms: Mapping[str, float]) -> str:
+    """Returns why an answer cannot be compared with others, or an empty string."""
+    for name, value in (("cost", cost), *sorted(terms.items())):
+        if not math.isfinite(value):
+            return f"its {name} is {value}"
+        if value < 0:
+            return f"its {name} is negative ({value:g})"
+    return ""

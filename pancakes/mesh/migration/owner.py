@@ -1,0 +1,151 @@
+"""The hand-off's core, seen from the agent that a task lives on: birth, start, end, checkpoints, packets."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from pancakes.mesh.migration.effect import (
+    Ack,
+    AttemptFailed,
+    Decline,
+    Deliver,
+    Effect,
+    Forward,
+    Persist,
+    Remember,
+    Send,
+    StartTask,
+)
+from pancakes.mesh.migration.event import (
+    AdoptionAsked,
+    Arrived,
+    Born,
+    Checkpoint,
+    Ended,
+    ForgettingAsked,
+    RunAsked,
+    WriteAgain,
+)
+from pancakes.mesh.migration.messages import Moved
+from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.volatile import Volatile
+
+
+def born(me: str, record: Record, event: Born) -> list[Effect]:
+    """Makes this agent the owner of a task that never ran before."""
+    if not record.unborn:
+        return [_decline(record)]
+    if record.task_id.birthplace != me:
+        return [Decline(f"{record.task_id} can be born on {record.task_id.birthplace} alone, this is {me}")]
+    epoch = Epoch(0, me)
+    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot)
+    return [Persist(own), *_run(own)]
+
+
+def start(record: Record, volatile: Volatile, event: RunAsked) -> list[Effect]:
+    """Starts a task that this agent owns; refuses where it does not."""
+    if record.phase is not Phase.OWNER:
+        return [_decline(record)]
+    if volatile.running and not event.again:
+        return [Decline(f"{record.task_id} runs already")]
+    if event.again and record.wanted is not Wanted.RUNNING:
+        return [Decline(f"{record.task_id} is not restarted, it is to be {record.wanted.value}")]
+    own = replace(record, wanted=Wanted.RUNNING, incarnation=record.incarnation + 1)
+    return [
+        # Until the record is on disk nothing runs, also where the write fails.
+        Remember(Volatile()),
+        *_broken_off(volatile, "the task failed and was started again"),
+        Persist(own),
+        *_run(own),
+    ]
+
+
+def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
+    """Writes down that the task shall not run, so that this outlives a reboot."""
+    if record.phase is not Phase.OWNER:
+        return [_decline(record)]
+    end = replace(record, wanted=event.wanted, snapshot=event.snapshot or record.snapshot)
+    reason = f"the task was {'stopped' if event.wanted is Wanted.STOPPED else 'given up by its service'}"
+    return [Remember(Volatile()), *_broken_off(volatile, reason), Persist(end)]
+
+
+def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[Effect]:
+    """Writes down what failed to be written, and goes on from there, unless something else was decided since."""
+    if record != event.old or volatile.running or volatile.again != event.record:
+        return []
+    return [Remember(Volatile()), Persist(event.record), *recover(event.record)]
+
+
+def checkpoint(record: Record, volatile: Volatile, event: Checkpoint) -> list[Effect]:
+    """Writes the task down, and only then acknowledges what it has consumed.
+
+    A packet that comes twice takes the same way (its number in `consumed`, no effect): that it lies in the
+    duplicate filter of the task that runs does not mean that it lies in the one on disk.
+    A checkpoint of a former epoch or incarnation is not taken: the packets that it consumed come again.
+    """
+    current = record.epoch == event.epoch and record.incarnation == event.incarnation
+    if record.phase is not Phase.OWNER or not volatile.running or not current:
+        return []
+    return [Persist(replace(record, snapshot=event.snapshot)), *(Ack(packet) for packet in event.consumed)]
+
+
+def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
+    """Says what becomes of a packet for the task: here, on to its new host, or kept by its sender."""
+    if record.phase is Phase.OWNER and volatile.running and not volatile.freezing:
+        return [Deliver()]
+    if record.phase in (Phase.RELEASED, Phase.ABSENT) and record.peer:
+        return [Send(event.sender, Moved(record.task_id, record.peer, record.seen)), Forward(record.peer)]
+    # Stopped or undecided: the sender keeps the packet, for want of an acknowledgement, and sends it again.
+    return []
+
+
+def adopt(me: str, record: Record, event: AdoptionAsked) -> list[Effect]:
+    """Takes a task that is in doubt, or whose record was lost, under a new epoch, on a person's word."""
+    fits = (Phase.ABSENT,) if event.snapshot else (Phase.COMMITTED, Phase.PREPARED)
+    if record.phase not in fits:
+        return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to adopt")]
+    epoch = Epoch(max(record.seen.n, event.seen) + event.jump, me)
+    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot or record.snapshot)
+    return [Persist(own), *_run(own)]
+
+
+def forget(me: str, record: Record, event: ForgettingAsked) -> list[Effect]:
+    """Writes down that a task whose record was lost is not here, so that it is not born here again."""
+    if record.phase is not Phase.ABSENT:
+        return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to forget")]
+    seen = max(record.seen, event.seen, Epoch(0, me))
+    return [Remember(Volatile()), Persist(Record(record.task_id, seen=seen))]
+
+
+def recover(record: Record) -> list[Effect]:
+    """Returns what to do about an owned task after a restart of the agent: run it from its checkpoint."""
+    return _run(record) if record.wanted is Wanted.RUNNING else []
+
+
+def _run(own: Record) -> list[Effect]:
+    return [Remember(Volatile(running=True)), StartTask(own.epoch, own.incarnation, own.snapshot)]
+
+
+def _broken_off(volatile: Volatile, reason: str) -> list[Effect]:
+    """Returns the news that a hand-off under way has come to nothing, if there was one."""
+    return [AttemptFailed(volatile.asked, reason)] if volatile.asked else []
+
+
+def _decline(record: Record) -> Decline:
+    """Returns why this agent may not start or stop the task."""
+    task_id, peer = record.task_id, record.peer
+    match record.phase:
+        case Phase.OWNER:
+            return Decline(f"{task_id} is here already")
+        case Phase.FROZEN:
+            return Decline(f"{task_id} is being handed over to {peer}")
+        case Phase.COMMITTED:
+            return Decline(f"{task_id} was given to {peer}, which has not yet said that it has it", peer)
+        case Phase.PREPARED:
+            return Decline(f"{task_id} is on its way here from {peer}, which has not yet given it away")
+        case Phase.RELEASED:
+            return Decline(f"{task_id} moved to {peer}", peer)
+        case _:
+            if peer:
+                return Decline(f"{task_id} is not here, {peer} had it last", peer)
+            return Decline(f"{task_id} is not here: it was forgotten; `pancakes task adopt` runs it here all the same")

@@ -1,0 +1,298 @@
+"""Packets that are addressed to a task, wherever it is: the sender's and the receiver's books. Pure.
+
+A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
+the next one of each stream, so that what comes late, twice or out of order has no effect twice and overtakes nothing.
+Where the task has moved, the agent that had it says where it went (`docs/protocol.md`, packets).
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from typing import Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.errors import MailboxFull
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.snapshot import Posted, PostedTo
+from pancakes.packet import packet_type
+
+WINDOW: Final = 1024
+"""Most letters to one task that wait for their acknowledgement."""
+WINDOW_BYTES: Final = 4 * 1024 * 1024
+"""Most bytes of these letters; one may always wait. A sender that moves takes them along, in its snapshot."""
+IN_FLIGHT: Final = 64
+"""Most letters to one task that are on their way at once; the others wait until one of these is acknowledged."""
+RESEND_S: Final = 0.3
+"""First pause before what is on its way is sent again, in host time; it doubles ..."""
+LONGEST_S: Final = 2.4
+"""... up to this; from then on all agents are asked, because the one that knew where the task is may be gone."""
+STREAMS: Final = 1024
+"""Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
+MOST_HOPS: Final = 8
+"""A letter is forwarded so often at most: after that its sender knows better."""
+
+
+@packet_type("post.letter")
+class Letter(msgspec.Struct, frozen=True):
+    """A packet on its way to a task.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        stream: the sender's stream; it moves with a task that sends. A sender that lost its memory begins a new one.
+        seq: number in that stream, to this task, from 1.
+        first: the lowest number that was not acknowledged when this was sent; nothing before it comes again.
+        packet: the packet, as the wire writes it.
+        sender: the agent that sends it, and wants to hear what became of it.
+        hops: how often it was forwarded.
+    """
+
+    task_id: str
+    stream: str
+    seq: int
+    first: int
+    packet: bytes
+    sender: str
+    hops: int = 0
+
+
+@packet_type("post.receipt")
+class Receipt(msgspec.Struct, frozen=True):
+    """Says that every letter of a stream up to `seq` has had its effect.
+
+    Attributes:
+        task_id: the task.
+        stream: the stream.
+        seq: up to which number.
+        epoch_n: how many hand-offs the task has behind it; the task is with the sender of this.
+    """
+
+    task_id: str
+    stream: str
+    seq: int
+    epoch_n: int
+
+
+@packet_type("post.forward_to")
+class ForwardTo(msgspec.Struct, frozen=True):
+    """Says that the task is not here, and who has it as far as is known here.
+
+    Attributes:
+        task_id: the task.
+        peer: the agent to try.
+        epoch_n: how many hand-offs that news knows of; older news never replaces newer.
+    """
+
+    task_id: str
+    peer: str
+    epoch_n: int
+
+
+class _Correspondence(msgspec.Struct):
+    """All that goes to one task in one stream.
+
+    Attributes:
+        host: where the task is thought to be.
+        epoch_n: how fresh that is.
+        packets: what is not acknowledged, by number.
+        size_bytes: how much they take.
+        next_seq: number of the next letter.
+        in_flight: how many of `packets`, from the first on, have been sent.
+        due_s: when these are sent again.
+        pause_s: how long that is put off the next time.
+    """
+
+    host: str
+    epoch_n: int = -1
+    packets: OrderedDict[int, bytes] = msgspec.field(default_factory=OrderedDict)
+    size_bytes: int = 0
+    next_seq: int = 1
+    in_flight: int = 0
+    due_s: float = 0.0
+    pause_s: float = RESEND_S
+
+
+class OutgoingLetter(msgspec.Struct, frozen=True):
+    """What to send, and to whom.
+
+    Attributes:
+        peer: the agent; empty: this one and all neighbours.
+        letter: the letter.
+    """
+
+    peer: str
+    letter: Letter
+
+
+class Outgoing:
+    """The letters of one stream that are not acknowledged.
+
+    Args:
+        stream: its name, that no other stream ever had.
+        agent: the agent that sends them.
+    """
+
+    def __init__(self, stream: str, agent: str) -> None:
+        self.stream = stream
+        self._agent = agent
+        self._to: dict[str, _Correspondence] = {}
+
+    @classmethod
+    def of(cls, posted: Posted, agent: str) -> Outgoing:
+        """Returns the stream as its sender took it along; what it has not been told of is sent again."""
+        stream = cls(posted.stream, agent)
+        for to in posted.to:
+            first = to.next_seq - len(to.packets)
+            packets = OrderedDict(enumerate(to.packets, first))
+            size = sum(map(len, to.packets))
+            stream._to[to.task_id] = _Correspondence(to.host, to.epoch_n, packets, size, to.next_seq)
+        return stream
+
+    def posted(self) -> Posted:
+        """Returns the stream for a sender that takes it along."""
+        return Posted(
+            self.stream,
+            tuple(
+                PostedTo(task_id, to.host, to.epoch_n, to.next_seq, tuple(to.packets.values()))
+                for task_id, to in self._to.items()
+            ),
+        )
+
+    def host_of(self, task_id: TaskId) -> tuple[int, str] | None:
+        """Returns how fresh the news is of where a task is, and where that is; None: nothing was ever sent to it."""
+        to = self._to.get(str(task_id))
+        return (to.epoch_n, to.host) if to is not None else None
+
+    def post(self, task_id: TaskId, packet: bytes, host: str, now_s: float) -> list[OutgoingLetter]:
+        """Takes a packet, and returns what is to be sent now.
+
+        Args:
+            task_id: whom it is for.
+            packet: the packet, as the wire writes it.
+            host: where the task is, as far as the caller knows; used for the first packet to this task only.
+            now_s: host time.
+
+        Raises:
+            MailboxFull: too many wait for this task already.
+        """
+        to = self._to.setdefault(str(task_id), _Correspondence(host))
+        if len(to.packets) >= WINDOW or (to.packets and to.size_bytes + len(packet) > WINDOW_BYTES):
+            raise MailboxFull(
+                f"{len(to.packets)} packets for the task {task_id} ({to.size_bytes} bytes) wait for their"
+                " acknowledgement already"
+            )
+        if not to.packets:
+            to.pause_s = RESEND_S
+            to.due_s = now_s + RESEND_S
+        to.packets[to.next_seq] = packet
+        to.size_bytes += len(packet)
+        to.next_seq += 1
+        return self._fill(str(task_id), to)
+
+    def acknowledged(self, receipt: Receipt, peer: str, now_s: float) -> list[OutgoingLetter]:
+        """Forgets what has had its effect, and returns what may follow."""
+        to = self._to.get(receipt.task_id)
+        if to is None or receipt.stream != self.stream:
+            return []
+        if receipt.epoch_n >= to.epoch_n:
+            to.host, to.epoch_n = peer, receipt.epoch_n
+        while to.packets and next(iter(to.packets)) <= receipt.seq:
+            to.size_bytes -= len(to.packets.popitem(last=False)[1])
+            to.in_flight = max(0, to.in_flight - 1)
+            to.pause_s = RESEND_S
+            to.due_s = now_s + RESEND_S
+        return self._fill(receipt.task_id, to)
+
+    def forwarded(self, news: ForwardTo, now_s: float) -> list[OutgoingLetter]:
+        """Learns where a task has gone, and returns what waits for it. Older news than what is known is ignored."""
+        to = self._to.get(news.task_id)
+        if to is None or news.epoch_n <= to.epoch_n:
+            return []
+        moved = news.peer != to.host
+        to.host, to.epoch_n = news.peer, news.epoch_n
+        if not moved or not to.packets:
+            return []
+        to.pause_s = RESEND_S
+        return self._again(news.task_id, to, now_s)
+
+    def due(self, now_s: float) -> list[OutgoingLetter]:
+        """Returns what is to be sent again."""
+        out: list[OutgoingLetter] = []
+        for task_id, to in self._to.items():
+            if not to.packets or to.due_s > now_s:
+                continue
+            lost = to.pause_s >= LONGEST_S
+            out.extend(self._again(task_id, to, now_s))
+            if lost:
+                out.append(OutgoingLetter("", self._letter(task_id, to, next(iter(to.packets)))))
+            to.pause_s = min(2 * to.pause_s, LONGEST_S)
+        return out
+
+    def waiting(self) -> dict[str, int]:
+        """Returns how many packets wait for their acknowledgement, by task."""
+        return {task_id: len(to.packets) for task_id, to in self._to.items() if to.packets}
+
+    def _again(self, task_id: str, to: _Correspondence, now_s: float) -> list[OutgoingLetter]:
+        to.due_s = now_s + to.pause_s
+        to.in_flight = 0
+        return self._fill(task_id, to)
+
+    def _fill(self, task_id: str, to: _Correspondence) -> list[OutgoingLetter]:
+        """Returns what may be sent besides what is on its way."""
+        if not to.packets:
+            to.in_flight = 0
+            return []
+        first = next(iter(to.packets))
+        sent = to.in_flight
+        to.in_flight = min(len(to.packets), IN_FLIGHT)
+        # The numbers of what is not acknowledged have no gap.
+        return [
+            OutgoingLetter(to.host, self._letter(task_id, to, seq)) for seq in range(first + sent, first + to.in_flight)
+        ]
+
+    def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
+        return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)
+
+
+def onward(letter: Letter) -> Letter | None:
+    """Returns the letter for the next host, or None where it has wandered enough."""
+    return replace(letter, hops=letter.hops + 1) if letter.hops < MOST_HOPS else None
+
+
+class Incoming:
+    """A task's duplicate filter: how far each stream has had its effect. It moves with the task.
+
+    Args:
+        heard: what it begins with, by stream.
+    """
+
+    __slots__ = ("_heard",)
+
+    def __init__(self, heard: Mapping[str, int] | None = None) -> None:
+        self._heard = dict(heard or {})
+
+    def is_next(self, stream: str, seq: int, first: int) -> bool:
+        """Returns whether a letter is the next of its stream.
+
+        What lies before `first` was acknowledged, and never comes again: a task that went back to an earlier
+        checkpoint goes on from there.
+        """
+        return seq == max(self._heard.get(stream, 0) + 1, first)
+
+    def is_old(self, stream: str, seq: int) -> bool:
+        """Returns whether a letter has had its effect already."""
+        return seq <= self._heard.get(stream, 0)
+
+    def took(self, stream: str, seq: int) -> None:
+        """A letter has had its effect."""
+        # To the end of the table, which is in the order in which they were heard.
+        self._heard.pop(stream, None)
+        self._heard[stream] = seq
+        while len(self._heard) > STREAMS:
+            del self._heard[next(iter(self._heard))]
+
+    def heard(self) -> dict[str, int]:
+        """Returns the whole filter, what was heard from last at its end."""
+        return dict(self._heard)

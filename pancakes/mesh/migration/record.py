@@ -1,0 +1,147 @@
+"""What an agent knows for good about one task: its durable record (PROTOCOL: migration, names).
+
+Each agent keeps one record for each task that it ever had to do with. The record, and nothing else,
+decides after a crash whether the task may run here. It is replaced as a whole, never changed in place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Annotated, Final, NamedTuple
+
+import msgspec
+
+from pancakes.errors import MigrationError
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
+from pancakes.runtime.foundation.names import NAME
+
+
+class Epoch(NamedTuple):
+    """How often a task was handed over, and who minted that number; ordered in this order.
+
+    The next epoch offered is the hand-off's id and the fencing token in one.
+
+    Attributes:
+        n: the number; 0 at the task's birth.
+        minter: the agent that owned the task when it was minted.
+    """
+
+    n: int
+    minter: str
+
+    def __str__(self) -> str:
+        return f"{self.n}@{self.minter}" if self.minter else "none"
+
+
+NO_EPOCH: Final = Epoch(0, "")
+"""Lower than every epoch that was ever minted."""
+
+
+_Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]
+
+
+class TaskId(NamedTuple):
+    """A task's identity for life: the agent that it was born on, and its name there.
+
+    It reads `birthplace/name`. Two agents may each have a `GoHome`.
+    """
+
+    birthplace: _Name
+    name: _Name
+
+    def __str__(self) -> str:
+        return f"{self.birthplace}/{self.name}"
+
+    @classmethod
+    def parse(cls, text: str) -> TaskId:
+        """Reads what `str` wrote.
+
+        Raises:
+            MigrationError: the text is not of the form `birthplace/name`.
+        """
+        birthplace, slash, name = text.partition("/")
+        if not (birthplace and slash and name) or "/" in name:
+            raise MigrationError(f"{text!r} is no task id: it must read birthplace/name")
+        return cls(birthplace, name)
+
+
+class Phase(Enum):
+    """Where one agent stands with one task."""
+
+    ABSENT = "absent"
+    """Not here. It may have been offered once: `seen` says up to which epoch."""
+    OWNER = "owner"
+    """Ours, under `epoch`; the snapshot is the last checkpoint."""
+    FROZEN = "frozen"
+    """Still ours, stopped; the snapshot is what was offered to `peer` as `offer`."""
+    COMMITTED = "committed"
+    """Given away: the point of no return. The snapshot is kept until the new owner has it."""
+    PREPARED = "prepared"
+    """We hold a dormant snapshot from `peer`, which must not run."""
+    RELEASED = "released"
+    """A tombstone: handed over to `peer`, where packets are forwarded to. Never deleted."""
+
+
+class Wanted(Enum):
+    """What is wanted of a task by those who command it; outlives a reboot."""
+
+    RUNNING = "running"
+    STOPPED = "stopped"
+    FAILED = "failed"
+    """Its service gave up on it."""
+
+
+class Record(msgspec.Struct, frozen=True):
+    """The durable record of one task on one agent.
+
+    Attributes:
+        task_id: whose record it is.
+        phase: where this agent stands with it.
+        epoch: the epoch that it runs, or last ran, under here.
+        seen: the highest epoch ever seen here; never goes down.
+        offer: in FROZEN, COMMITTED and PREPARED, the epoch of the hand-off under way.
+        peer: the other side of that hand-off; afterwards, where packets for the task are forwarded to.
+        wanted: what those who command the task want of it.
+        incarnation: how often it was started here under `epoch`; a checkpoint of an earlier one is not taken.
+        snapshot: an encoded `Snapshot`; empty where this agent holds none.
+        sequel: what is to be done here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
+        service: the service that keeps the record; known on disk only, where a tombstone could not tell otherwise.
+    """
+
+    task_id: TaskId
+    phase: Phase = Phase.ABSENT
+    epoch: Epoch = NO_EPOCH
+    seen: Epoch = NO_EPOCH
+    offer: Epoch = NO_EPOCH
+    peer: str = ""
+    wanted: Wanted = Wanted.RUNNING
+    incarnation: int = 0
+    snapshot: bytes = b""
+    sequel: bytes = b""
+    service: str = ""
+
+    @property
+    def unborn(self) -> bool:
+        """Whether this agent has never heard of the task."""
+        return self.phase is Phase.ABSENT and self.seen == NO_EPOCH
+
+    def encode(self) -> bytes:
+        """Returns the record as msgpack bytes, for the journal."""
+        return codecs.encode(self)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Record:
+        """Reads what `encode` wrote.
+
+        Raises:
+            MigrationError: the bytes are no record.
+        """
+        try:
+            return _DECODE(data)
+        except MALFORMED as error:
+            raise MigrationError(f"these {len(data)} bytes are no record of a task: {why_malformed(error)}") from None
+
+
+_DECODE: Callable[[bytes], Record] = codecs.decoder(Record)

@@ -1,0 +1,169 @@
+"""A task as data: what travels when it moves, and what is written at a checkpoint.
+
+Never code: the receiver finds the class by its entry point's name, builds it dormant and gives it these
+values, each of them checked. What lay unread from channels, and ticks, are left behind on purpose: they
+are the old host's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.errors import MigrationError, RemoteProtocolError
+from pancakes.mesh.migration.record import TaskId
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import array_from_extension, saved_array
+from pancakes.runtime.foundation.digest import sha256
+from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
+
+LIMIT_BYTES: Final = 16 * 1024 * 1024
+"""The largest snapshot that travels."""
+
+
+class TimerPhase(msgspec.Struct, frozen=True):
+    """How one periodic handler of a task stood.
+
+    Attributes:
+        name: the handler's name.
+        period_s: its period, as last rescheduled; infinity where it was paused.
+        due_in_s: mission time from the snapshot to its next tick.
+    """
+
+    name: str
+    period_s: float
+    due_in_s: float
+
+
+class PostedTo(msgspec.Struct, frozen=True):
+    """What the task has sent to another task.
+
+    Attributes:
+        task_id: that task, as `birthplace/name`.
+        host: where that task is thought to be.
+        epoch_n: how many hand-offs that news knows of.
+        next_seq: number of the next packet.
+        packets: those that were not acknowledged, as the wire writes them: the last ones before `next_seq`.
+    """
+
+    task_id: str
+    host: str
+    epoch_n: int
+    next_seq: int
+    packets: tuple[bytes, ...] = ()
+
+
+class Posted(msgspec.Struct, frozen=True):
+    """The stream in which the task sends to other tasks: it takes it along, so that nothing overtakes anything.
+
+    Attributes:
+        stream: its name.
+        to: what was sent, by receiver.
+    """
+
+    stream: str
+    to: tuple[PostedTo, ...] = ()
+
+
+class Heard(msgspec.Struct, frozen=True):
+    """The duplicate filter for one stream.
+
+    Attributes:
+        upto: every packet up to this number had its effect.
+        beyond: numbers after it that had theirs, ascending.
+    """
+
+    upto: int = 0
+    beyond: tuple[int, ...] = ()
+
+
+class Snapshot(msgspec.Struct, frozen=True):
+    """One task at one moment.
+
+    Settings and state are plain values: what msgpack can write, and numpy arrays.
+
+    Attributes:
+        task_id: the task's identity for life; its name on every host is `task_id.name`.
+        type: name of its class's entry point, such as `encirclement.ScanTarget`.
+        version: version of the distribution that the class comes from.
+        service: the service that supervises it.
+        requires: the device types that it depends on.
+        settings: its settings.
+        configured: the settings that its configuration gave it; what differs from these was changed while it ran.
+        state: its state.
+        timers: the phases of its periodic handlers.
+        posted: the packets that it has sent to other tasks; None in a checkpoint, and where there are none.
+        heard: the duplicate filter, by stream.
+        sent: number of the last packet it sent, by stream.
+        restart: its restart policy, as in `[task.NAME] restart`.
+        durability: `lazy` or `each`.
+        migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
+    """
+
+    task_id: TaskId
+    type: str
+    version: str
+    service: str
+    requires: tuple[str, ...] = ()
+    settings: dict[str, Any] = {}
+    configured: dict[str, Any] = {}
+    state: dict[str, Any] = {}
+    timers: tuple[TimerPhase, ...] = ()
+    posted: Posted | None = None
+    heard: dict[str, Heard] = {}
+    sent: dict[str, int] = {}
+    restart: dict[str, Any] = {}
+    durability: str = "lazy"
+    migrate: dict[str, Any] | None = None
+
+    def encode(self) -> bytes:
+        """Returns the snapshot as msgpack bytes.
+
+        Raises:
+            MigrationError: a value cannot be written, or the whole is over `LIMIT_BYTES`.
+        """
+        try:
+            data = _ENCODE(self)
+        except (TypeError, ValueError, OverflowError, MemoryError, msgspec.MsgspecError) as error:
+            raise MigrationError(f"the task {self.task_id} cannot be written as a snapshot: {error}") from None
+        if len(data) > LIMIT_BYTES:
+            raise MigrationError(f"the snapshot of {self.task_id} has {len(data)} bytes, {LIMIT_BYTES} may travel")
+        return data
+
+    @classmethod
+    def decode(cls, data: bytes) -> Snapshot:
+        """Reads what `encode` wrote, checking each value's type.
+
+        Raises:
+            MigrationError: the bytes are no snapshot, or more than may travel.
+        """
+        if len(data) > LIMIT_BYTES:
+            raise MigrationError(f"a snapshot of {len(data)} bytes was refused, {LIMIT_BYTES} may travel")
+        try:
+            return _DECODE(data)
+        except (*MALFORMED, RemoteProtocolError) as error:
+            raise MigrationError(f"these {len(data)} bytes are no snapshot of a task: {why_malformed(error)}") from None
+
+
+_ENCODE: Callable[[Any], bytes] = codecs.encoder(saved_array)
+_DECODE: Callable[[bytes], Snapshot] = codecs.decoder(Snapshot, array_from_extension)
+
+
+def begins_alike(one: bytes, other: bytes) -> bool:
+    """Returns whether a task that begins from either of two snapshots is the same."""
+    return bool(one and other) and _without_phases(one) == _without_phases(other)
+
+
+def _without_phases(encoded: bytes) -> bytes:
+    # At which moment of a period it was taken is for a task that moves. As bytes: to Python 1, 1.0 and True are equal,
+    # and no NaN is equal to itself.
+    snapshot = Snapshot.decode(encoded)
+    return replace(snapshot, timers=tuple(replace(timer, due_in_s=0.0) for timer in snapshot.timers)).encode()
+
+
+def digest(data: bytes) -> bytes:
+    """Returns the content hash (SHA-256) by which an encoded snapshot is checked on arrival."""
+    return sha256(data)

@@ -1,0 +1,76 @@
+"""What the log says of links: which came to stand, which ended and why, and which could not be made.
+
+A refusal is said aloud, and again only where its reason has changed. Clients come and go all the time, which is no news
+of the fleet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.net.session import Session
+from pancakes.mesh.wire.link import Over
+from pancakes.mesh.wire.link_messages import Hello
+
+DROPS_REPORTED_EVERY_S: Final = 5.0
+"""The log names a slow peer at most that often, in seconds of host time."""
+_MOST_PLACES: Final = 256
+_NEWS: Final = ("version", "fleet", "name", "full", "protocol")
+
+
+class LinkLog:
+    """Says what happens to links.
+
+    Args:
+        say: takes (level, text).
+        static: the addresses of the configuration, which a person counts on.
+    """
+
+    def __init__(self, say: Callable[[str, str], None], static: Sequence[str]) -> None:
+        self._say = say
+        self._static = static
+        self._last_reason: dict[str, str] = {}  # by the place that it is about
+
+    def stood_up(self, session: Session, hello: Hello) -> None:
+        """A link stands."""
+        level = "debug" if hello.role == "client" else "info"
+        self._say(level, f"{hello.name} ({hello.role}, {session.remote}) is connected")
+
+    def ended(self, session: Session, over: Over) -> None:
+        """A link that stood has ended."""
+        is_client = session.role == "client"
+        why = over.refused or over.refusing
+        # A client gives its place up to another as often as one comes: nothing to warn of each time.
+        is_usual = why is None or (is_client and over.refusing == "full")
+        level = "warning" if over.broken or not is_usual else "debug" if is_client else "info"
+        self._say(level, f"the link to {session.peer} has ended: {over.reason}")
+
+    def not_made(self, session: Session, over: Over) -> None:
+        """A connection did not become a link."""
+        why = over.refused or over.refusing or ""
+        place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
+        text = f"no link over {place}: {over.reason}"
+        if len(self._last_reason) > _MOST_PLACES:
+            self._last_reason.clear()
+        if self._last_reason.get(place) == text:
+            return
+        self._last_reason[place] = text
+        # That one of two links goes is usual.
+        quiet = "info" if session.address in self._static and not why else "debug"
+        self._say("warning" if over.broken or why in _NEWS else quiet, text)
+
+    def drops(self, session: Session, now_s: float) -> None:
+        """Names a peer that lost packets since it was last named."""
+        dropped = sum(session.counters.dropped.values())
+        if dropped > session.reported_drops and now_s - session.reported_s >= DROPS_REPORTED_EVERY_S:
+            lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
+            self._say("warning", f"{session.peer} is slow; packets given up so far: {lost}")
+            session.reported_drops, session.reported_s = dropped, now_s
+
+    def failed(self, function: Callable[..., Any], error: Exception) -> None:
+        """A function that the mesh was given has failed."""
+        text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
+        name = getattr(function, "__qualname__", repr(function))
+        self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")

@@ -1,0 +1,74 @@
+"""The links of an agent that stand. The transport's thread changes them, all threads ask."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+from pancakes.mesh.net.send_buffer import CountersOfAll
+from pancakes.mesh.net.session import Session
+from pancakes.mesh.wire.link_messages import Hello
+
+
+class Links:
+    """The sessions that are up, and what was sent over all that ever were."""
+
+    def __init__(self) -> None:
+        self._up: dict[str, Session] = {}  # replaced, never changed: all threads read it
+        self._counters = CountersOfAll()
+        self._lock = threading.Lock()
+        self._mission_packets = 0  # over links that have ended, and announcements
+
+    def __iter__(self) -> Iterator[Session]:
+        """The sessions that are up, by the names of their peers."""
+        up = self._up
+        return iter([up[name] for name in sorted(up)])
+
+    def __len__(self) -> int:
+        return len(self._up)
+
+    def add(self, session: Session, hello: Hello) -> None:
+        """A link stands, to the agent that said `hello`."""
+        session.stood_up(hello, self._counters.of(hello.name, self._up))
+        self._up = {**self._up, hello.name: session}
+
+    def remove(self, session: Session) -> None:
+        """A link has ended."""
+        session.is_up = False
+        with self._lock:
+            self._mission_packets += session.counted
+            self._up = {name: other for name, other in self._up.items() if other is not session}
+        if session.role == "client":
+            self._counters.forget(session.peer)  # clients come under ever new names
+
+    def by_name(self) -> dict[str, Session]:
+        """Returns the sessions that are up, by the names of their peers. Not to be changed."""
+        return self._up
+
+    def neighbours(self) -> tuple[Session, ...]:
+        """Returns the sessions of the peers in the role `agent`, by name."""
+        return tuple(session for session in self if session.role == "agent")
+
+    def connected(self) -> list[Hello]:
+        """Returns what all peers said about themselves, by name."""
+        return [session.hello for session in self if session.hello is not None]
+
+    def rtt_s(self, peer: str) -> float | None:
+        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        session = self._up.get(peer)
+        return session.link.rtt_s if session is not None and session.link is not None else None
+
+    def announced(self, peers: int) -> None:
+        """An announcement went to so many peers."""
+        with self._lock:
+            self._mission_packets += peers
+
+    def mission_packets_sent(self) -> int:
+        """Returns how many mission packets went out; see `Mesh.mission_packets_sent`."""
+        with self._lock:
+            return self._mission_packets + sum(session.counted for session in self)
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Returns the state of the links as plain values."""
+        return [session.describe() for session in self]

@@ -1,0 +1,495 @@
+"""The mesh: this agent's links to all others, without a broker (paper §3.5).
+
+The rim around `Peers` (which connections) and `Link` (what goes over them): it opens and closes connections,
+carries out what those two decide, and hands packets over. Nothing here blocks.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.mesh.net.alarm import Alarm
+from pancakes.mesh.net.link_log import LinkLog
+from pancakes.mesh.net.links import Links
+from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers
+from pancakes.mesh.net.sending import Sending
+from pancakes.mesh.net.session import Session, Unwanted
+from pancakes.mesh.net.transport import ConnectionHandler, Transport
+from pancakes.mesh.wire.link import (
+    Action,
+    Greeted,
+    Learnt,
+    Link,
+    LinkTimes,
+    Over,
+    PacketsReceived,
+    SendMessage,
+    Up,
+)
+from pancakes.mesh.wire.link_messages import Goodbye, Hello, Identity
+from pancakes.mesh.wire.runs import Unfit
+from pancakes.packet import Packet, agent_of
+from pancakes.runtime.clock import Clock
+
+MAX_HANDSHAKES: Final = 256
+"""Most connections from others that have not yet come to be links; a whole fleet may come at once. One more takes the
+place of the oldest that has not said hello.
+"""
+GOSSIP_ADDRESSES: Final = 64
+"""Most addresses in one message to a new link."""
+TOGETHER: Final = 0.1
+"""So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
+
+
+class Mesh:
+    """The links of one agent.
+
+    All callbacks run in the transport's thread and must not block. `send`, `announce`, `learn`,
+    `redial`, `sleep`, `wake`, `stop` and everything that only asks may be called from any thread.
+
+    Args:
+        identity: name, journal, fleet and role of this agent.
+        transport: how bytes travel.
+        listen: address to listen at; empty for none (a client).
+        peers: addresses that are always dialled.
+        source: random numbers, for the spread of retries.
+        host_clock: the clock of hand-shakes and heartbeats.
+        on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
+            destination, in their order.
+        on_unfit: takes (peer's name, packet, reason) of a packet whose body does not fit its type, and is None now.
+        on_peer_up: takes the peer's hello when a link stands.
+        on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
+            where it did not say for how long.
+        on_refused: takes the reason when another agent of our name is in the mesh and we are the newcomer.
+        on_log: takes (level, text).
+        defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
+            fails, or at once outside of one; so several packets of a turn leave with one system call.
+        times: the times of links and membership.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        transport: Transport,
+        listen: str,
+        peers: Sequence[str],
+        source: random.Random,
+        host_clock: Clock,
+        on_packets: Callable[[str, list[Packet], int], None],
+        on_unfit: Callable[[str, Packet, str], None],
+        on_peer_up: Callable[[Hello], None] = lambda peer: None,
+        on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
+        on_refused: Callable[[str], None] = lambda reason: None,
+        on_log: Callable[[str, str], None] = lambda level, text: None,
+        defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+        times: LinkTimes | None = None,
+    ) -> None:
+        self.identity = identity
+        self._transport = transport
+        self._listen_at = listen
+        self._static = tuple(peers)
+        self._random = source
+        self._now = host_clock.now
+        self._on_packets = on_packets
+        self._on_unfit = on_unfit
+        self._on_peer_up = on_peer_up
+        self._on_peer_down = on_peer_down
+        self._on_refused = on_refused
+        self._times = times or LinkTimes()
+        self._own = identity.hello()
+        self._peers: Peers | None = None
+        self._sessions: dict[int, Session] = {}
+        self._links = Links()
+        self._log = LinkLog(on_log, peers)
+        self._state = "new"
+        self._asleep_until_s = 0.0
+        self._established = False
+        self._sending = Sending(self._lost, defer)
+        self._peers_alarm = Alarm(transport, self._now, self._run_peers)
+        self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
+
+    # From any thread
+
+    @property
+    def listen(self) -> str:
+        """The address that it listens at; empty where it does not, or not yet."""
+        return self._own.listen
+
+    def start(self) -> None:
+        """Listens, and begins to dial.
+
+        Raises:
+            PancakesError: it cannot listen at its address; the sentence says why.
+        """
+        if self._state != "new":
+            raise PancakesError(f"the mesh of {self.identity.name} was started before")
+        if self._listen_at:
+            self._own = self.identity.hello(self._transport.listen(self._listen_at, self._accept))
+        self._transport.call_later(0.0, self._begin)
+
+    def send(self, packet: Packet, retry: bool = False) -> int:
+        """Sends a packet to the agent in its destination, or to all neighbours where that is `*`.
+
+        Args:
+            packet: what to send.
+            retry: whether it was sent before, so that it does not count as a mission packet again.
+
+        Returns:
+            To how many peers it was given. To neighbours that are too slow for it (destination `*`) it is not
+            given; that is counted and logged.
+
+        Raises:
+            LocalProtocolError: it cannot travel, or is too large.
+            PeerLost: the agent is not connected; the sentence says whether it sleeps.
+            PeerBusy: the agent is connected but too slow, and the channel may not lose packets.
+        """
+        return self._sending.send(packet, retry)
+
+    def announce(self) -> None:
+        """Tells all peers the addresses that are known here: the beacon of discovery. A mission packet to each."""
+        self._transport.call_later(0.0, self._beacon)
+
+    def learn(self, addresses: Sequence[str]) -> None:
+        """Dials these addresses as well, as if a peer had named them."""
+        named = tuple(addresses)
+        self._transport.call_later(0.0, lambda: self._learn(named))
+
+    def redial(self) -> None:
+        """Dials all known addresses now at which no agent is connected, instead of when their next attempt is due."""
+        self._transport.call_later(0.0, self._redial)
+
+    def sleep(self, for_s: float | None = None) -> None:
+        """Says goodbye for `for_s` seconds of host time (None: for a time unknown), and closes all links.
+
+        An agent that dials in the meantime is told the same. It lasts until `wake`.
+        """
+        self._transport.call_later(0.0, lambda: self._sleep(for_s))
+
+    def wake(self) -> None:
+        """Dials again after `sleep`."""
+        self._transport.call_later(0.0, self._wake)
+
+    def stop(self) -> None:
+        """Says goodbye for good, and closes all links. Close the transport afterwards."""
+        self._transport.call_later(0.0, self._stop)
+
+    def neighbours(self) -> list[str]:
+        """Returns the names of the connected peers in the role `agent`, sorted."""
+        return [session.peer for session in self._links.neighbours()]
+
+    def connected(self) -> list[Hello]:
+        """Returns what all connected peers said about themselves, by name."""
+        return self._links.connected()
+
+    def rtt_s(self, peer: str) -> float | None:
+        """Returns the smoothed round trip time to a peer, or None where there is none yet."""
+        return self._links.rtt_s(peer)
+
+    def mission_packets_sent(self) -> int:
+        """Returns how many mission packets went out: packets and announcements, one for each peer they went to.
+
+        Heartbeats, the mesh's own messages and retries do not count.
+        """
+        return self._links.mission_packets_sent()
+
+    def describe(self) -> dict[str, Any]:
+        """Returns the state of the mesh as plain values, for the command line."""
+        now_s = self._now()
+        asleep = self._peers.asleep(now_s) if self._peers is not None else {}
+        return {
+            "name": self.identity.name,
+            "role": self.identity.role,
+            "fleet": self.identity.fleet,
+            "listen": self.listen,
+            "state": self._state,
+            "peers": self.links(),
+            "asleep": [{"name": name, "for_s": None if for_s == math.inf else for_s} for name, for_s in asleep.items()],
+            "addresses": self._peers.describe() if self._peers is not None else [],
+            "mission_packets_sent": self.mission_packets_sent(),
+        }
+
+    def links(self) -> list[dict[str, Any]]:
+        """Returns the state of the links that stand, by the names of the peers. Any thread."""
+        return self._links.describe()
+
+    def _lost(self, packet: Packet) -> PancakesError:
+        """Returns why a packet cannot go to its agent."""
+        own, name = self.identity.name, agent_of(packet.destination)
+        what = f"the packet {packet.type!r} of {packet.source}"
+        if name == own or not name:
+            return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
+        if self._state == "asleep":
+            return PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
+        asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
+        if name in asleep:
+            return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
+        there = ", ".join(session.peer for session in self._links) or "no other agent"
+        return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
+
+    # In the transport's thread from here on
+
+    def _begin(self) -> None:
+        if self._state != "new":
+            return
+        self._state = "running"
+        self._peers = Peers(self._own, self._static, self._random, self._times, self._now(), self._quiet_s)
+        self._run_peers()
+
+    def _learn(self, addresses: tuple[str, ...]) -> None:
+        if self._peers is not None and self._state == "running":
+            self._carry_out(self._peers.learnt(addresses, self._now()))
+
+    def _redial(self) -> None:
+        if self._peers is not None and self._state == "running":
+            self._peers.redial(self._now())
+            self._run_peers()
+
+    def _sleep(self, for_s: float | None) -> None:
+        if self._state == "running":
+            self._state = "asleep"
+            self._asleep_until_s = math.inf if for_s is None else self._now() + for_s
+            self._leave()
+
+    def _wake(self) -> None:
+        if self._state == "asleep" and self._peers is not None:
+            self._state = "running"
+            self._redial()
+
+    def _stop(self) -> None:
+        if self._state != "stopped":
+            self._state = "stopped"
+            self._leave()
+
+    def _leave(self) -> None:
+        for session in list(self._sessions.values()):
+            if session.link is not None:
+                self._act(session, session.link.leave(self._goodbye(), self._now()))
+            else:
+                self._over(session, Over("this agent left the mesh"))
+        self._arm()
+
+    def _goodbye(self) -> Goodbye:
+        if self._state == "stopped":
+            return Goodbye("stop")
+        left_s = self._asleep_until_s - self._now()
+        return Goodbye("sleep", None if left_s == math.inf else max(0.0, left_s))
+
+    def _beacon(self) -> None:
+        if self._peers is None:
+            return
+        addresses = self._peers.beacon()
+        self._links.announced(sum([self._gossip(session, addresses) for session in self._links]))
+
+    def _accept(self) -> ConnectionHandler:
+        if self._peers is None or self._state == "stopped":
+            return Unwanted()
+        waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
+        if len(waiting) >= MAX_HANDSHAKES:
+            self._end_handshake(waiting)
+        session = Session(self, self._peers.new_link(), "", self._now)
+        self._sessions[session.number] = session
+        return session
+
+    def _end_handshake(self, waiting: Sequence[Session]) -> None:
+        """Refuses the connection that is the least likely to become a link: the oldest that has not said hello."""
+        mute = [session for session in waiting if session.link is None or session.link.peer is None]
+        oldest = (mute or waiting)[0]
+        reason = (
+            f"{self.identity.name} is full: {len(waiting)} connections have not become links, and this is the oldest"
+        )
+        if oldest.link is None:
+            self._over(oldest, Over(reason))
+        else:
+            self._act(oldest, oldest.link.refuse("full", reason, self._now()))
+
+    def _quiet_s(self, link: int, now_s: float) -> float:
+        return self._sessions[link].quiet_s(now_s)
+
+    def session_opened(self, session: Session) -> None:
+        """See `Owner`."""
+        if session.number not in self._sessions:  # given up while it was being dialled
+            session.end("it is no longer wanted")
+            return
+        now_s = self._now()
+        session.link = Link(self._own, self._times, now_s)
+        self._act(session, session.link.open(now_s))
+        self._watch(session)
+
+    def session_received(self, session: Session, data: bytes) -> None:
+        """See `Owner`."""
+        if session.link is None or session.number not in self._sessions:
+            return
+        now_s = self._now()
+        was_up = session.is_up
+        actions = session.link.receive(data, now_s)
+        # Where all sessions are up, as most of the time, there is none that this link could make needless.
+        if was_up and self._peers is not None and len(self._sessions) > len(self._links):
+            rivals = self._peers.heard(session.number, now_s)
+            if rivals:
+                self._carry_out(rivals)
+        self._act(session, actions)
+        if was_up and session.is_up:
+            # Of two agents the one with the lower name takes a link to stand before the other has had its say.
+            self._established = True
+
+    def session_closed(self, session: Session, reason: str) -> None:
+        """See `Owner`."""
+        if session.number in self._sessions:
+            self._over(session, Over(reason))
+
+    def _watch(self, session: Session) -> None:
+        """Sees to it that `_tick` runs when the link has something to do."""
+        if session.link is not None and session.number in self._sessions:
+            session.due_s = session.link.due_s()
+            if session.due_s < self._links_alarm.due_s:
+                self._links_alarm.set(session.due_s)
+
+    def _run_links(self) -> None:
+        self._links_alarm.due_s = -math.inf  # not to be set for each link
+        now_s = self._now()
+        try:
+            for session in list(self._sessions.values()):
+                if session.due_s <= now_s:
+                    self._tick(session, now_s)
+        finally:
+            self._links_alarm.set(min([session.due_s for session in self._sessions.values()], default=math.inf))
+
+    def _tick(self, session: Session, now_s: float) -> None:
+        link = session.link
+        if link is None or session.number not in self._sessions:
+            return
+        if session.is_up:
+            if session.stuck_s(now_s) >= self._times.stuck_s:
+                reason = f"{session.peer} took nothing for {self._times.stuck_s:g} s of what waits for it"
+                self._over(session, Over(reason))
+                return
+            session.quiet_s(now_s)
+            if session.counters.dropped:
+                self._log.drops(session, now_s)
+        due_s = link.due_s()
+        if due_s > now_s:  # mostly something has been sent meanwhile, and nothing is to be done yet
+            session.due_s = due_s
+            return
+        self._act(session, link.tick(now_s))
+        self._watch(session)
+
+    def _act(self, session: Session, actions: Sequence[Action]) -> None:
+        """Carries out what a link asks for."""
+        for action in actions:
+            if session.number not in self._sessions or self._peers is None:
+                return  # an action before ended it
+            if isinstance(action, PacketsReceived):
+                session.counters.packets_in += len(action.packets)
+                self._call(self._on_packets, session.peer, action.packets, action.size)
+            elif isinstance(action, SendMessage):
+                session.send_link(action.message)
+            elif isinstance(action, Unfit):
+                session.counters.packets_in += 1
+                self._call(self._on_unfit, session.peer, action.packet, action.reason)
+            elif isinstance(action, Greeted):
+                self._met(session, action.hello)
+            elif isinstance(action, Up):
+                self._stood_up(session)
+            elif isinstance(action, Learnt):
+                decisions = self._peers.learnt(action.addresses, self._now())
+                if decisions:
+                    self._carry_out(decisions)
+            else:
+                self._over(session, action)
+
+    def _met(self, session: Session, hello: Hello) -> None:
+        assert session.link is not None and self._peers is not None
+        now_s = self._now()
+        decisions = self._peers.met(session.number, hello, session.remote, now_s)
+        if self._state == "running":
+            self._carry_out(decisions)
+        else:
+            self._act(session, session.link.leave(self._goodbye(), now_s))
+
+    def _stood_up(self, session: Session) -> None:
+        assert session.link is not None and session.link.peer is not None and self._peers is not None
+        self._carry_out(self._peers.up(session.number, self._now()))
+        if session.number not in self._sessions:
+            return
+        name = session.link.peer.name
+        hello = next(peer for peer in self._peers.connected() if peer.name == name)
+        self._links.add(session, hello)
+        self._sending.change(self._links.by_name(), self._links.neighbours())
+        self._log.stood_up(session, hello)
+        self._call(self._on_peer_up, hello)
+        addresses = self._peers.gossip()
+        for first in range(0, len(addresses), GOSSIP_ADDRESSES):
+            self._gossip(session, addresses[first : first + GOSSIP_ADDRESSES])
+        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
+        if hello.listen and hello.role != "client" and self._peers.is_news(session.number):
+            for other in self._links:
+                self._gossip(other, (hello.listen,))
+
+    def _over(self, session: Session, over: Over) -> None:
+        assert self._peers is not None
+        del self._sessions[session.number]
+        session.end(over.reason)
+        why = over.refused or over.refusing
+        refusal = over.reason if over.refused is not None else ""
+        decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
+        if session.is_up:
+            self._links.remove(session)
+            self._sending.change(self._links.by_name(), self._links.neighbours())
+            asleep_s = None
+            if over.goodbye is not None and over.goodbye.why == "sleep":
+                asleep_s = math.inf if over.goodbye.for_s is None else over.goodbye.for_s
+            self._log.ended(session, over)
+            self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
+        elif self._state == "running":
+            self._log.not_made(session, over)
+        if over.refused == "name" and not self._established:
+            self._call(self._on_refused, over.reason)
+        if self._state == "running":
+            self._carry_out(decisions)
+
+    def _carry_out(self, decisions: Sequence[Decision]) -> None:
+        """Carries out what membership asks for."""
+        for decision in decisions:
+            if isinstance(decision, Dial):
+                session = Session(self, decision.link, decision.address, self._now)
+                self._sessions[session.number] = session
+                self._transport.dial(decision.address, session)
+                continue
+            found = self._sessions.get(decision.link)
+            if found is None or found.link is None:
+                continue
+            if isinstance(decision, Admit):
+                self._act(found, found.link.admit(self._now()))
+            else:
+                self._act(found, found.link.refuse(decision.code, decision.reason, self._now()))
+        self._arm()
+
+    def _arm(self) -> None:
+        """Sees to it that `_run_peers` runs when membership has something to do."""
+        due_s = self._peers.due_s() if self._peers is not None and self._state == "running" else math.inf
+        self._peers_alarm.set(due_s)
+
+    def _run_peers(self) -> None:
+        if self._peers is not None and self._state == "running":
+            self._carry_out(self._peers.tick(self._now()))
+
+    def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
+        """Tells a peer the addresses that are not its own; returns whether there were any."""
+        # A client that looks at two agents must not make neighbours of them: it belongs to neither.
+        if session.link is None or session.hello is None or self.identity.role == "client":
+            return False
+        others = tuple(address for address in addresses if address != session.hello.listen)
+        if others:
+            self._act(session, session.link.gossip(others, self._now()))
+        return bool(others)
+
+    def _call(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Calls what was given to us; its failure must not cost a link."""
+        try:
+            function(*arguments)
+        except Exception as error:  # whatever it is, it belongs in the log
+            self._log.failed(function, error)

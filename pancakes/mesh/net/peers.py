@@ -1,0 +1,453 @@
+"""Membership: which agents there are, which connection to each stays, and when to dial again.
+
+Pure: every method takes an event and the host time and returns what to do. All addresses that are known
+are dialled side by side, until their agents are connected; agents tell each other the addresses they are
+connected to, so that a fleet becomes a full mesh.
+
+Of two agents, the one with the lower name chooses the connection that stays (see `pancakes.mesh.wire.link`): its
+own dial goes before the other's, and a connection that stands before a new one, unless it has died.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.mesh.net.client_places import ClientPlace, machine_of, who_makes_room
+from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.wire.link_messages import Goodbye, Hello, Refusal, fault_of_address
+
+MAX_AGENTS: Final = 256
+"""Largest mesh: agents and environments connected to one agent, itself counted."""
+MAX_CLIENTS: Final = 64
+"""Most clients connected to one agent; see `pancakes.mesh.net.client_places` for the next one."""
+MAX_LEARNT: Final = 512
+"""Most addresses kept that were learnt from others."""
+BEACON_ADDRESSES: Final = 8
+"""So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
+every agent the square of the fleet, for what all agents know: a new link gets them all.
+"""
+FORGET_AFTER: Final = 20
+"""A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
+
+
+class Dial(msgspec.Struct, frozen=True):
+    """Open a connection to `address`, and call it `link`."""
+
+    address: str
+    link: int
+
+
+class Admit(msgspec.Struct, frozen=True):
+    """`link` is the one that stays: say so to the peer."""
+
+    link: int
+
+
+class TurnDown(msgspec.Struct, frozen=True):
+    """Refuse `link`, or end it where it is up: the peer is told the code and the reason."""
+
+    link: int
+    code: Refusal
+    reason: str
+
+
+Decision = Dial | Admit | TurnDown
+
+
+class _KnownAddress(msgspec.Struct):
+    """An address that can be dialled."""
+
+    static: bool
+    due_s: float
+    name: str = ""  # of the agent that was last met there
+    link: int | None = None  # of the dial under way, until a peer said hello there, or it failed
+    failures: int = 0
+    ours: bool = False  # it is this agent's own
+    refused: str = ""  # why the agent there will not have us, in its words
+
+
+class _Candidate(msgspec.Struct):
+    """A connection whose peer has said who it is; it is up or waits."""
+
+    link: int
+    hello: Hello
+    address: str  # that we dialled, or empty
+    machine: str  # where it is
+    is_news: bool  # no peer had named the address at which it listens
+    up_s: float | None = None
+    until_s: float = math.inf  # when waiting for our own dial ends
+
+
+class Peers:
+    """What is known of other agents, and the decisions about connections to them.
+
+    Args:
+        own: our own hello.
+        static: addresses that are always dialled.
+        source: random numbers for the spread of retries.
+        times: the times of membership.
+        now_s: host time.
+        quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
+            infinite where none ever came in.
+    """
+
+    def __init__(
+        self,
+        own: Hello,
+        static: Sequence[str],
+        source: random.Random,
+        times: LinkTimes,
+        now_s: float,
+        quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
+    ) -> None:
+        self._own = own
+        self._random = source
+        self._times = times
+        self._quiet_s = quiet_s
+        self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
+        self._learnt = 0  # of the book's addresses
+        self._dials: dict[int, str] = {}  # the addresses of dials under way
+        self._met_at: dict[str, int] = {}  # of the candidates that we dialled
+        self._candidates: dict[int, _Candidate] = {}
+        self._up: dict[str, _Candidate] = {}
+        self._asleep: dict[str, float] = {}
+        self._last_link = 0
+        self._beacons = 0
+
+    def new_link(self) -> int:
+        """Returns a number for a connection that came in."""
+        self._last_link += 1
+        return self._last_link
+
+    def connected(self) -> list[Hello]:
+        """Returns what the connected peers said about themselves, by name."""
+        return [self._up[name].hello for name in sorted(self._up)]
+
+    def asleep(self, now_s: float) -> dict[str, float]:
+        """Returns the peers that said they sleep, and for how many more seconds (infinity: they did not say).
+
+        May be called from any thread, as may `describe`.
+        """
+        return {name: until_s - now_s for name, until_s in sorted(self._asleep.items()) if until_s > now_s}
+
+    def gossip(self) -> tuple[str, ...]:
+        """Returns the addresses to tell others: of connected peers, but never of clients."""
+        return tuple(
+            candidate.hello.listen
+            for _, candidate in sorted(self._up.items())
+            if candidate.hello.listen and candidate.hello.role != "client"
+        )
+
+    def beacon(self) -> tuple[str, ...]:
+        """Returns the addresses of the next beacon: this agent's own, and some of those to tell others."""
+        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
+        others = self.gossip()
+        if len(others) > BEACON_ADDRESSES:
+            first = self._beacons * BEACON_ADDRESSES % len(others)
+            others = (others + others)[first : first + BEACON_ADDRESSES]
+        self._beacons += 1
+        return ((own,) if own else ()) + others
+
+    def describe(self) -> list[dict[str, Any]]:
+        """Returns each known address with what is known of it."""
+        return [
+            {
+                "address": address,
+                "static": it.static,
+                "name": it.name,
+                "failures": it.failures,
+                "refused": it.refused,
+            }
+            for address, it in list(self._book.items())
+            if not it.ours
+        ]
+
+    def due_s(self) -> float:
+        """Returns the host time at which `tick` has something to do."""
+        dials = [it.due_s for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        if len(self._candidates) == len(self._up):  # as nearly always
+            return min(dials, default=math.inf)
+        holds = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
+        return min((*dials, *holds), default=math.inf)
+
+    def tick(self, now_s: float) -> list[Decision]:
+        """Dials what is due, and admits what has waited long enough for a dial of our own."""
+        decisions: list[Decision] = []
+        for address, it in self._book.items():
+            if self._wanted(address, it) and now_s >= it.due_s:
+                it.link = self.new_link()
+                self._dials[it.link] = address
+                decisions.append(Dial(address, it.link))
+        for candidate in list(self._candidates.values()):
+            if candidate.up_s is None and now_s >= candidate.until_s:
+                candidate.until_s = math.inf
+                decisions.extend(self._admit_if_free(candidate, now_s))
+        return decisions
+
+    def met(self, link: int, hello: Hello, remote: str, now_s: float) -> list[Decision]:
+        """A peer has said who it is.
+
+        Args:
+            link: the connection.
+            hello: what it said.
+            remote: address of the other end of the connection, to stand in for a wildcard in `hello.listen`.
+            now_s: host time.
+        """
+        address = self._dials.pop(link, "")
+        if address:
+            self._book[address].link = None
+        own, name = self._own, hello.name
+        if name == own.name:
+            return self._namesake(link, hello, address, now_s)
+        if address:
+            self._book[address].name = name
+        hello = _with_listen(hello, reachable(hello.listen, remote))
+        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
+        self._asleep.pop(name, None)
+        candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
+        if address:
+            self._met_at[address] = link
+        decisions: list[Decision] = []
+        known = self._up.get(name)
+        room: list[Decision] = []
+        if known is not None and known.hello.journal != hello.journal:
+            decisions.append(TurnDown(link, "name", _taken(name, own.name)))
+        elif known is not None and known.hello.boot > hello.boot:
+            decisions.append(TurnDown(link, "old", f"a later boot of {name} is connected to {own.name}"))
+        elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
+            decisions.append(TurnDown(link, "full", full))
+        else:
+            decisions.extend(room)
+            if known is not None and known.hello.boot < hello.boot:
+                decisions.append(TurnDown(known.link, "old", f"{name} was started again"))
+            if own.name < name:
+                if not address and self._dialling(hello.listen):
+                    candidate.until_s = now_s + self._times.hold_s
+                else:
+                    decisions.extend(self._admit_if_free(candidate, now_s))
+        self._freed(address, now_s)
+        return decisions
+
+    def heard(self, link: int, now_s: float) -> list[Decision]:
+        """Bytes came in on a link that is up, so newer connections to the same peer are not needed."""
+        mine = self._candidates.get(link)
+        if mine is None or mine.up_s is None or len(self._candidates) == len(self._up):
+            return []
+        return [
+            TurnDown(other.link, "duplicate", f"{self._own.name} has another link to {other.hello.name}, which stays")
+            for other in self._candidates.values()
+            if other.hello.name == mine.hello.name and other.up_s is None and self._own.name < other.hello.name
+        ]
+
+    def up(self, link: int, now_s: float) -> list[Decision]:
+        """A link stands on both sides, or will when the peer has our welcome. Older ones to that peer end."""
+        candidate = self._candidates[link]
+        name = candidate.hello.name
+        known = self._up.get(name)
+        if known is not None and known.hello.journal != candidate.hello.journal:
+            return [TurnDown(link, "name", _taken(name, self._own.name))]
+        candidate.up_s = now_s
+        candidate.until_s = math.inf
+        self._up[name] = candidate
+        known_address = self._book.get(candidate.address)
+        if known_address is not None:
+            known_address.refused = ""
+        decisions: list[Decision] = []
+        if known is not None:
+            decisions.append(TurnDown(known.link, "duplicate", f"{name} chose another link"))
+        if self._own.name < name:  # it is alive now, so what waited beside it is not needed
+            decisions.extend(self.heard(link, now_s))
+        return decisions
+
+    def over(
+        self,
+        link: int,
+        now_s: float,
+        refused: Refusal | None = None,
+        goodbye: Goodbye | None = None,
+        broken: bool = False,
+        refusal: str = "",
+    ) -> list[Decision]:
+        """A connection has ended, or never came to stand.
+
+        Args:
+            link: the connection.
+            now_s: host time.
+            refused: why it was refused, by either side.
+            goodbye: what the peer said, if it left on purpose.
+            broken: whether it broke the protocol.
+            refusal: the peer's sentence, where the peer refused.
+        """
+        hopeless = refused in ("version", "fleet", "name", "full", "old") or broken
+        candidate = self._candidates.pop(link, None)
+        if candidate is None:
+            address = self._dials.pop(link, "")
+            if not address:
+                return []
+            self._book[address].link = None
+            self._book[address].refused = refusal if hopeless else ""
+            self._failed(address, now_s, hopeless)
+            self._freed(address, now_s)
+            return []
+        self._met_at.pop(candidate.address, None)
+        name = candidate.hello.name
+        was_up = self._up.get(name) is candidate
+        if was_up:
+            del self._up[name]
+        if goodbye is not None and goodbye.why == "sleep":
+            self._asleep.pop(name, None)
+            self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
+            if len(self._asleep) > MAX_LEARNT:  # some of them never wake
+                del self._asleep[next(iter(self._asleep))]
+        for address, it in list(self._book.items()):
+            if it.name != name or it.link is not None or (candidate.address != address and not was_up):
+                continue
+            it.refused = refusal if hopeless else ""
+            if goodbye is not None and goodbye.why == "sleep" and goodbye.for_s is not None:
+                it.failures = 0
+                it.due_s = self._asleep[name]
+            elif goodbye is not None or hopeless:
+                it.due_s = now_s + self._times.retry_longest_s
+            elif candidate.up_s is not None and now_s - candidate.up_s >= self._times.gone_s:
+                it.failures = 0
+                self._retry(it, now_s)
+            else:
+                self._failed(address, now_s, False)
+        if not was_up:
+            return []
+        heirs = [other for other in self._candidates.values() if other.hello.name == name and other.up_s is None]
+        if heirs and self._own.name < name:
+            return self._admit_if_free(heirs[-1], now_s)
+        return []
+
+    def learnt(self, addresses: Sequence[str], now_s: float) -> list[Decision]:
+        """A peer named addresses of other agents."""
+        # Beacons name what is known already, from each peer and all the time.
+        unknown = [address for address in addresses if address not in self._book]
+        new = [address for address in unknown if self._learn(address, now_s)]
+        return self.tick(now_s) if new else []
+
+    def is_news(self, link: int) -> bool:
+        """Returns whether no peer had named the address of this one: others may not know it either."""
+        return self._candidates[link].is_news
+
+    def redial(self, now_s: float) -> None:
+        """Makes all addresses due now (this agent woke up)."""
+        for it in self._book.values():
+            it.failures, it.due_s = 0, now_s
+
+    def _wanted(self, address: str, it: _KnownAddress) -> bool:
+        if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
+            return False
+        # The peer that we met there has still to say whether the link stands, or when to dial again.
+        return address not in self._met_at
+
+    def _dialling(self, listen: str) -> bool:
+        it = self._book.get(listen)
+        return it is not None and it.link is not None
+
+    def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
+        own = self._own
+        self._freed(address, now_s)
+        if hello.journal == own.journal:
+            if address:
+                self._book[address].ours = True
+            return [TurnDown(link, "self", f"{own.name} dialled itself")]
+        if address:  # the agent that dials is the newcomer, and waits to be told
+            self._book[address].due_s = now_s + self._times.retry_longest_s
+            return []
+        return [TurnDown(link, "name", _taken(own.name, own.name))]
+
+    def _full(self, hello: Hello) -> str:
+        """Returns why there is no room for one more peer, or an empty string."""
+        clients = sum(candidate.hello.role == "client" for candidate in self._up.values())
+        if hello.role == "client":
+            reason = f"{self._own.name} is full: it has {clients} clients, and all of them are in use"
+            return reason if clients >= MAX_CLIENTS else ""
+        agents = len(self._up) - clients + 1
+        return f"{self._own.name} is full: it is in a mesh of {agents} already" if agents >= MAX_AGENTS else ""
+
+    def _make_room(self, newcomer: _Candidate, now_s: float) -> list[Decision]:
+        """Ends the link of a client whose place a new client gets; none where there is no such client."""
+        if newcomer.hello.role != "client":
+            return []
+        places = [
+            ClientPlace(it.link, it.machine, self._quiet_s(it.link, now_s))
+            for it in self._up.values()
+            if it.hello.role == "client"
+        ]
+        link = who_makes_room(newcomer.machine, places)
+        if link is None:
+            return []
+        reason = f"{self._own.name} is full: it has {len(places)} clients, and this one gave its place to another"
+        return [TurnDown(link, "full", reason)]
+
+    def _admit_if_free(self, candidate: _Candidate, now_s: float) -> list[Decision]:
+        """Admits a connection, unless its peer has one; then it waits until that has died or shown life."""
+        known = self._up.get(candidate.hello.name)
+        if known is None or known.hello.boot < candidate.hello.boot:
+            return [Admit(candidate.link)]
+        if candidate.address:  # we dialled while we had a link: needless
+            reason = f"{self._own.name} has another link to {candidate.hello.name}, which stays"
+            return [TurnDown(candidate.link, "duplicate", reason)]
+        return []
+
+    def _freed(self, address: str, now_s: float) -> None:
+        """Our dial to `address` is decided: what waited for it is seen to at the next tick, which is due now."""
+        for candidate in self._candidates.values():
+            if address and candidate.until_s < math.inf and candidate.hello.listen == address:
+                candidate.until_s = now_s
+
+    def _learn(self, address: str, now_s: float, name: str = "") -> bool:
+        """Writes an address down; returns whether it is a new one."""
+        it = self._book.get(address)
+        is_new = it is None
+        if it is None:
+            if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
+                return False
+            it = self._book[address] = _KnownAddress(False, now_s)
+            self._learnt += 1
+        it.name = name or it.name
+        return is_new
+
+    def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
+        it = self._book[address]
+        it.failures += 1
+        if not it.static and it.failures >= FORGET_AFTER and it.name not in self._up:
+            del self._book[address]
+            self._learnt -= 1
+        elif hopeless:
+            it.due_s = now_s + self._times.retry_longest_s
+        else:
+            self._retry(it, now_s)
+
+    def _retry(self, it: _KnownAddress, now_s: float) -> None:
+        """Puts the next dial off by a random time with a doubling bound: full jitter."""
+        doublings = min(max(it.failures - 1, 0), 30)
+        bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
+        it.due_s = now_s + self._random.uniform(0.0, bound_s)
+
+
+def reachable(listen: str, remote: str) -> str:
+    """Returns the address at which a peer can be dialled: where it listens on all interfaces, the one we see."""
+    scheme, _, place = listen.partition("://")
+    host, _, port = place.rpartition(":")
+    if host not in ("0.0.0.0", "[::]"):
+        return listen
+    seen = remote.partition("://")[2].rpartition(":")[0]
+    return f"{scheme}://{seen}:{port}" if seen else ""
+
+
+def _with_listen(hello: Hello, listen: str) -> Hello:
+    if listen == hello.listen:
+        return hello
+    return Hello(hello.version, hello.fleet, hello.name, hello.role, hello.journal, hello.boot, listen)
+
+
+def _taken(name: str, by: str) -> str:
+    return f"the name {name} is already borne by another agent, as {by} knows: give one of the two another name"

@@ -1,0 +1,179 @@
+"""From a publisher to the sessions of the peers that its packet is for.
+
+What packets of one channel, type, source and destination have in common is looked up once (`Way`). What a turn
+publishes is joined without a lock, and leaves with one system call for each peer at the end of the turn (`_Turn`).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.net.send_buffer import Message, PeerBusy
+from pancakes.mesh.net.session import BATCH_BYTES, Session, Train
+from pancakes.mesh.wire.runs import RowEncoder, head_of
+from pancakes.packet import NEIGHBOURS, Fence, Packet, agent_of
+
+MOST_WAYS: Final = 4096
+"""So many are remembered; a task that makes up one destination after the other must not fill the memory."""
+
+Key = tuple[str, str, str, str]
+Defer = Callable[[Callable[[], None]], None]
+
+
+class Way(msgspec.Struct, frozen=True, eq=False):
+    """Where packets of one channel, type, source, destination and fence go, until other links are up.
+
+    Attributes:
+        channel: the channel.
+        fence: the fence.
+        place: the name of the one agent, or `NEIGHBOURS`: ways of different places do not get in each other's way.
+        head: what their runs begin with.
+        sessions: the peers.
+        encoder: encodes the packets.
+    """
+
+    channel: str
+    fence: Fence | None
+    place: str
+    head: bytes
+    sessions: tuple[Session, ...]
+    encoder: RowEncoder
+
+
+class _Turn:
+    """What a thread has published and not yet sent.
+
+    Args:
+        defer: see `Mesh`.
+    """
+
+    def __init__(self, defer: Defer) -> None:
+        self._defer = defer
+        self._size = 0
+        # In the order in which the first packet of each was published.
+        self._trains: list[Train] = []
+        # The train of each place that the next packet may join: nothing else went there since.
+        self._last: dict[str, tuple[Way, Train]] = {}
+
+    def add(self, way: Way, row: bytes, retry: bool) -> None:
+        """Takes an encoded packet."""
+        if self._size + len(row) > BATCH_BYTES and self._trains:  # a turn must not pile up what could be on its way
+            self.flush()
+        self._size += len(row)
+        newest = self._last.get(way.place)
+        if newest is not None and newest[0] is way:
+            newest[1].rows.append(row)
+            newest[1].retries += retry
+            return
+        # What goes to all neighbours and what goes to one of them must not overtake each other.
+        if way.place == NEIGHBOURS:
+            self._last.clear()
+        else:
+            self._last.pop(NEIGHBOURS, None)
+        train = Train(way.channel, way.head, way.sessions, [row], int(retry))
+        self._last[way.place] = (way, train)
+        self._trains.append(train)
+        if len(self._trains) == 1:
+            self._defer(self.flush)
+
+    def flush(self) -> None:
+        """Sends all of it."""
+        trains, self._trains, self._size = self._trains, [], 0
+        self._last.clear()
+        if len(trains) == 1:
+            for session in trains[0].sessions:
+                session.send(trains)
+            return
+        by_session: dict[Session, list[Train]] = {}
+        for train in trains:
+            for session in train.sessions:
+                by_session.setdefault(session, []).append(train)
+        for session, its in by_session.items():
+            session.send(its)
+
+
+class _Local(threading.local):
+    """What each thread has for itself."""
+
+    def __init__(self, defer: Defer) -> None:
+        self.turn = _Turn(defer)
+
+
+class Sending:
+    """Sends packets. From any thread.
+
+    Args:
+        lost: returns the error for a packet to an agent to which no link is up.
+        defer: see `Mesh`.
+    """
+
+    def __init__(self, lost: Callable[[Packet], PancakesError], defer: Defer) -> None:
+        self._lost = lost
+        self._links: Mapping[str, Session] = {}
+        self._neighbours: tuple[Session, ...] = ()
+        self._lock = threading.Lock()  # so that no way is made of links that are being replaced
+        self._ways: dict[Key, Way] = {}
+        self._local = _Local(defer)
+
+    def change(self, links: Mapping[str, Session], neighbours: tuple[Session, ...]) -> None:
+        """Other links are up from now on.
+
+        Args:
+            links: the sessions that are up, by name.
+            neighbours: the sessions that the destination `*` means.
+        """
+        with self._lock:
+            self._links = links
+            self._neighbours = neighbours
+            self._ways = {}
+
+    def send(self, packet: Packet, retry: bool = False) -> int:
+        """See `Mesh.send`."""
+        key = (packet.channel, packet.type, packet.source, packet.destination)
+        way = self._ways.get(key)
+        if way is None or way.fence != packet.fence:
+            way = self._new_way(key, packet)
+        row = way.encoder.encode(packet)
+        for session in way.sessions:
+            if session.congested:
+                return self._offer(way, packet, Message(row, not retry, way.head))
+        self._local.turn.add(way, row, retry)
+        return len(way.sessions)
+
+    def _offer(self, way: Way, packet: Packet, message: Message) -> int:
+        """Gives a packet to peers of which one at least is slow, behind what this thread has published before."""
+        self._local.turn.flush()
+        key = (packet.source, packet.type, packet.destination)
+        given = 0
+        for session in way.sessions:
+            try:
+                session.offer(packet.channel, key, message)
+            except PeerBusy:
+                if packet.destination != NEIGHBOURS:
+                    raise
+            else:
+                given += 1
+        return given
+
+    def _new_way(self, key: Key, packet: Packet) -> Way:
+        place, head = agent_of(packet.destination), head_of(packet)
+        with self._lock:
+            sessions = self._sessions_at(place)
+            if sessions is not None:
+                way = Way(packet.channel, packet.fence, place, head, sessions, RowEncoder(head))
+                if len(self._ways) >= MOST_WAYS:
+                    self._ways = {}
+                self._ways[key] = way
+                return way
+        raise self._lost(packet)
+
+    def _sessions_at(self, place: str) -> tuple[Session, ...] | None:
+        if place == NEIGHBOURS:
+            return self._neighbours
+        session = self._links.get(place)
+        return (session,) if session is not None else None

@@ -1,0 +1,125 @@
+"""How bytes travel between agents: one small interface, several transports.
+
+All of a transport's callbacks run one at a time, in the transport's own thread (in virtual time: in the
+one thread there is), and never from within a call to the transport or to a connection. `Connection.send`
+and `Connection.close` may be called from any thread.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import msgspec
+
+from pancakes.runtime.clock import Clock
+from pancakes.runtime.kernel.guest import Guest
+
+
+class Connection(ABC):
+    """One open connection: a first-in, first-out stream of bytes each way."""
+
+    remote: str
+    """Address of the other end, for messages to people."""
+
+    @abstractmethod
+    def send(self, data: bytes) -> int:
+        """Sends `data`, at once where that needs no waiting, else as soon as there is room. Never blocks.
+
+        Returns:
+            As `unsent`.
+        """
+
+    @abstractmethod
+    def unsent(self) -> int:
+        """Returns how many bytes still wait for room."""
+
+    @abstractmethod
+    def close(self, reason: str = "") -> None:
+        """Closes the connection; `reason` is what this side's handler is told. A second call does nothing."""
+
+
+class ConnectionHandler(Protocol):
+    """What a user of a connection implements."""
+
+    def opened(self, connection: Connection) -> None:
+        """The connection stands; called first."""
+        ...
+
+    def received(self, data: bytes) -> None:
+        """Bytes have come in, however the network cut them."""
+        ...
+
+    def closed(self, reason: str) -> None:
+        """The connection is gone; called last, once. Also called where it never came to stand."""
+        ...
+
+
+class PacedHandler(ConnectionHandler, Protocol):
+    """A handler that waits for room. A transport calls `drained` on every handler that has it."""
+
+    def drained(self) -> None:
+        """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent."""
+        ...
+
+
+class Scheduled(Protocol):
+    """A call that was put off."""
+
+    def cancel(self) -> None:
+        """Makes sure that the call does not happen, if it has not begun."""
+        ...
+
+
+class Transport(ABC):
+    """A way to reach other processes (entry point group `pancakes.transports`).
+
+    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. An
+    agent makes it with the host clock, the agent's name, and what the configuration says under `transport` in the
+    settings of `[service.network]`.
+    """
+
+    class Settings(msgspec.Struct):
+        """It has no settings."""
+
+    @abstractmethod
+    def __init__(self, clock: Clock, name: str, settings: Any) -> None: ...
+
+    @abstractmethod
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
+        """Takes connections at `address` (`tcp://127.0.0.1:7401`; port 0 takes a free one).
+
+        Args:
+            address: where to listen; for the parts of an address see `pancakes.mesh.address`.
+            accept: makes the handler for each connection that comes in.
+
+        Returns:
+            The address with the port that was really taken.
+
+        Raises:
+            PancakesError: the address is in use, or is no address; a sentence that says which.
+        """
+
+    @abstractmethod
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
+        """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
+
+    @abstractmethod
+    def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
+        """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
+
+    def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
+        """Lets this transport's thread give turns to the actors that it has brought something.
+
+        A transport that has no thread of its own, or would rather not, need not do anything.
+
+        Args:
+            make_guest: makes the thread a guest of the kernel's pool; called with what relieves the thread.
+            busy_poll_s: so long it may stay awake for the next packet where one comes after the other, in seconds of
+                host time; 0: never.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes all that is open, tells the handlers, and ends the transport's thread."""

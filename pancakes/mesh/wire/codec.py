@@ -1,0 +1,112 @@
+"""A packet by itself as msgpack and back: in a letter to a task, or in a recording.
+
+It is the array [channel, type, source, destination, stamp, seq, cause, body, fence]. Over a link packets travel in
+runs, see `pancakes.mesh.wire.runs`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+
+from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
+from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES
+from pancakes.mesh.wire.link_messages import LinkMessage
+from pancakes.mesh.wire.packet_bodies import encodable, received_body, unpacked
+from pancakes.packet import Fence, Packet
+from pancakes.runtime.foundation import codecs
+
+Text = Annotated[str, msgspec.Meta(max_length=256)]
+Word = Annotated[str, msgspec.Meta(min_length=1, max_length=256)]
+Stamp = Annotated[float, msgspec.Meta(ge=0, le=1e15)]
+Seq = Annotated[int, msgspec.Meta(ge=0)]
+
+
+class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
+    """The checks that a packet's array goes through (msgspec remembers those of a class, not those of a tuple)."""
+
+    channel: Word
+    type: Word
+    source: Word
+    destination: Text
+    stamp: Stamp
+    seq: Seq
+    cause: tuple[Text, Seq] | None
+    body: Any
+    fence: Fence | None
+
+
+def unsendable(packet: Packet, error: Exception) -> LocalProtocolError:
+    """Returns the sentence that names a packet and says why it cannot be sent."""
+    return LocalProtocolError(
+        f"the packet {packet.seq} of the type {packet.type!r} from {packet.source} cannot be sent: {error}"
+    )
+
+
+class Encoder:
+    """Encodes packets and link messages."""
+
+    def packet(self, packet: Packet) -> bytes:
+        """Returns a packet as msgpack.
+
+        Raises:
+            LocalProtocolError: it holds what cannot travel, or is larger than a frame. The sentence names the packet.
+        """
+        try:
+            body = encodable(packet.body)
+            message = codecs.encode(
+                (
+                    packet.channel,
+                    packet.type,
+                    packet.source,
+                    packet.destination,
+                    packet.stamp,
+                    packet.seq,
+                    packet.cause,
+                    body,
+                    packet.fence,
+                )
+            )
+            if len(message) > MAX_MESSAGE_BYTES:
+                raise LocalProtocolError(f"it takes {len(message)} bytes, and a frame holds {MAX_MESSAGE_BYTES}")
+        except (WireError, OverflowError, UnicodeError, TypeError, ValueError, MemoryError) as error:
+            raise unsendable(packet, error) from None
+        return message
+
+    def link_message(self, message: LinkMessage) -> bytes:
+        """Returns a message of the link as one message of a frame."""
+        return codecs.encode_small(message)
+
+
+def rows_from_payload(payload: bytes) -> list[list[Any]]:
+    """Takes an array of packets, each of them as `Encoder.packet` made it, apart, within the limits of memory.
+
+    What is in a packet is checked when it is made of its array.
+
+    Raises:
+        RemoteProtocolError: it is not a msgpack array of arrays, or breaks a limit.
+    """
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise RemoteProtocolError(f"a frame of {len(payload)} bytes is longer than {MAX_PAYLOAD_BYTES}")
+    rows = unpacked(payload)
+    if type(rows) is not list or not rows:
+        raise RemoteProtocolError("a frame holds no array of messages")
+    for row in rows:
+        if type(row) is not list or not row or type(row[0]) not in (str, int):
+            raise RemoteProtocolError("a frame holds a message that is neither a packet nor the link's own")
+    return rows
+
+
+def packet_from_row(row: list[Any]) -> Packet:
+    """Makes a packet from the array that came in; its body becomes the registered dataclass.
+
+    Raises:
+        RemoteProtocolError: the array is no packet, or the body does not fit its type.
+    """
+    try:
+        it = codecs.convert(row, _PacketRow)
+    except msgspec.ValidationError as error:
+        raise RemoteProtocolError(f"a packet is malformed: {error}") from None
+    body = received_body(it.type, it.body, it.source)
+    return Packet(it.channel, it.type, it.source, it.destination, it.stamp, it.seq, body, it.cause, it.fence)

@@ -1,0 +1,146 @@
+"""What two agents say to each other besides packets: the link's own messages.
+
+On the wire each is an array that begins with its number; 0 is the number of a run of packets, see
+`pancakes.mesh.wire.runs`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+import msgspec
+
+from pancakes.errors import LocalProtocolError
+from pancakes.mesh.address import parse_address
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.names import fault_of_name
+
+VERSION: Final = 5
+"""Version of the wire protocol. Agents of different versions do not talk."""
+
+HELLO_NUMBER: Final = 1
+"""First element of a `Hello`; the version follows it in every version of the protocol, past and to come."""
+
+Role = Literal["agent", "environment", "client"]
+"""`agent` may host tasks; `environment` is a simulated world, never asked to; `client` is a terminal, never counted."""
+
+Refusal = Literal["version", "fleet", "name", "self", "old", "duplicate", "full", "protocol"]
+"""Why a link was refused, for programs; the sentence beside it is for people.
+
+`version`, `fleet`: other than ours. `name`: borne by another agent. `self`: we dialled ourselves. `old`: a later
+boot of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more
+peers. `protocol`: the peer broke the protocol.
+"""
+
+Name = Annotated[str, msgspec.Meta(max_length=256)]
+"""Of an agent or a fleet; `fault_of_hello` checks its letters."""
+Address = Annotated[str, msgspec.Meta(max_length=256)]
+Sentence = Annotated[str, msgspec.Meta(max_length=1000)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
+
+
+class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
+    """The first message on a link, from both sides: what its sender is.
+
+    Attributes:
+        version: version of the wire protocol.
+        fleet: agents of different fleets do not talk.
+        name: the agent's name, the first part of all its addresses.
+        role: what it may be asked for.
+        journal: UUID of its journal; two agents of one name are told apart by it.
+        boot: how often that journal was opened; a higher one is a later life of the same agent.
+        listen: address at which it can be dialled, or empty.
+    """
+
+    version: int
+    fleet: Name
+    name: Name
+    role: Role
+    journal: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+    boot: Count
+    listen: Address = ""
+
+
+def fault_of_hello(hello: Hello) -> str:
+    """Returns why a hello cannot be taken, as a sentence; empty where it can."""
+    fault = fault_of_name(hello.name, client=hello.role == "client") or fault_of_name(hello.fleet)
+    return fault or (fault_of_address(hello.listen) if hello.listen else "")
+
+
+def fault_of_address(address: str) -> str:
+    """Returns why something cannot be an address at which an agent listens, as a sentence; empty where it can."""
+    try:
+        parse_address(address)
+    except ValueError:
+        return f"{address!a} is no address, such as tcp://192.0.2.1:7401"
+    return ""
+
+
+class Welcome(msgspec.Struct, frozen=True, array_like=True, tag=2):
+    """Sent by the lower name, on one connection to a peer at a time: this is the one that stays."""
+
+
+class RefuseLink(msgspec.Struct, frozen=True, array_like=True, tag=3):
+    """The last message on a link that its sender does not want."""
+
+    code: Refusal
+    reason: Sentence
+
+
+class Ping(msgspec.Struct, frozen=True, array_like=True, tag=4):
+    """The heartbeat; `token` counts the sender's pings."""
+
+    token: Count
+
+
+class Pong(msgspec.Struct, frozen=True, array_like=True, tag=5):
+    """The answer to a ping, with its token."""
+
+    token: Count
+
+
+class Goodbye(msgspec.Struct, frozen=True, array_like=True, tag=6):
+    """The last message of an agent that leaves on purpose.
+
+    Attributes:
+        why: it will `sleep` (and is not to be counted as dead), or it will `stop`.
+        for_s: how long it sleeps, in seconds of host time; None where it does not know.
+    """
+
+    why: Literal["sleep", "stop"]
+    for_s: Duration | None = None
+
+
+class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
+    """Gossip: addresses of agents that the sender is connected to, never those of clients."""
+
+    addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
+
+
+LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip
+
+
+class Identity(msgspec.Struct, frozen=True):
+    """What an agent is, for its links; see `Hello` for the attributes."""
+
+    name: str
+    journal: str
+    boot: int = 0
+    fleet: str = "default"
+    role: Role = "agent"
+
+    def hello(self, listen: str = "") -> Hello:
+        """Returns the hello of this agent, which can be dialled at `listen`.
+
+        Raises:
+            LocalProtocolError: a part is not what it must be, such as a name with a slash.
+        """
+        row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, listen]
+        try:
+            hello = codecs.convert(row, Hello)
+        except msgspec.ValidationError as error:
+            raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {error}") from None
+        if fault := fault_of_hello(hello):
+            raise LocalProtocolError(f"the agent {self.name!r} cannot introduce itself: {fault}")
+        return hello

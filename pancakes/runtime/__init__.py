@@ -1,0 +1,1 @@
+"""What runs an agent: its kernel, its services, the lives of its tasks, its configuration and its records on disk."""

@@ -1,0 +1,468 @@
+"""An agent, put together from its configuration (the composition root)."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+import uuid
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import msgspec
+
+from pancakes.control import CONTROLS
+from pancakes.errors import PancakesError, describe, traceback_of
+from pancakes.events import Event
+from pancakes.mesh.migration.outbox import Outbox
+from pancakes.mesh.migration.rest import resting
+from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.wire.link import LinkTimes
+from pancakes.mesh.wire.link_messages import Hello, Identity
+from pancakes.packet import Packet, body_class, join
+from pancakes.runtime.composition import Composition
+from pancakes.runtime.config import Config, parse_address
+from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.hosting.courier import Courier
+from pancakes.runtime.hosting.courier_messages import COURIER
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.ledgers import Ledgers
+from pancakes.runtime.hosting.load import describe_process
+from pancakes.runtime.hosting.records import KIND as RECORD
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.shared_outbox import SharedOutbox
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.dispatch import defer
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.device import DeviceService
+from pancakes.runtime.services.fences import Fences
+from pancakes.runtime.services.log import LogService
+from pancakes.runtime.services.network import NetworkService
+from pancakes.runtime.services.root import Root
+from pancakes.runtime.services.wanted_recordings import wanted_recordings
+from pancakes.runtime.state_dir import state_dir_of
+from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
+from pancakes.service import Service
+from pancakes.settings import make_settings
+
+_TOLD_ONCE = ("name", "role", "fleet", "listen")
+"""What a description of the agent says by itself, and not again with its mesh."""
+CLOSE_S = 1.5
+"""How long, in host time, an agent waits for its tasks to end before it stops all the same."""
+
+
+class Virtual(msgspec.Struct, frozen=True):
+    """What an agent in virtual time shares with the others of its fleet.
+
+    Attributes:
+        dispatcher: runs them all.
+        transport: this agent's own way onto the network in memory.
+        journal: what stands for its disk.
+    """
+
+    dispatcher: VirtualDispatcher
+    transport: Transport
+    journal: MemoryJournal
+
+
+class Agent:
+    """One agent: a kernel, its services and their tasks, a mesh and a journal.
+
+    Args:
+        config: its configuration.
+        plugins: where its classes are found.
+        virtual: run in virtual time; None: on threads and sockets.
+        arguments: what its tasks get besides their settings, by the task's name and by argument.
+
+    Attributes:
+        name: its name.
+        kernel: its kernel.
+        mesh: its links.
+        store: writes to its journal.
+        skipped: what does not run or was not believed (a broken plug-in, a torn journal entry), each a sentence.
+        outbox: what its tasks have sent to tasks, until that is acknowledged.
+        host_state: what it could be to a task from elsewhere.
+        resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
+            it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
+        ready: set once all that should run at the start does.
+        fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
+
+    Raises:
+        PancakesError: a plug-in is missing, its journal is in use, ...; the message says which.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        plugins: Plugins | None = None,
+        virtual: Virtual | None = None,
+        arguments: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        self.config = config
+        self.name = config.agent.name
+        self._plugins = plugins or Plugins()
+        seed = config.agent.seed if config.agent.seed is not None else random.SystemRandom().getrandbits(63)
+        self.kernel = Kernel(
+            self.name,
+            seed=seed,
+            speed=config.clock.speed,
+            hold=config.clock.hold,
+            virtual=virtual.dispatcher if virtual is not None else None,
+        )
+        self.ready = threading.Event()
+        self.fatal: str = ""
+        self.stopping = threading.Event()
+        self._on_fatal: Callable[[str], None] = lambda reason: None
+        self._on_shutdown: Callable[[], None] | None = None
+        self._born_s = self.kernel.host.now()
+        self._root: Root | None = None
+        self._closed = threading.Event()  # once all services have ended
+        self._clients: set[str] = set()
+        self._drop_said_s = -math.inf
+        self._unsaid: deque[Callable[[], None]] = deque(maxlen=1024)
+        self.skipped: list[str] = []
+        self.skipped.extend(str(fault) for fault in self._plugins.load_packets())
+        journal = virtual.journal if virtual is not None else self._open_journal()
+        try:
+            self._compose(config, journal, virtual, arguments or {})
+        except BaseException:
+            journal.close()
+            self.kernel.stop()
+            raise
+
+    def _compose(
+        self,
+        config: Config,
+        journal: Journal,
+        virtual: Virtual | None,
+        arguments: Mapping[str, Mapping[str, Any]],
+    ) -> None:
+        network = self._network_settings()
+        transport = virtual.transport if virtual is not None else self._open_transport()
+        self.kernel.transport = transport
+        if virtual is None:
+            transport.lend_thread(self.kernel.guest, network.busy_poll_s)
+        store: RecordStore
+        if virtual is not None:
+            store = VirtualStore(virtual.journal, transport.call_later, self.kernel.host.now, self.kernel.log)
+        else:
+            store = ThreadedStore(
+                journal, f"{self.name}-journal", self.kernel.host.now, self.kernel.log, lost=self._journal_lost
+            )
+        self.store = store
+        self._remarks = journal.remarks
+        disk = Disk(journal, store, self.skipped)
+        self.records = Records(disk)
+        self.resting = self._resting()
+        self.ledgers = Ledgers(disk, self.kernel.log)
+        installed = Installed(self._plugins)
+        self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
+        lost = self.records.all_lost()
+        told = {(RECORD, str(one.task_id)) for one in lost}
+        self.skipped.extend(str(aside) for aside in journal.set_aside if (aside.kind, aside.key) not in told)
+        self.skipped.extend(f"{one.task_id} is not started: {one.undecided(self.name)}" for one in lost)
+        self.mesh = Mesh(
+            Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
+            transport,
+            config.agent.listen,
+            config.agent.peers,
+            self.kernel.random_for("mesh"),
+            self.kernel.host,
+            on_packets=self.receive,
+            on_unfit=self._on_unfit,
+            on_peer_up=self._on_peer_up,
+            on_peer_down=self._on_peer_down,
+            on_refused=self._stop_for,
+            on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
+            defer=defer,
+            times=LinkTimes(heartbeat_s=network.heartbeat_s),
+        )
+        # A stream's name never comes again, because what was numbered in it is forgotten with this process.
+        self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
+        self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
+        for channel in config.channels:
+            self.kernel.stream.open(channel)
+        shared: dict[type[Service], dict[str, Any]] = {
+            LogService: {"wanted": wanted_recordings(disk)},
+            DeviceService: {"fences": Fences(disk)},
+            NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
+            ClientService: {
+                "mesh": self.mesh,
+                "state": self.host_state,
+                "records": self.records,
+                "outbox": self.outbox,
+                "catalogue": installed,
+            },
+        }
+        self._specs = Composition(config, self._plugins, installed, shared, arguments, self.skipped).services()
+
+    # Life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Opens its port, and begins to start its services; `ready` says when that is done.
+
+        Raises:
+            PancakesError: its port is in use.
+        """
+        try:
+            self.mesh.start()
+        except PancakesError:
+            self.store.close()
+            self.kernel.transport.close()
+            self.kernel.stop()
+            raise
+        self._spawn_courier()
+        root = self.kernel.spawn(
+            Root,
+            join(self.name, "kernel"),
+            specs=self._specs,
+            identity=self._identity,
+            migrations=self.ledgers.plain,
+            ready=self._become_ready,
+            shutdown=self._shut_down,
+            exited=self._root_ended,
+        )
+        assert isinstance(root, Root)
+        self._root = root
+
+    def _spawn_courier(self) -> None:
+        self.kernel.spawn(
+            Courier,
+            join(self.name, COURIER),
+            outbox=self.outbox,
+            records=self.records,
+            mesh=self.mesh,
+            exited=self._courier_ended,
+        )
+
+    def _courier_ended(self, courier: Component, error: BaseException | None) -> None:
+        self.kernel.stream.unsubscribe(courier.address)
+        if error is not None and not self.stopping.is_set():
+            # What it carried is not lost with it.
+            text = f"{courier.address} failed and is started again: {describe(error, type(courier))}"
+            self.kernel.log("error", text, traceback_of(error))
+            self._spawn_courier()
+
+    def _root_ended(self, root: Component, error: BaseException | None) -> None:
+        """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
+        self.kernel.stream.unsubscribe(root.address)
+        if error is None and self.kernel.stopping:
+            self._closed.set()
+        if self._closed.is_set():
+            return
+        assert isinstance(root, Root)
+        why = f"has failed: {describe(error)}" if error is not None else "was stopped"
+        reason = f"{root.address}, which starts and watches the services, {why}"
+        root.refuse_all(f"{self.name} ends: {reason}")
+        self.kernel.stopping = True
+        self._close_next([service for service in self.kernel.registry.components() if isinstance(service, Service)])
+        self._stop_for(reason)
+
+    def _close_next(self, services: list[Service]) -> None:
+        """Stops services, the last first, each once the one before has ended. In any thread."""
+        if not services:
+            self._closed.set()
+            return
+        service = services.pop()
+        gone_on = threading.Lock()
+
+        def go_on() -> None:
+            if gone_on.acquire(blocking=False):
+                self._close_next(services)
+
+        service.exited = lambda component, error: go_on()
+        if not tell(service, Close()):  # it ended before it could be told
+            go_on()
+
+    def _become_ready(self) -> None:
+        # Only now does the Log Service listen to what was found wrong before.
+        for sentence in self.skipped:
+            self.kernel.log("error", sentence)
+        for sentence in self._remarks:
+            self.kernel.log("warning", sentence)
+        for task, why in self.resting.items():
+            self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
+        if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
+            self.kernel.log(
+                "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and no peer is checked"
+            )
+        self.ready.set()
+        self._say_unsaid()
+
+    def stop(self) -> None:
+        """Stops everything in reverse, and waits for it. Not from one of its own threads."""
+        if self.stopping.is_set():
+            return
+        self.stopping.set()
+        self.kernel.stopping = True
+        closed = self._closed
+        root = self._root
+        if root is not None:
+            tell(root, Close())
+            if self.kernel.virtual is not None:
+                self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
+            elif not closed.wait(CLOSE_S):
+                self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
+        courier = self.kernel.registry.get(join(self.name, COURIER))
+        if courier is not None:
+            courier.stop()
+        self.mesh.stop()
+        self.store.close()
+        if self.kernel.virtual is not None:
+            self.kernel.virtual.settle()
+        self.kernel.transport.close()
+        self.kernel.stop()
+
+    def crash(self) -> None:
+        """Ends at once, as a kill does: no hook is called, what waits for the disk is lost. In virtual time only."""
+        if not isinstance(self.store, VirtualStore):
+            raise RuntimeError(f"{self.name} does not run in virtual time")
+        self.stopping.set()
+        self.kernel.crash()
+        self.store.crash()
+        # The operating system closes its connections, and its peers see that.
+        self.kernel.transport.close()
+
+    def on_fatal(self, function: Callable[[str], None]) -> None:
+        """Calls `function` with the reason, in any thread, where the agent must stop; also where that is so already."""
+        self._on_fatal = function
+        if self.fatal:
+            function(self.fatal)
+
+    def on_shutdown(self, function: Callable[[], None]) -> None:
+        """Calls `function`, in any thread, where a `Shutdown` packet asks for this agent's end; without, it refuses."""
+        self._on_shutdown = function
+
+    def _shut_down(self, dry_run: bool) -> str:
+        if self._on_shutdown is None:
+            return "it does not run as a process of its own"
+        if not dry_run:
+            self._on_shutdown()
+        return ""
+
+    def _stop_for(self, reason: str) -> None:
+        self.kernel.stopping = True
+        self.fatal = self.fatal or reason
+        self.kernel.log("error", reason)
+        self._on_fatal(reason)
+
+    def _journal_lost(self, reason: str) -> None:
+        """Another process could open what lies there now, and run what runs here: all of that ends (any thread)."""
+        self.kernel.stopping = True
+        root = self._root
+        if root is not None:
+            tell(root, Close())
+        self._stop_for(
+            f"{reason}; its tasks are ended, because an agent that is started now knows nothing of them."
+            f" See that no other agent runs them, put the directory back if you can, and start {self.name} again"
+        )
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "role": self.config.agent.role,
+            "fleet": self.config.agent.fleet,
+            "listen": self.mesh.listen,
+            "neighbours": self.mesh.neighbours(),
+            "peers": [hello.name for hello in self.mesh.connected()],
+            "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
+            "speed": self.config.clock.speed,
+            # In virtual time many agents share one process.
+            "process": self._process() if self.kernel.virtual is None else None,
+            **self.host_state.describe(),
+        }
+
+    def _process(self) -> dict[str, Any]:
+        return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
+
+    # The mesh's callbacks, in the transport's thread -----------------------------------------------------------
+
+    def _say(self, say: Callable[[], None]) -> None:
+        """Says something on `log`, once there is a Log Service to hear it: links may stand before that."""
+        self._unsaid.append(say)
+        if self.ready.is_set():
+            self._say_unsaid()
+
+    def _say_unsaid(self) -> None:
+        # In the transport's thread, and once in the root's: each takes what it finds.
+        while self._unsaid:
+            try:
+                say = self._unsaid.popleft()
+            except IndexError:
+                return
+            say()
+
+    def receive(self, peer: str, packets: Sequence[Packet], size: int) -> None:
+        """Hands packets of a peer to the stream; they had `size` bytes on the link. In the transport's thread."""
+        self.kernel.stream.inject_all(packets, partial(self._refused, peer), size)
+
+    def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
+        self.kernel.stream.undelivered += 1
+        self._refuse(peer, packet, reason)
+
+    def _refused(self, peer: str, packet: Packet, error: PancakesError) -> None:
+        self._refuse(peer, packet, str(error))
+
+    def _refuse(self, peer: str, packet: Packet, reason: str) -> None:
+        """Tells the sender of a command that it found no way in; any other packet is dropped, and the log says so."""
+        root = self._root
+        if body_class(packet.type) in CONTROLS and root is not None:
+            tell(root, NoRoom(packet, reason))
+            return
+        now_s = self.kernel.host.now()
+        # There may be thousands a second, and a line for each would be a load of its own.
+        if now_s >= self._drop_said_s + DROPS_REPORTED_EVERY_S:
+            self._drop_said_s = now_s
+            self.kernel.log("warning", f"a packet of {peer} was dropped: {reason}")
+
+    def _on_peer_up(self, hello: Hello) -> None:
+        if hello.role == "client":
+            # Each command at a terminal is one: what it asks for is news, that it comes and goes is not.
+            self._clients.add(hello.name)
+        else:
+            self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+
+    def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
+        if name in self._clients:
+            self._clients.discard(name)
+        else:
+            self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
+        for component in self.kernel.registry.components():
+            if isinstance(component, (NetworkService, ClientService)):
+                tell(component, PeerDown(name))
+
+    # Composition -----------------------------------------------------------------------------------------------
+
+    def _open_journal(self) -> Journal:
+        directory = state_dir_of(self.config)
+        return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
+
+    def _open_transport(self) -> Transport:
+        agent = self.config.agent
+        address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
+        cls: type[Transport] = self._plugins.get("pancakes.transports", address.partition("://")[0])
+        return cls(self.kernel.host, self.name, make_settings(cls.Settings, self._network_settings().transport))
+
+    def _network_settings(self) -> NetworkService.Settings:
+        """Returns those settings of the network that are for transport and mesh, which are there before the service.
+
+        Raises:
+            SettingsError: they do not fit; a configuration that was made in code has not been checked before.
+        """
+        network = self.config.services.get("network")
+        given = network.settings if network is not None else {}
+        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transport") if name in given}
+        return make_settings(NetworkService.Settings, known)
+
+    def _resting(self) -> dict[str, str]:
+        services = {task.name: task.service for task in self.config.tasks.values() if task.start}
+        found = resting(self.name, services, self.records.all())
+        return {f"{services[name]}/{name}": why for name, why in found.items()}

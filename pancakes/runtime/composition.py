@@ -1,0 +1,138 @@
+"""The services of an agent, their tasks and devices, as its configuration names them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from msgspec.structs import asdict
+
+from pancakes.errors import PluginError
+from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.device import DeviceService, DeviceSpec
+from pancakes.runtime.services.log import LogService
+from pancakes.runtime.services.network import NetworkService
+from pancakes.runtime.supervision.service_spec import ServiceSpec
+from pancakes.service import Service
+from pancakes.task import TaskSpec
+
+FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
+"""Services of these classes start before all others, in this order; the tasks of the user need them."""
+
+
+class Composition:
+    """Makes the specs of an agent's services.
+
+    Args:
+        config: the agent's configuration.
+        plugins: where services and drivers are found.
+        installed: where task types are found.
+        shared: what services get from their agent, by class and by argument; a subclass gets it too.
+        arguments: what tasks get from the program that made the agent, by the task's name and by argument.
+        skipped: the sentence about each part that does not run is added here.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        plugins: Plugins,
+        installed: Installed,
+        shared: Mapping[type[Service], Mapping[str, Any]],
+        arguments: Mapping[str, Mapping[str, Any]],
+        skipped: list[str],
+    ) -> None:
+        self._config = config
+        self._plugins = plugins
+        self._installed = installed
+        self._shared = shared
+        self._arguments = arguments
+        self._skipped = skipped
+
+    def services(self) -> list[ServiceSpec]:
+        """Returns the services that can run, in the order in which they start."""
+        by_service: dict[str, list[TaskSpec]] = {}
+        for task in self._config.tasks.values():
+            spec = self._task(task)
+            if spec is not None:
+                by_service.setdefault(task.service, []).append(spec)
+        configs = self._config.services
+        made = [self._service(config, tuple(by_service.get(name, ()))) for name, config in configs.items()]
+        specs = sorted([spec for spec in made if spec is not None], key=_turn_of)
+        hosts = [spec.name for spec in specs if issubclass(spec.cls, DeviceService)]
+        for device in self._config.devices.values():
+            if device.service not in hosts:
+                self._skipped.append(
+                    f"the device {device.name} does not run: no device service {device.service!r} does"
+                )
+        return specs
+
+    def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
+        try:
+            cls = self._plugins.get("pancakes.services", config.type)
+        except PluginError as error:
+            self._skip(f"the service {config.name}", error)
+            return None
+        if cls.only_name not in ("", config.name):
+            self._skipped.append(
+                f"the service {config.name} does not run: an agent has one {cls.__name__}, and that is {cls.only_name}"
+            )
+            return None
+        return ServiceSpec(
+            config.name, cls, config.settings, tasks, config.restart, self._arguments_of(config.name, cls)
+        )
+
+    def _arguments_of(self, name: str, cls: type[Service]) -> dict[str, Any]:
+        """Returns what a service gets besides its settings and tasks: that goes by its class, not by its name."""
+        arguments: dict[str, Any] = {}
+        for service, shared in self._shared.items():
+            if issubclass(cls, service):
+                arguments.update(shared)
+        if issubclass(cls, DeviceService):
+            devices = [self._device(device) for device in self._config.devices.values() if device.service == name]
+            arguments["devices"] = tuple(device for device in devices if device is not None)
+        elif issubclass(cls, LogService):
+            # The table [record] is for one recorder: all packets need not be recorded twice.
+            record = self._config.record if name == "log" else None
+            arguments["record"] = asdict(record) if record is not None else None
+        return arguments
+
+    def _device(self, config: DeviceConfig) -> DeviceSpec | None:
+        try:
+            cls = self._plugins.get("pancakes.drivers", config.driver)
+        except PluginError as error:
+            self._skip(f"the device {config.name}", error)
+            return None
+        return DeviceSpec(
+            config.name, cls, config.driver, config.settings, config.rate_hz, config.hold_after_s, config.restart
+        )
+
+    def _task(self, config: TaskConfig) -> TaskSpec | None:
+        try:
+            cls, version = self._installed.find(config.type)
+        except PluginError as error:
+            self._skip(f"the task {config.name}", error)
+            return None
+        return TaskSpec(
+            name=config.name,
+            cls=cls,
+            type=config.type,
+            version=version,
+            settings=config.settings,
+            rate_hz=config.rate_hz,
+            start=config.start,
+            restart=config.restart,
+            durability=config.durability,
+            rule=config.migrate,
+            arguments=self._arguments.get(config.name, {}),
+        )
+
+    def _skip(self, part: str, error: PluginError) -> None:
+        """Names one bad plug-in; the rest runs."""
+        self._skipped.append(f"{part} does not run: {error}")
+
+
+def _turn_of(spec: ServiceSpec) -> int:
+    """Returns the place of a service in the order in which services start; those of one place keep their order."""
+    return next((place for place, cls in enumerate(FIRST) if issubclass(spec.cls, cls)), len(FIRST))

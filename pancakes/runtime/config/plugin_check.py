@@ -1,0 +1,223 @@
+"""Checks a configuration against the plug-ins that it names: do they exist, do their settings fit, is what they
+need there?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pancakes.errors import Fault, PluginError
+from pancakes.mesh.address import parse_address
+from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.packet import body_class, field_names, known_types
+from pancakes.runtime.config.key_places import KeyPlaces
+from pancakes.runtime.config.scanner import KeyPath
+from pancakes.runtime.config.tables import Config, TaskConfig
+from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.runtime.plugins import Plugins, UnknownPlugin
+from pancakes.settings import check_settings
+
+DRIVERS = "pancakes.drivers"
+SERVICES = "pancakes.services"
+TASKS = "pancakes.tasks"
+COSTS = "pancakes.costs"
+TRANSPORTS = "pancakes.transports"
+
+
+def check_plugins(config: Config, plugins: Plugins, must_load: bool = False) -> list[Fault]:
+    """Returns all that a configuration gets wrong about drivers, services, tasks, costs and transports.
+
+    What could only be judged with a plug-in that cannot be imported is not judged.
+
+    Args:
+        config: a configuration; tables without a type are passed over.
+        plugins: where the plug-ins come from. Those that the configuration names are imported, and so are all
+            types of packets.
+        must_load: whether a plug-in that the configuration names and that cannot be imported is a fault. Where it is
+            none, it is left to `Plugins.problems`, and the rest of an agent runs.
+    """
+    check = _Check(config, plugins, must_load)
+    check.run()
+    return config.places.in_order(check.faults)
+
+
+class _Check:
+    """One pass over one configuration."""
+
+    def __init__(self, config: Config, plugins: Plugins, must_load: bool) -> None:
+        self._config = config
+        self._must_load = must_load
+        self._plugins = plugins
+        self._places: KeyPlaces = config.places
+        self._broken = False  # whether something could not be imported, so that not all is known
+        self.faults: list[Fault] = []
+
+    def run(self) -> None:
+        config = self._config
+        self._check_transports()
+        device_types = self._check_devices()
+        self._check_services()
+        classes = {
+            task.name: self._check_part(TASKS, task.type, task.settings, ("task", task.name), "type")
+            for task in config.tasks.values()
+        }
+        started = [task.name for task in config.tasks.values() if task.start]
+        started += [task.migrate.then for task in config.tasks.values() if task.migrate]
+        for task in config.tasks.values():
+            if task.name in started:
+                self._check_requires(task, classes[task.name], device_types)
+        if self._plugins.load_packets():
+            self._broken = True
+        for task in config.tasks.values():
+            if task.migrate:
+                self._check_rule(task.migrate, ("task", task.name, "migrate"))
+
+    def _fault(self, key: KeyPath, problem: str, near: str = "") -> None:
+        self.faults.append(self._places.fault(key, problem, near))
+
+    def _get(self, group: str, name: str, key: KeyPath) -> Any | None:
+        """Returns a plug-in; None where there is none to be had, which is noted."""
+        try:
+            return self._plugins.get(group, name)
+        except UnknownPlugin as error:
+            self._fault(key, error.problem, error.suggestion)
+        except PluginError as error:
+            self._broken = True
+            if self._must_load:
+                self._fault(key, str(error))
+        return None
+
+    def _check_part(self, group: str, name: str, settings: Mapping[str, Any], table: KeyPath, key: str) -> Any | None:
+        """Checks that a class exists and that its settings fit; returns it where it can be used."""
+        if not name:
+            return None  # its absence has been reported
+        found = self._get(group, name, (*table, key))
+        if found is None:
+            return None
+        if not _is_class_of(group, found):
+            kind = group.removeprefix("pancakes.")[:-1]
+            self._fault((*table, key), f"{name!r} is no {kind} but {_shown(found)}: a defect of its distribution")
+            return None
+        for problem in check_settings(found.Settings, settings):
+            self._fault((*table, "settings", *problem.path), problem.text, problem.suggestion)
+        return found
+
+    def _check_transports(self) -> None:
+        """Looks only for the transport of each address: faults in its form have been reported."""
+        agent = self._config.agent
+        addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), agent.listen)] if agent.listen else []
+        addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]
+        known = self._plugins.names(TRANSPORTS) if addresses else []
+        for key, text in addresses:
+            try:
+                scheme = parse_address(text).scheme
+            except ValueError:
+                continue
+            if scheme not in known:
+                self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
+            elif self._must_load:
+                self._get(TRANSPORTS, scheme, key)
+        self._check_transport_settings([text for _, text in addresses])
+
+    def _check_transport_settings(self, addresses: Sequence[str]) -> None:
+        """Checks what the network's settings say of the transport, which is that of the first address."""
+        network = self._config.services.get("network")
+        given = network.settings.get("transport") if network is not None else None
+        if not isinstance(given, dict) or not addresses:
+            return
+        table = ("service", "network", "settings", "transport")
+        found = self._get(TRANSPORTS, addresses[0].partition("://")[0], table)
+        for problem in check_settings(found.Settings, given) if found is not None else ():
+            self._fault((*table, *problem.path), problem.text, problem.suggestion)
+
+    def _check_services(self) -> None:
+        from pancakes.runtime.services.device import DeviceService
+
+        classes = {
+            service.name: self._check_part(SERVICES, service.type, service.settings, ("service", service.name), "type")
+            for service in self._config.services.values()
+        }
+        for name, cls in classes.items():
+            if cls is not None and cls.only_name not in ("", name):
+                problem = f"an agent has one service of the type {self._config.services[name].type!r}, and that is"
+                self._fault(("service", name, "type"), f"{problem} [service.{cls.only_name}]")
+        for device in self._config.devices.values():
+            cls = classes.get(device.service)
+            if cls is not None and not issubclass(cls, DeviceService):
+                self._fault(("device", device.name, "service"), f"{device.service!r} is no service for devices")
+
+    def _check_devices(self) -> list[str] | None:
+        """Checks the devices and returns their types; None where not all of them can be known."""
+        from pancakes.bodies.devices.driver import Actuator
+
+        device_types: list[str] | None = []
+        for device in self._config.devices.values():
+            table = ("device", device.name)
+            found = self._check_part(DRIVERS, device.driver, device.settings, table, "driver")
+            device_type = getattr(found, "type", None)
+            if found is not None and not isinstance(device_type, str):
+                problem = f"{device.driver!r} does not say the type of its device: a defect of its distribution"
+                self._fault((*table, "driver"), problem)
+            if not isinstance(device_type, str):
+                device_types = None
+            elif device_types is not None:
+                device_types.append(device_type)
+            hold_key = (*table, "hold_after_s")
+            if found is not None and not issubclass(found, Actuator) and self._places.has(*hold_key):
+                self._fault(hold_key, f"is for actuators, and {device.driver!r} is none")
+        return device_types
+
+    def _check_requires(self, task: TaskConfig, cls: Any | None, device_types: list[str] | None) -> None:
+        if cls is None or device_types is None:
+            return
+        missing = [need for need in _strings(getattr(cls, "requires", ())) if need not in device_types]
+        if missing:
+            there = ", ".join(dict.fromkeys(device_types)) or "no device"
+            kinds = f"device of the type {missing[0]}" if len(missing) == 1 else f"devices: {', '.join(missing)}"
+            needs = f"needs a {kinds}" if len(missing) == 1 else f"needs {kinds}"
+            near = suggestion(missing[0], device_types) if len(missing) == 1 else ""
+            self._fault(("task", task.name, "type"), f"{needs}; this agent has {there}", near)
+
+    def _check_rule(self, rule: MigrationRule, table: KeyPath) -> None:
+        if isinstance(rule.cost, str):
+            if rule.cost:  # an empty one has been reported
+                self._get(COSTS, rule.cost, (*table, "cost"))
+        else:
+            for name in rule.cost:
+                self._get(COSTS, name, (*table, "cost", name))
+        if not rule.when or self._broken:
+            return  # a module that failed may have had this type
+        body = body_class(rule.when)
+        if body is None:
+            self._fault(
+                (*table, "when"), f"unknown type of packets {rule.when!r}", suggestion(rule.when, known_types())
+            )
+        elif rule.field not in (known := field_names(body)):
+            key = (*table, "field") if self._places.has(*table, "field") else table
+            problem = f"a packet of the type {rule.when!r} has no field {rule.field!r}, but {', '.join(known)}"
+            self._fault(key, problem, suggestion(rule.field, known))
+
+
+def _is_class_of(group: str, found: Any) -> bool:
+    """Whether a plug-in is a class of the kind that its group promises."""
+    return isinstance(found, type) and issubclass(found, _base_of(group))
+
+
+def _base_of(group: str) -> type:
+    from pancakes.bodies.devices.driver import Driver  # late: reading a file alone needs no kernel
+    from pancakes.service import Service
+    from pancakes.task import Task
+
+    return {DRIVERS: Driver, SERVICES: Service, TASKS: Task}[group]
+
+
+def _shown(found: Any) -> str:
+    name = getattr(found, "__qualname__", "") or type(found).__qualname__
+    return f"the class {name}" if isinstance(found, type) else f"{type(found).__name__} {name}"
+
+
+def _strings(value: Any) -> list[str]:
+    """`requires = ("pose")` is a string, and surely meant as one type."""
+    if isinstance(value, str):
+        return [value]
+    return [item for item in value if isinstance(item, str)] if isinstance(value, Iterable) else []

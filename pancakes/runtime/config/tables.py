@@ -1,0 +1,169 @@
+"""What a configuration says, once it has been read and found sound: frozen structures, a table each.
+
+`settings` stay plain mappings here; the class that they belong to checks them
+(`pancakes.runtime.config.check_plugins`). Rates are per second of mission time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta, Struct, field
+
+from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.runtime.config.key_places import KeyPlaces
+from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
+from pancakes.tools.recording.settings import RecordingSettings
+
+SCHEMA: Final = 1
+"""The number of the format that this version reads; a file states it as `schema = 1`."""
+
+DEFAULT_SERVICES: Final = ("device", "network", "log", "client")
+"""The services that every agent has, also where its file does not name them (paper §3.1)."""
+
+Positive = Annotated[float, Meta(gt=0, le=1e9)]
+"""A number above 0. The upper end keeps out infinity."""
+
+
+class AgentConfig(Struct, frozen=True):
+    """The table `[agent]`.
+
+    Attributes:
+        name: the agent's name on the mesh; the first part of all addresses in it.
+        listen: the address where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
+            one); empty where it only connects to others.
+        peers: the addresses of agents to connect to. Its own among them is skipped, so that a fleet can share one list.
+        role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
+            person's tool); the last two are never asked to take a task.
+        fleet: agents of different fleets refuse each other.
+        state_dir: the directory for what must outlive the process; a relative one counts from the working
+            directory; empty for the agent's default place.
+        seed: where the agent's randomness starts; None draws it afresh at each start.
+    """
+
+    name: str
+    listen: str = ""
+    peers: tuple[str, ...] = ()
+    role: Literal["agent", "environment", "client"] = "agent"
+    fleet: str = "default"
+    state_dir: str = ""
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+
+
+class ClockConfig(Struct, frozen=True):
+    """The table `[clock]`.
+
+    Attributes:
+        speed: mission seconds for each second of the host.
+        hold: whether the mission waits at 0 until a `begin` packet comes.
+    """
+
+    speed: Positive = 1.0
+    hold: bool = False
+
+
+class RecordConfig(RecordingSettings):
+    """The table `[record]`: the settings of the recorder, which every agent has as `log/Recorder`.
+
+    Attributes:
+        start: whether it records from the start; otherwise it waits until it is started.
+    """
+
+    start: bool = True
+
+
+class ChannelConfig(Struct, frozen=True):
+    """A table `[channel.NAME]`: a channel that is there from the start, besides the core ones."""
+
+    name: str
+
+
+class DeviceConfig(Struct, frozen=True):
+    """A table `[device.NAME]`.
+
+    Attributes:
+        name: the device's name on this agent.
+        driver: the name of its driver, such as `sim.ir`.
+        service: the device service that looks after it.
+        rate_hz: how often it is sampled; None where the driver itself says when there is a reading.
+        settings: plain values for the driver's `Settings`.
+        restart: what the device service does when it fails.
+        hold_after_s: an actuator goes to its safe hold when no command came for so long, in mission seconds.
+    """
+
+    name: str
+    driver: str
+    service: str = "device"
+    rate_hz: Positive | None = None
+    settings: Mapping[str, Any] = {}
+    restart: DeviceRestartSpec = field(default_factory=DeviceRestartSpec)
+    hold_after_s: Positive = 0.5
+
+
+class ServiceConfig(Struct, frozen=True):
+    """A table `[service.NAME]`.
+
+    Attributes:
+        name: the service's name on this agent.
+        type: the name of its class; the four default services have their own name as their type.
+        settings: plain values for the service's `Settings`.
+        restart: what the kernel does when it fails.
+    """
+
+    name: str
+    type: str
+    settings: Mapping[str, Any] = {}
+    restart: RestartSpec = field(default_factory=RestartSpec)
+
+
+class TaskConfig(Struct, frozen=True):
+    """A table `[task.NAME]`.
+
+    Attributes:
+        name: the task's name on this agent.
+        type: the name of its class, such as `encirclement.ScanTarget`.
+        service: the service that looks after it.
+        start: whether it runs from the start; otherwise it waits until a packet starts it.
+        rate_hz: replaces the rate of the task's `@every`; None keeps it.
+        settings: plain values for the task's `Settings`.
+        restart: what its service does when it fails.
+        durability: `each` writes the task's state before each acknowledgement, `lazy` now and then.
+        migrate: when it moves away by itself; None for never.
+    """
+
+    name: str
+    type: str
+    service: str = "client"
+    start: bool = True
+    rate_hz: Positive | None = None
+    settings: Mapping[str, Any] = {}
+    restart: RestartSpec = field(default_factory=RestartSpec)
+    durability: Literal["lazy", "each"] = "lazy"
+    migrate: MigrationRule | None = None
+
+
+class Config(Struct, frozen=True):
+    """All that a configuration file says, overrides included.
+
+    Attributes:
+        agent: the table `[agent]`.
+        clock: the table `[clock]`.
+        record: the table `[record]`; None where there is none.
+        channels: extra channels by name, in the order of the file (so are the next three).
+        devices: devices by name.
+        services: services by name; the four default ones are always there and come first.
+        tasks: tasks by name.
+        path: where it was read from, for messages.
+        places: where each key stands, for messages.
+    """
+
+    agent: AgentConfig
+    clock: ClockConfig
+    record: RecordConfig | None
+    channels: Mapping[str, ChannelConfig]
+    devices: Mapping[str, DeviceConfig]
+    services: Mapping[str, ServiceConfig]
+    tasks: Mapping[str, TaskConfig]
+    path: str
+    places: KeyPlaces

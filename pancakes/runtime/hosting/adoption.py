@@ -1,0 +1,91 @@
+"""What a person decides about a task: which one is meant, and what has to be known before (see docs/protocol.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from pancakes.errors import ControlRefused
+from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record
+from pancakes.runtime.hosting.lost import Lost
+
+DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
+"""The phases in which an agent cannot know by itself whether a task is its own."""
+
+
+def in_doubt(records: Iterable[Record]) -> list[Record]:
+    """Returns the records of those tasks whose hand-off stands undecided."""
+    return [record for record in records if record.phase in DOUBT]
+
+
+def was_forgotten(record: Record) -> bool:
+    """Returns whether a person has let the task rest here, after its record was lost."""
+    return record.phase is Phase.ABSENT and record.seen != NO_EPOCH and not record.peer
+
+
+def chosen(
+    service: str,
+    name: str,
+    birthplace: str,
+    records: Sequence[Record],
+    lost: Sequence[Lost],
+    verb: str = "adopt",
+) -> Record | Lost:
+    """Returns what is known of the task that is to be adopted or forgotten.
+
+    Args:
+        service: address of the service that is asked.
+        name: the task's name.
+        birthplace: the agent that it was born on; empty: any.
+        records: what the service has of tasks of this name.
+        lost: those of this name whose records were lost.
+        verb: what is to be done: `adopt`, or `forget`, which is for the latter alone.
+
+    Raises:
+        ControlRefused: none of them can be meant, or several can.
+    """
+    meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
+    found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
+    if verb == "adopt":
+        found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record))]
+    known = {one.task_id for one in found}
+    meant = [record for record in meant if record.task_id in known or not record.unborn]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        ids = " and ".join(str(one.task_id) for one in found)
+        raise ControlRefused(f"{service} has {ids} in doubt: say which by its birthplace")
+    if not meant:
+        raise ControlRefused(f"{service} knows of no task {name!r}" + (f" of {birthplace}" if birthplace else ""))
+    stands = " and ".join(f"{record.task_id} is {_standing(record)}" for record in meant)
+    raise ControlRefused(f"there is nothing to {verb}: {stands}")
+
+
+def meaning(record: Record, me: str) -> str:
+    """Returns what adopting a task would mean, for a person who has not yet said `force`."""
+    task_id, peer = record.task_id, record.peer
+    if record.phase is Phase.COMMITTED:
+        doubt = f"{task_id} was given to {peer} (offer {record.offer}), which does not say that it has it"
+    else:
+        doubt = f"{task_id} rests on {me} (offer {record.offer}), and {peer} does not say whether it was given away"
+    return (
+        f"{doubt}. Adopted by force, it runs on {me} from the snapshot of that hand-off, under a new epoch."
+        f" Where {peer} runs it, or ever comes back with its disk, there are two of it."
+        f" So only where {peer} is gone for good: see that the task runs nowhere, switch {peer} off, adopt by force,"
+        f" and only after that set {peer} up anew, with an empty state_dir."
+        f" Otherwise wait: the hand-off goes on by itself once {peer} answers. Nothing was done"
+    )
+
+
+def _standing(record: Record) -> str:
+    match record.phase:
+        case Phase.OWNER:
+            return "here already"
+        case Phase.RELEASED:
+            return f"with {record.peer}, which has said so"
+        case Phase.FROZEN:
+            return "here, and about to be handed over"
+        case Phase.COMMITTED | Phase.PREPARED:
+            return f"in doubt between this agent and {record.peer}, so adopt it or wait"
+        case _:
+            return "not here" + (f", {record.peer} had it last" if record.peer else "")

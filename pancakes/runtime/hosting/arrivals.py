@@ -1,0 +1,178 @@
+"""What happens when a task arrives or begins: it is checked, gets a place, and what it begins with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.migration.candidate import would_take
+from pancakes.mesh.migration.effect import StartTask
+from pancakes.mesh.migration.event import Received
+from pancakes.mesh.migration.messages import HandOffMessage, Reserve, Transfer
+from pancakes.mesh.migration.record import Phase, Record
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.packet import Fence, join
+from pancakes.runtime.foundation.arrays import alike
+from pancakes.runtime.hosting.courier_messages import SendUnsent
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.hosting_effect import AskRoom
+from pancakes.runtime.hosting.hosting_event import NoPlace, PlaceFree, Room
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.snapshots import carried_of, settings_now, spec_of
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.life.life import CLOSES
+from pancakes.runtime.life.life_event import Admitted, LeaveRefused
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.weight import in_brief
+from pancakes.settings import make_settings
+from pancakes.task import TaskSpec
+
+SETTLE_S: Final = 10.0
+"""How long, in host time, a rule leaves a task alone that has just arrived: no ping-pong."""
+
+
+class Arrivals:
+    """Takes tasks in, from other agents and from the journal. All in the service's actor.
+
+    Args:
+        host: the service.
+        catalogue: where the classes of tasks that arrive are found.
+        records: says which service has the record of a task.
+        state: says whether this agent can take a task.
+    """
+
+    def __init__(self, host: HostingService, catalogue: Installed, records: Records, state: HostState) -> None:
+        self._host = host
+        self._catalogue = catalogue
+        self._records = records
+        self._state = state
+
+    def found(self, place: Place) -> list[TaskSpec]:
+        """Takes up a record that was on disk; returns its task, where the configuration does not have it."""
+        host, task_id, record = self._host, place.task_id, place.standing.record
+        if not record.snapshot:
+            return []
+        try:
+            snapshot = Snapshot.decode(record.snapshot)
+            specs = [] if task_id.name in host.residents else [spec_of(snapshot, self._catalogue)]
+        except (PancakesError, msgspec.ValidationError) as error:
+            host.log("error", f"{task_id} rests in the journal and cannot be started: {error}")
+            return []
+        if record.phase is Phase.PREPARED:
+            # A task that is in doubt may be started any moment: no other task here may take its actuators before.
+            reason = host.kernel.registry.reserve(join(host.address, task_id.name), snapshot.requires)
+            if reason:
+                host.log("warning", f"no actuators are kept for {task_id}: {reason}")
+        return specs
+
+    def undecided(self, record: Record) -> str:
+        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
+        lost = self._records.lost(record.task_id)
+        return lost.undecided(self._host.agent) if lost is not None and record.phase is Phase.ABSENT else ""
+
+    def receive(self, peer: str, message: HandOffMessage, place: Place) -> Received | None:
+        """Takes a hand-off message from a peer.
+
+        Returns:
+            What to feed to the place of the task; None: another service has its record, and answers once it is asked.
+        """
+        record = place.standing.record
+        if isinstance(message, Reserve):
+            return Received(peer, message, self._state.reserve(peer, message))
+        if isinstance(message, Transfer):
+            self._state.free(message.task_id)
+            if not would_take(record, message.offer):
+                return Received(peer, message)
+            refusal = self._cannot_build(place, message)
+            place.came_from = "" if refusal else peer
+            return Received(peer, message, refusal)
+        if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
+            return None
+        return Received(peer, message)
+
+    def _cannot_build(self, place: Place, message: Transfer) -> str:
+        """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
+        try:
+            snapshot = Snapshot.decode(message.snapshot)
+            if snapshot.task_id != message.task_id:
+                return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
+            here = self._records.service_of(message.task_id) or self._host.name
+            if not here == snapshot.service == self._host.name:
+                return f"has a record of {message.task_id} in its service {here!r}, not in {snapshot.service!r}"
+            spec = spec_of(snapshot, self._catalogue)
+            make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
+            make_settings(spec.cls.State, snapshot.state, allow_nan=True)
+        except (PancakesError, msgspec.ValidationError) as error:
+            return str(error)
+        slot = self._host.slots.get(message.task_id.name)
+        if slot is not None:
+            there = self._host.places.at[slot.name]
+            if there is not place and not there.standing.leaving:
+                return f"has a task named {slot.name} already"
+        return self._host.kernel.registry.reserve(join(self._host.address, message.task_id.name), snapshot.requires)
+
+    def room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:
+        """Sees whether a task can run here now, and what it would begin with."""
+        registry, record = self._host.kernel.registry, place.standing.record
+        if undecided := self.undecided(record):
+            registry.unreserve(slot.address)
+            return Room(asked, undecided, for_good=True)
+        reason = self._host.admit(slot)
+        if not reason and asked.keep:
+            reason = registry.reserve(slot.address, slot.spec.cls.requires)
+        if reason:
+            return Room(asked, reason)
+        if slot.fresh:
+            slot.fresh = False
+            self._host.drop_state(slot)
+        carries = slot.carried is not None or record.unborn
+        return Room(asked, snapshot=self._host.snapshot(slot, slot.carried) if carries else b"")
+
+    def open(self, place: Place, start: StartTask) -> None:
+        """Opens a place for a task among the tasks of the service."""
+        if place.task_id.name in self._host.slots:
+            return  # the actor of a task of the same name that was given away has not ended yet
+        try:
+            self._host.open_slot(spec_of(Snapshot.decode(start.snapshot), self._catalogue))
+        except PancakesError as error:
+            self._host.log("error", f"{place.task_id} is ours, but cannot be started: {error}")
+            self._host.feed_place(place, NoPlace(str(error)))
+        else:
+            self._host.feed_place(place, PlaceFree())
+
+    def prepare(self, slot: Slot, place: Place, start: StartTask) -> None:
+        """Gives the place of a task what it begins with, and its actuators."""
+        snapshot = Snapshot.decode(start.snapshot)
+        place.written = None
+        slot.carried = replace(carried_of(snapshot), settings=self._settings_now(slot, snapshot))
+        slot.fence = Fence(str(place.task_id), (start.epoch.n, start.epoch.minter))
+        for seq in snapshot.sent.values():
+            self._host.kernel.continue_seq(slot.address, seq + 1)
+        self._host.outbox.arrive(place.task_id, snapshot.posted, start.fresh, self._host.kernel.host.now())
+        if snapshot.posted is not None:
+            self._host.tell_courier(SendUnsent())
+        if place.came_from:
+            place.ask_again_s = self._host.kernel.host.now() + SETTLE_S
+            state = in_brief(snapshot.state)
+            self._host.event(
+                "task_arrived", task=slot.name, source_agent=place.came_from, epoch=start.epoch.n, state=state
+            )
+            place.came_from = ""
+        reason = CLOSES if self._host.closing else self._host.admit(slot)
+        reason = reason or self._host.kernel.registry.hold(slot.address, slot.spec.cls.requires)
+        self._host.feed_place(place, LeaveRefused(reason) if reason else Admitted(start.incarnation + 1))
+
+    def _settings_now(self, slot: Slot, snapshot: Snapshot) -> Mapping[str, Any]:
+        """Returns the settings that a task goes on with: its own, and what its configuration has changed since."""
+        if slot.name not in self._host.residents or alike(snapshot.configured, slot.spec.settings):
+            return snapshot.settings
+        settings, names = settings_now(snapshot, slot.spec.settings)
+        if names:
+            self._host.log("info", f"{slot.address} takes what has changed in its configuration: {', '.join(names)}")
+        return settings

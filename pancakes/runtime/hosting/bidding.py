@@ -1,0 +1,280 @@
+"""The Task Migrator: finds the neighbour that takes a task (paper §3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.errors import MigrationError, PancakesError
+from pancakes.mesh.migration.cost import cost_of, cost_text
+from pancakes.mesh.migration.ledger import Ledger
+from pancakes.mesh.migration.messages import (
+    Bid,
+    Message,
+    Refuse,
+    Solicit,
+    addressed,
+    is_for,
+)
+from pancakes.mesh.migration.negotiation import Awarded, Exhausted, Negotiation, Outcome
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.times import Times
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, SYSTEM, Packet, agent_of, join
+from pancakes.runtime.hosting.bidding_messages import (
+    Accounted,
+    AttemptOver,
+    BidAwarded,
+    BrokenOff,
+    HasMoved,
+    MigratorBegan,
+    MoveOver,
+    Negotiate,
+    ServiceBegan,
+)
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.ledgers import Ledgers
+from pancakes.runtime.hosting.load import IDLE, LoadMeter
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.tell import tell
+from pancakes.task import Task
+
+ADDRESS = "network/TaskMigrator"
+KEEP = reliable(1024)
+FIRST_LOOK_S = 0.5
+LOOK_S = 2.0
+"""How often, in host time, the load of this agent is measured. A bid tells the last measurement, and waits for none."""
+
+
+class TaskMigrator(Task):
+    """Asks all neighbours for bids, and answers theirs.
+
+    Which task may run where is not decided here but by the hand-off of the service that owns it.
+
+    Args:
+        mesh: says what neighbours there are.
+        state: says whether this agent can take a task, and how busy it is.
+        ledgers: keeps the accounts of moves.
+    """
+
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+        self._state = state
+        self._ledgers = ledgers
+        self._times = Times()
+        self._negotiations: dict[TaskId, tuple[Negotiation, Component]] = {}
+        self._meter = LoadMeter()
+
+    def on_start(self) -> None:
+        if self.kernel.virtual is None:
+            self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+            self.after_host(FIRST_LOOK_S, self._measure)
+        else:
+            # In virtual time nothing of the wall may enter.
+            self._state.measured = IDLE
+        for service in self._state.services():
+            tell(service, MigratorBegan())
+
+    def on_stop(self) -> None:
+        self._state.measured = self._state.battery_level = None
+        self._state.negotiated = ()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.on_stop()
+
+    # What the services tell that own the tasks -----------------------------------------------------------------
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Negotiate():
+                self._negotiate(message)
+            case AttemptOver():
+                self._attempt_over(message)
+            case HasMoved():
+                self._moved(message)
+            case BrokenOff():
+                self._account(message.service, message.task_id, message.ledger, message.reason, message.reason)
+            case ServiceBegan():
+                self._service_began(message.service)
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def _negotiate(self, asked: Negotiate) -> None:
+        now_s = self.kernel.host.now()
+        request = asked.request
+        negotiation = Negotiation(
+            request,
+            self.agent,
+            asked.asked_by,
+            self._mesh.neighbours(),
+            now_s,
+            asked.to,
+            asked.dry_run,
+            self._times.bid_window_s,
+        )
+        self._negotiations[request.task_id] = (negotiation, asked.service)
+        self._note()
+        outcome = negotiation.begin(now_s)
+        for peer in negotiation.asked:
+            self._say(peer, request)
+        if outcome is None:
+            self.after_host(self._times.bid_window_s, lambda: self._window_closes(negotiation))
+        self._conclude(request.task_id, outcome)
+
+    def _note(self) -> None:
+        """Keeps true what others know of the negotiations."""
+        self._state.negotiated = tuple(self._negotiations)
+
+    def _attempt_over(self, over: AttemptOver) -> None:
+        task_id, reason = over.task_id, over.reason
+        found = self._negotiations.get(task_id)
+        if found is not None and over.peer:
+            self.event("handoff_failed", task=task_id.name, to=over.peer, reason=reason)
+            self._conclude(task_id, found[0].failed(over.peer, reason, self.kernel.host.now()))
+        elif found is not None:
+            self._finish(task_id, reason)
+        elif over.ledger is not None:
+            ledger = over.ledger.stayed("", reason) if over.peer else over.ledger
+            self._account(over.service, task_id, ledger, reason, reason)
+
+    def _moved(self, moved: HasMoved) -> None:
+        found = self._negotiations.get(moved.task_id)
+        if found is not None:
+            found[0].moved(moved.peer, self.kernel.host.now())
+            self._finish(moved.task_id, "", moved.epoch)
+        elif moved.ledger is not None:
+            self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
+        tell(moved.service, Accounted(moved.task_id))
+
+    def _account(self, service: Component, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+        """Keeps the account of a move that is over, publishes it, and tells the service.
+
+        Args:
+            service: the service that owns, or owned, the task.
+            task_id: the task.
+            ledger: the account.
+            note: why it came to nothing, or what had come between; kept with the account.
+            why_not: what to tell the asker; empty: it has moved.
+        """
+        self._negotiations.pop(task_id, None)  # of a service that has been started anew since
+        self._note()
+        self._ledgers.add(ledger, note, self.now())
+        self._tell(service, task_id, ledger, why_not)
+
+    def _tell(self, service: Component, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+        plain = msgspec.to_builtins(ledger)
+        self.event("migration", task=task_id.name, **plain)
+        tell(service, MoveOver(task_id, why_not, plain))
+
+    def _service_began(self, service: Component) -> None:
+        for task_id, (_, owner) in list(self._negotiations.items()):
+            if owner is not service and owner.name == service.name:
+                self._finish(task_id, f"{owner.address} was started anew")
+
+    # Negotiating -----------------------------------------------------------------------------------------------
+
+    def _window_closes(self, negotiation: Negotiation) -> None:
+        task_id = negotiation.request.task_id
+        found = self._negotiations.get(task_id)
+        if found is not None and found[0] is negotiation:
+            # A timer may fire a hair early; the window is closed all the same.
+            self._conclude(task_id, negotiation.tick(max(self.kernel.host.now(), negotiation.deadline_s)))
+
+    def _conclude(self, task_id: TaskId, outcome: Outcome | None) -> None:
+        found = self._negotiations.get(task_id)
+        if outcome is None or found is None:
+            return
+        negotiation, service = found
+        if isinstance(outcome, Awarded):
+            ledger = negotiation.ledger(self.kernel.host.now())
+            tell(service, BidAwarded(task_id, outcome.peer, negotiation.request, ledger))
+        elif isinstance(outcome, Exhausted):
+            self._finish(task_id, str(outcome.error) if outcome.error is not None else "")
+
+    def _finish(self, task_id: TaskId, reason: str, offer: str = "") -> None:
+        negotiation, service = self._negotiations.pop(task_id)
+        self._note()
+        ledger = replace(negotiation.ledger(self.kernel.host.now()), offer=offer)
+        if negotiation.dry_run:
+            self._tell(service, task_id, ledger, reason)
+        else:
+            self._account(service, task_id, ledger, reason, reason)
+
+    @on(NETWORK, Bid, keep=KEEP)
+    def on_bid(self, packet: Packet) -> None:
+        """A neighbour would take the task."""
+        self._answered(
+            packet, lambda negotiation, bid, now_s: negotiation.bid(agent_of(packet.source), bid.cost, bid.terms, now_s)
+        )
+
+    @on(NETWORK, Refuse, keep=KEEP)
+    def on_refuse(self, packet: Packet) -> None:
+        """A neighbour cannot take the task."""
+        self._answered(
+            packet, lambda negotiation, refuse, now_s: negotiation.refuse(agent_of(packet.source), refuse.reason, now_s)
+        )
+
+    def _answered(self, packet: Packet, take: Callable[[Negotiation, Any, float], Outcome | None]) -> None:
+        if not self._believes(packet):
+            return
+        found = self._negotiations.get(packet.body.task_id)
+        if found is not None and found[0].request.ask == packet.body.ask:
+            self._conclude(packet.body.task_id, take(found[0], packet.body, self.kernel.host.now()))
+
+    # Being asked -----------------------------------------------------------------------------------------------
+
+    @on(SYSTEM, "battery", keep="latest")
+    def on_battery(self, packet: Packet) -> None:
+        """Remembers what is left of this agent's battery."""
+        if agent_of(packet.source) == self.agent:
+            self._state.battery_level = packet.body.level
+
+    @on(NETWORK, Solicit, keep=KEEP)
+    def on_solicit(self, packet: Packet) -> None:
+        """Answers whether this agent would take a task, and at what cost."""
+        if not self._believes(packet):
+            return
+        request: Solicit = packet.body
+        peer = agent_of(packet.source)
+        refusal = self._state.refusal_of(request)
+        if not refusal:
+            try:
+                terms = dict(cost_of(request.cost, self._state.costs()).terms(self._state.load(self._mesh.rtt_s(peer))))
+            except MigrationError as error:
+                refusal = f"cannot tell its cost: {error}"
+            except Exception as error:  # a cost function is a plug-in, and may raise anything
+                name = cost_text(request.cost)
+                refusal = f"its cost function {name!r} failed: {type(error).__name__}: {error}"
+        if refusal:
+            self._say(peer, Refuse(request.task_id, request.ask, refusal))
+            self.event("migration_refused", task=request.task_id.name, source_agent=peer, reason=refusal)
+        else:
+            cost = sum(terms.values())
+            self._say(peer, Bid(request.task_id, request.ask, cost, terms))
+            self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=terms)
+
+    def _measure(self) -> None:
+        self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+        self.after_host(LOOK_S, self._measure)
+
+    # Talking ---------------------------------------------------------------------------------------------------
+
+    def _say(self, peer: str, message: Message) -> None:
+        journal = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
+        if not journal:
+            return
+        try:
+            self.publish(NETWORK, addressed(message, journal), to=join(peer, ADDRESS))
+        except PancakesError as error:
+            self.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
+
+    def _believes(self, packet: Packet) -> bool:
+        """Returns whether a message was meant for this agent with this disk, and not for a former one."""
+        return is_for(packet.body, self._mesh.identity.journal)

@@ -1,0 +1,143 @@
+"""What the Task Migrator and the services whose tasks can move tell each other: data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from pancakes.mesh.migration.ledger import Ledger
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import TaskId
+from pancakes.runtime.kernel.component import Component
+
+# What a service tells the Task Migrator.
+
+
+class Negotiate(msgspec.Struct, frozen=True):
+    """Ask the neighbours which of them would take a task.
+
+    Attributes:
+        service: the service that owns it.
+        request: what they are asked.
+        asked_by: the address that asked for the move, or `rule`.
+        to: the only neighbour to ask; empty: all.
+        dry_run: whether nothing is to be moved.
+    """
+
+    service: Component
+    request: Solicit
+    asked_by: str
+    to: str
+    dry_run: bool
+
+
+class AttemptOver(msgspec.Struct, frozen=True):
+    """The hand-off to a bidder came to nothing: the next one's turn.
+
+    Attributes:
+        service: the service that owns the task.
+        task_id: the task.
+        peer: the bidder; empty: it cannot be handed over at all just now.
+        reason: why.
+        ledger: the account, for where the migrator does not know of the negotiation: the other bids are forgotten.
+    """
+
+    service: Component
+    task_id: TaskId
+    peer: str
+    reason: str
+    ledger: Ledger | None
+
+
+class HasMoved(msgspec.Struct, frozen=True):
+    """The task has a new owner; to be answered by `Accounted`.
+
+    Attributes:
+        service: the service that owned the task.
+        task_id: the task.
+        peer: the new owner.
+        epoch: the epoch that it runs under there, as text.
+        ledger: the account, for where the migrator does not know of the negotiation.
+        note: what had come between, in that case.
+    """
+
+    service: Component
+    task_id: TaskId
+    peer: str
+    epoch: str
+    ledger: Ledger | None
+    note: str
+
+
+class BrokenOff(msgspec.Struct, frozen=True):
+    """A move is over that the end of a service has broken off.
+
+    Attributes:
+        service: its successor.
+        task_id: the task.
+        ledger: the account.
+        reason: why.
+    """
+
+    service: Component
+    task_id: TaskId
+    ledger: Ledger
+    reason: str
+
+
+class ServiceBegan(msgspec.Struct, frozen=True):
+    """A service has started anew, and knows of no move that its predecessor asked for.
+
+    Attributes:
+        service: the service.
+    """
+
+    service: Component
+
+
+# What the Task Migrator tells a service.
+
+
+class MigratorBegan(msgspec.Struct, frozen=True):
+    """The migrator has started anew and knows of no negotiation."""
+
+
+class BidAwarded(msgspec.Struct, frozen=True):
+    """The bids are compared: hand the task to this one.
+
+    Attributes:
+        task_id: the task.
+        peer: the cheapest bidder.
+        request: what it bid on.
+        ledger: the account so far.
+    """
+
+    task_id: TaskId
+    peer: str
+    request: Solicit
+    ledger: Ledger
+
+
+class Accounted(msgspec.Struct, frozen=True):
+    """The account of a move that has succeeded is kept.
+
+    Attributes:
+        task_id: the task.
+    """
+
+    task_id: TaskId
+
+
+class MoveOver(msgspec.Struct, frozen=True):
+    """A move is over, one way or the other.
+
+    Attributes:
+        task_id: the task.
+        reason: why it came to nothing; empty: it has moved.
+        result: the account, as plain values.
+    """
+
+    task_id: TaskId
+    reason: str
+    result: Any

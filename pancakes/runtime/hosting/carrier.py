@@ -1,0 +1,84 @@
+"""Carries hand-off messages between the services of two agents that host a task (docs/protocol.md)."""
+
+from __future__ import annotations
+
+from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.mesh.migration.messages import (
+    Abort,
+    Commit,
+    HandOffMessage,
+    Message,
+    Nak,
+    Piece,
+    Transfer,
+    addressed,
+    is_for,
+)
+from pancakes.mesh.migration.pieces import Assembly, cut
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.kernel.component import Component
+
+
+class Carrier:
+    """Sends and takes in the hand-off messages of one service. All in that service's actor.
+
+    The service on the other agent has the same name. A message may be lost; it is said again where it is needed.
+
+    Args:
+        service: the service.
+        mesh: says what neighbours are connected, and with which journals.
+    """
+
+    def __init__(self, service: Component, mesh: Mesh) -> None:
+        self._service = service
+        self._mesh = mesh
+        self._assembly = Assembly()
+
+    def connected(self, peer: str) -> bool:
+        """Returns whether there is a link to an agent now."""
+        return any(hello.name == peer for hello in self._mesh.connected())
+
+    def send(self, peer: str, message: HandOffMessage) -> None:
+        """Sends a message; a snapshot in pieces."""
+        if isinstance(message, Transfer):
+            for piece in cut(message):
+                self._send(peer, piece)
+        else:
+            self._send(peer, message)
+
+    def _send(self, peer: str, message: Message) -> None:
+        journal = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
+        if not journal:
+            return
+        try:
+            self._service.publish(NETWORK, addressed(message, journal), to=join(peer, self._service.name))
+        except PancakesError as error:
+            self._service.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
+
+    def take(self, packet: Packet) -> HandOffMessage | None:
+        """Takes a message in.
+
+        Returns:
+            The message; None: there is none yet, or it was meant for this agent with another disk.
+        """
+        message, peer = packet.body, agent_of(packet.source)
+        if not is_for(message, self._mesh.identity.journal):
+            return None
+        if isinstance(message, Piece):
+            return self._add(peer, message)
+        if isinstance(message, (Commit, Abort)):
+            self._assembly.end(peer, message.task_id)
+        whole: HandOffMessage = message
+        return whole
+
+    def _add(self, peer: str, piece: Piece) -> Transfer | None:
+        try:
+            return self._assembly.add(peer, piece)
+        except RemoteProtocolError as error:
+            self._send(peer, Nak(piece.task_id, piece.offer, str(error)))
+            return None
+
+    def drop(self, peer: str) -> None:
+        """Forgets the pieces of a peer that has gone: a snapshot that was on its way would come anew."""
+        self._assembly.drop(peer)

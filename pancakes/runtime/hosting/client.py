@@ -1,0 +1,463 @@
+"""The Client Service: the tasks of the user, and the channels that they talk on (paper §3.3)."""
+
+from __future__ import annotations
+
+import sys
+from collections import deque
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any, ClassVar, Final, assert_never
+
+import msgspec
+
+from pancakes import control
+from pancakes.errors import ControlRefused
+from pancakes.mesh.migration import effect as handoff_effect
+from pancakes.mesh.migration import messages
+from pancakes.mesh.migration.record import Phase, TaskId, Wanted
+from pancakes.mesh.migration.rest import rest_of
+from pancakes.mesh.migration.snapshot import Posted, Snapshot
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.hosting import hosting_effect, hosting_event
+from pancakes.runtime.hosting.arrivals import Arrivals
+from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
+from pancakes.runtime.hosting.carrier import Carrier
+from pancakes.runtime.hosting.checkpointing import Checkpointing
+from pancakes.runtime.hosting.courier_messages import COURIER, CameFor
+from pancakes.runtime.hosting.decisions import Decisions
+from pancakes.runtime.hosting.deliveries import Deliveries
+from pancakes.runtime.hosting.departures import Departures
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.machine import AnyEvent, handle
+from pancakes.runtime.hosting.mover import Mover
+from pancakes.runtime.hosting.now import Now
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.places import Places
+from pancakes.runtime.hosting.records import Records, RecordWritten
+from pancakes.runtime.hosting.shared_outbox import SharedOutbox
+from pancakes.runtime.hosting.snapshots import carried_of, snapshot_of
+from pancakes.runtime.hosting.waiters import Waiters
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.life.life import RESTS
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.supervision.service_messages import PeerDown
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_messages import Carried, LetterGiven, Looked, Stood
+from pancakes.service import Service
+from pancakes.task import TaskSpec
+
+MIGRATOR: Final = "network/TaskMigrator"
+KEEP: Final = reliable(1024)
+"""Of each type of hand-off message; each is said again where it is needed."""
+
+
+class ClientService(Service):
+    """Loads the user's tasks, and spawns channels for what they say among each other.
+
+    Each of its tasks has a durable record: it outlives a crash of its agent, and can move to another one. What may
+    happen to it is decided by `pancakes.runtime.hosting.machine`; this actor is the one place where the events of a
+    task come together, and where the effects are carried out, strictly in order. A service of one's own whose tasks are
+    to be durable subclasses it.
+
+    Args:
+        records: where the records are kept.
+        catalogue: where the classes of tasks that arrive are found.
+        outbox: what its tasks have sent to others and is not acknowledged.
+        state: what this agent could be to a task from elsewhere.
+        mesh: says what neighbours are connected.
+
+    Attributes:
+        places: all tasks that it has ever had to do with.
+        residents: the names of those that its configuration has.
+    """
+
+    class Settings(msgspec.Struct):
+        """What it brings besides the tasks of the configuration.
+
+        Attributes:
+            channels: channels that are opened with the service.
+        """
+
+        channels: list[str] = []
+
+    durable: ClassVar[bool] = True
+    keeps_changes: ClassVar[bool] = True
+    # A record must have been taken up before anything else is heard of its task.
+    started_at_once: ClassVar[int] = sys.maxsize
+
+    def __init__(
+        self,
+        *args: Any,
+        records: Records,
+        catalogue: Installed,
+        outbox: SharedOutbox,
+        state: HostState,
+        mesh: Mesh,
+        **others: Any,
+    ) -> None:
+        super().__init__(*args, **others)
+        self._records = records
+        self.outbox = outbox
+        self.state = state
+        self._carrier = Carrier(self, mesh)
+        self.places = Places(self.agent, self.slots)
+        self.residents: frozenset[str] = frozenset()
+        self._events: deque[tuple[Place, AnyEvent]] = deque()
+        self._turning = False
+        self._writing = 0  # how many records wait for the disk
+        self._ends = False  # once all records are written
+        self._checkpointing = Checkpointing(self)
+        self._deliveries = Deliveries(self)
+        self._waiters = Waiters(self, records)
+        self._mover = Mover(self)
+        self._arrivals = Arrivals(self, catalogue, records, state)
+        self._departures = Departures(self)
+        self._decisions = Decisions(self, records, self._mover)
+
+    @property
+    def component(self) -> Component:
+        """Itself, for what is told about it."""
+        return self
+
+    # Its own life ----------------------------------------------------------------------------------------------
+
+    def on_start(self) -> None:
+        # A subclass may have settings of its own.
+        if isinstance(self.settings, ClientService.Settings):
+            for channel in self.settings.channels:
+                self.open_channel(channel)
+
+    def specs(self) -> Sequence[TaskSpec]:
+        self.state.begin(self.name)
+        specs = list(super().specs())
+        self.residents = frozenset(spec.name for spec in specs)
+        for name in self.residents:
+            self._records.claim(TaskId(self.agent, name), self.name)
+        for record in self._records.all().values():
+            if record.service == self.name:
+                place = self.places.add(record)
+                self._note(place)
+                self._mover.found(record)
+                specs += self._arrivals.found(place)
+        return specs
+
+    def after_start(self) -> None:
+        super().after_start()
+        # A tombstone has no slot, and answers all the same.
+        for place in self.places:
+            if place.slot is None:
+                self.feed_place(place, hosting_event.TakeUp())
+        self._checkpointing.begin()
+        self._mover.begin()
+
+    def wants(self, slot: Slot) -> bool:
+        record = self.places.at[slot.name].standing.record
+        if record.unborn:
+            return slot.spec.start
+        # The journal wins over `start` in the configuration: a stop that a person asked for outlives a reboot.
+        return record.phase is not Phase.OWNER or record.wanted is Wanted.RUNNING
+
+    def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
+        # What a task carries is in its record.
+        slot.fresh = kept is None
+
+    def start_configured(self, slot: Slot) -> None:
+        self.feed_place(self.places.at[slot.name], hosting_event.StartConfigured(slot.fresh))
+
+    def settle_all(self) -> None:
+        # The last checkpoint of each task may wait for the one before it to be written.
+        self._ends = True
+        self._end_if_written()
+
+    def _end_if_written(self) -> None:
+        if self._ends and not self._turning and not self._writing:
+            self._ends = False
+            self.end_at_last()
+
+    # The events of its tasks -----------------------------------------------------------------------------------
+
+    def feed(self, slot: Slot, event: Any) -> None:
+        name = slot.name
+        if self.slots.get(name) is slot:  # else it is a late timer of a task that has left
+            self.feed_place(self.places.at[name], event)
+
+    def feed_place(self, place: Place, event: AnyEvent) -> None:
+        """Feeds an event to a task, and carries out what follows. One that comes meanwhile waits until then."""
+        self._events.append((place, event))
+        if self._turning:
+            return
+        self._turning = True
+        try:
+            while self._events:
+                self._step(*self._events.popleft())
+        finally:
+            self._turning = False
+        self._end_if_written()
+
+    def _step(self, place: Place, event: AnyEvent) -> None:
+        slot, before = place.slot, place.standing
+        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
+        life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
+        if slot is not None and life is not None:
+            slot.life = life
+        for effect in effects:
+            if isinstance(effect, hosting_effect.HostingEffect):
+                self._carry_out(place, effect, slot)
+            elif slot is None:
+                continue
+            elif isinstance(effect, hosting_effect.SlotEffect):
+                self._carry_out_at(slot, place, effect)
+            else:
+                self.keeper.carry_out(slot, effect)
+        if place.standing.record.phase is not before.record.phase or place.standing.leaving != before.leaving:
+            self._note(place)
+
+    def _note(self, place: Place) -> None:
+        """A phase or a slot has changed: keeps true which slot is whose, also for others on this agent."""
+        name = place.task_id.name
+        self.state.note(self.name, name, self.places.bind(name), place.standing.record)
+
+    def open_slot(self, spec: TaskSpec) -> Slot:
+        slot = super().open_slot(spec)
+        self.places.bind(spec.name)
+        self._note(self.places.at[spec.name])
+        return slot
+
+    def _carry_out(self, place: Place, effect: hosting_effect.HostingEffect, slot: Slot | None) -> None:
+        match effect:
+            case handoff_effect.Persist():
+                self._writing += 1
+                self._records.persist(effect.record, self)
+            case handoff_effect.Send():
+                self._carrier.send(effect.peer, effect.message)
+            case handoff_effect.After():
+                self.after_host(effect.drawn_s(self.random), partial(self.feed_place, place, effect.event))
+            case handoff_effect.Warn():
+                self.log("warning", effect.text)
+            case handoff_effect.Ack():
+                self._deliveries.on_disk(place, effect.packet)
+            case handoff_effect.AttemptFailed():
+                self._mover.attempt_failed(place, effect)
+            case handoff_effect.HandedOver():
+                self._mover.handed_over(place, effect)
+            case hosting_effect.OpenPlace():
+                self._arrivals.open(place, effect.start)
+            case hosting_effect.Unreserve():
+                self.kernel.registry.unreserve(self._address_of(place.task_id))
+            case hosting_effect.Decided():
+                if place.adoption is not None:
+                    self._decisions.started(place, place.adoption, effect.reason)
+                if place.follows is not None:
+                    self._mover.followed(place, place.follows)
+            case hosting_effect.Lasts():
+                if place.forgetting:
+                    self._decisions.written(place, effect.why_not)
+            case hosting_effect.Drop():
+                self._departures.drop(place, slot, effect.ends)
+            case handoff_effect.Resume():
+                self._departures.resume(place, slot)
+            case _:
+                assert_never(effect)
+
+    def _carry_out_at(self, slot: Slot, place: Place, effect: hosting_effect.SlotEffect) -> None:
+        match effect:
+            case hosting_effect.AskRoom():
+                self.feed_place(place, self._arrivals.room(slot, place, effect))
+            case hosting_effect.Prepare():
+                self._arrivals.prepare(slot, place, effect.start)
+            case hosting_effect.Rested():
+                self.rested(slot)
+            case handoff_effect.Freeze():
+                self._departures.freeze(slot, place, effect)
+            case hosting_effect.TakeDown():
+                self._departures.take_down(slot, place, effect)
+            case hosting_effect.LetGoOn():
+                self._departures.let_go_on(slot)
+            case hosting_effect.Vacate():
+                self._departures.vacate(slot)
+            case _:
+                assert_never(effect)
+
+    def _written(self, written: RecordWritten) -> None:
+        self._writing -= 1
+        place = self.places.of(written.task_id)
+        if written.why_not:
+            place.written = None
+            self.feed_place(place, hosting_event.NotPersisted(written.why_not))
+        else:
+            self.feed_place(place, hosting_event.Persisted())
+        if self._checkpointing.late:
+            self._checkpointing.look_at_late()
+
+    # Starting and ending ---------------------------------------------------------------------------------------
+
+    def _address_of(self, task_id: TaskId) -> str:
+        return join(self.address, task_id.name)
+
+    def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
+        """Returns a task as data, encoded."""
+        sent = self.kernel.seq_of(slot.address).value - 1
+        task_id = self.places.at[slot.name].task_id
+        return snapshot_of(slot, task_id, self.name, carried, self.now(), sent, posted).encode()
+
+    def spawn(self, slot: Slot) -> None:
+        super().spawn(slot)
+        # From here on the record is what counts, and this grows old.
+        slot.carried = None
+
+    def task_running(self, slot: Slot) -> None:
+        self._deliveries.again(self.places.at[slot.name])
+        self._mover.watch(slot)
+
+    def write_rest(self, slot: Slot) -> None:
+        carried = slot.carried
+        snapshot = self.snapshot(slot, carried) if carried is not None else b""
+        self.feed(slot, hosting_event.CameToRest(snapshot))
+
+    def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
+        arguments = super().arguments_of(slot)
+        if slot.spec.durability != "each":
+            return arguments
+        return {**arguments, "tells_each_turn": True}
+
+    def changed(self, slot: Slot, carried: Carried) -> None:
+        # It outlives a failure of the task the moment after.
+        if slot.task is not None:
+            self._checkpointing.save(slot, slot.task, carried)
+
+    def carried_of(self, slot: Slot) -> Carried:
+        record = self.places.at[slot.name].standing.record
+        if slot.carried is not None or not record.snapshot:
+            return super().carried_of(slot)
+        return carried_of(Snapshot.decode(record.snapshot))
+
+    def drop_state(self, slot: Slot) -> None:
+        # What it has heard it has heard: its sender may not know yet, and sends that again.
+        slot.carried = Carried(slot.spec.settings, {}, heard=self.carried_of(slot).heard)
+
+    def tell_courier(self, message: object) -> None:
+        """Tells this agent's courier something; nothing, while it is being started anew."""
+        courier = self.kernel.registry.get(join(self.agent, COURIER))
+        if courier is not None:
+            tell(courier, message)
+
+    # What others tell ------------------------------------------------------------------------------------------
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Looked() | Stood():
+                slot = self.slots.get(message.task.name)
+                if slot is not None and slot.task is not None and slot.task is message.task:
+                    if isinstance(message, Looked):
+                        self._checkpointing.looked(slot, slot.task, message)
+                    else:
+                        self.feed(slot, hosting_event.StoodStill(message.offer, message.carried, message.reason))
+            case RecordWritten():
+                self._written(message)
+            case LetterGiven():
+                self._deliveries.given(message)
+            case CameFor():
+                self._deliveries.arrived(message)
+            case PeerDown():
+                self._carrier.drop(message.peer)
+            case BidAwarded():
+                self._mover.awarded(message)
+            case Accounted():
+                self._mover.accounted(message)
+            case MoveOver():
+                self._mover.over(message)
+            case MigratorBegan():
+                self._mover.migrator_began()
+            case _:
+                return super().on_receive(message)
+        return None
+
+    @on(NETWORK, messages.Reserve, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Reserved, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Piece, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Nak, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Prepared, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Commit, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Activated, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Abort, keep=KEEP, addressed=True)
+    @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
+    def on_hand_off(self, packet: Packet) -> None:
+        """Takes a hand-off message in."""
+        message = self._carrier.take(packet)
+        if message is not None:
+            place = self.places.of(message.task_id)
+            received = self._arrivals.receive(agent_of(packet.source), message, place)
+            if received is not None:
+                self.feed_place(place, received)
+
+    def connected(self, peer: str) -> bool:
+        return self._carrier.connected(peer)
+
+    def has_migrator(self) -> bool:
+        return self.kernel.registry.get(join(self.agent, MIGRATOR)) is not None
+
+    def tell_migrator(self, message: object) -> None:
+        migrator = self.kernel.registry.get(join(self.agent, MIGRATOR))
+        if migrator is not None:
+            tell(migrator, message)
+
+    # What is asked of it ---------------------------------------------------------------------------------------
+
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if isinstance(body, control.Adopt):
+            self._decisions.adopt(body, request)
+            return
+        if isinstance(body, control.Forget):
+            self._decisions.forget(body, request)
+            return
+        if slot is not None:
+            self._refuse_elsewhere(body, slot)
+        if isinstance(body, control.Migrate) and slot is not None:
+            self._mover.negotiate(slot, body, request)
+        else:
+            super().carry_out_command(body, slot, request)
+
+    def _refuse_elsewhere(self, body: Any, slot: Slot) -> None:
+        """Refuses what cannot be asked here of a task that is on its way, or has left."""
+        standing = self.places.at[slot.name].standing
+        record, volatile = standing.record, standing.volatile
+        describes = isinstance(body, control.Describe)
+        going = volatile.freezing or record.phase in (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
+        if going and not describes:
+            peer = volatile.asked or record.peer
+            raise ControlRefused(f"{slot.address} is being handed over between {self.agent} and {peer}")
+        if standing.leaving and not describes:
+            raise ControlRefused(f"{slot.address} was handed over, and has not ended yet")
+        changes = isinstance(body, (control.Stop, control.Reschedule, control.Configure))
+        changes = changes or (describes and (body.state or body.began))
+        if record.phase is Phase.RELEASED and changes:
+            raise ControlRefused(f"{slot.name} moved to {record.peer}")
+
+    def command_waits(self, slot: Slot, request: Request) -> None:
+        self.look_after(self.places.at[slot.name], request)
+
+    def look_after(self, place: Place, request: Request) -> None:
+        self._waiters.look_after(place, request)
+
+    def refuse_start(self, slot: Slot) -> str:
+        return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
+
+    def has(self, name: str) -> bool:
+        # What was given away and stands in doubt has no slot any more, nor has what came here and was lost.
+        return super().has(name) or self._decisions.concern(name)
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        told = super().describe_task(slot)
+        if slot.life.state in RESTS:
+            told["rest"] = rest_of(self.places.at[slot.name].standing.record)
+        return told
+
+    def refuse_stop(self) -> str:
+        for task_id in self.state.under_way(self.name):
+            return f"{self.address} must not stop while {task_id} is being handed over"
+        return ""

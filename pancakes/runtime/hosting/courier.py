@@ -1,0 +1,155 @@
+"""The courier: brings packets to tasks, wherever these are (`to="task:birthplace/name"`)."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
+from pancakes.mesh.migration.post import RESEND_S, ForwardTo, Letter, Receipt
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
+from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.hosting.courier_messages import COURIER, CameFor, Say, SendUnsent
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.shared_outbox import SharedOutbox, receiver_of
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.kernel.tell import tell
+
+KEEP: Final = queue(4096)
+"""What falls out comes again."""
+_ONE_MESSAGE: Final = b"\x91"  # the head of a msgpack array of one
+
+
+class Courier(Component):
+    """Sends what this agent's tasks have for others until it is acknowledged, and takes in what comes for tasks here.
+
+    It belongs to no service: what goes from task to task on one agent needs no network, which may sleep.
+
+    Args:
+        outbox: what is not acknowledged; it outlives an actor that fails.
+        records: says which service here has a task.
+        mesh: says what neighbours there are.
+    """
+
+    def __init__(self, *args: Any, outbox: SharedOutbox, records: Records, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._outbox = outbox
+        self._records = records
+        self._mesh = mesh
+        self._looking = False
+
+    def on_start(self) -> None:
+        self.kernel.stream.courier = self.take
+        self._look()
+
+    def on_stop(self) -> None:
+        self.kernel.stream.courier = None
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.kernel.stream.courier = None
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case Say():
+                self._say(message.peer, message.body)
+            case SendUnsent():
+                self._send()
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def take(self, packet: Packet) -> None:
+        """Takes a packet whose destination is a task. In the publisher's thread, which hears what fails.
+
+        Raises:
+            LocalProtocolError: the destination is no task's, or the packet cannot travel.
+            MailboxFull: too many wait for this task already.
+        """
+        task_id = receiver_of(packet)
+        host = self.agent if self._service_of(task_id) is not None else task_id.birthplace
+        self._outbox.post(packet, host, self.kernel.host.now())
+        tell(self, SendUnsent())
+
+    def _say(self, peer: str, body: Letter | Receipt | ForwardTo) -> None:
+        if peer != self.agent:
+            try:
+                self.publish(NETWORK, body, to=join(peer, COURIER))
+            except PancakesError as error:
+                self.log("debug", f"{type(body).__name__} for {body.task_id} did not reach {peer}: {error}")
+        elif isinstance(body, Letter):
+            self._arrived(body)
+        elif isinstance(body, Receipt):
+            self._acknowledged(body, self.agent)
+        else:
+            self._forwarded(body)
+
+    # What other couriers say -----------------------------------------------------------------------------------
+
+    @on(NETWORK, Letter, keep=KEEP, addressed=True)
+    def on_letter(self, packet: Packet) -> None:
+        """A packet has come for a task that is, or was, here."""
+        self._arrived(packet.body)
+
+    @on(NETWORK, Receipt, keep=KEEP, addressed=True)
+    def on_receipt(self, packet: Packet) -> None:
+        """Letters have had their effect."""
+        self._acknowledged(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, ForwardTo, keep=KEEP, addressed=True)
+    def on_forward_to(self, packet: Packet) -> None:
+        """A task is not where it was thought to be."""
+        self._forwarded(packet.body)
+
+    def _arrived(self, letter: Letter) -> None:
+        try:
+            task_id = TaskId.parse(letter.task_id)
+        except MigrationError as error:
+            self.log("warning", f"a letter of {letter.stream} was dropped: {error}")
+            return
+        service = self._service_of(task_id)
+        if service is None:
+            return
+        packet: Packet | None = None
+        try:
+            packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])
+        except RemoteProtocolError as error:
+            self.log("warning", f"a packet for {task_id} cannot be read: {error}")
+        tell(service, CameFor(letter, packet))
+
+    def _acknowledged(self, receipt: Receipt, peer: str) -> None:
+        self._outbox.acknowledged(receipt, peer, self.kernel.host.now())
+        self._send()
+
+    def _forwarded(self, news: ForwardTo) -> None:
+        self._outbox.forwarded(news, self.kernel.host.now())
+        self._send()
+
+    # Sending ---------------------------------------------------------------------------------------------------
+
+    def _send(self) -> None:
+        letters = self._outbox.take_unsent()
+        for dispatch in letters:
+            for peer in (dispatch.peer,) if dispatch.peer else (self.agent, *self._mesh.neighbours()):
+                self._say(peer, dispatch.letter)
+        if letters and not self._looking:
+            self._look_later()
+
+    def _look_later(self) -> None:
+        self._looking = True
+        self.after_host(RESEND_S / 2, self._look)
+
+    def _look(self) -> None:
+        """Sends again what was not acknowledged for too long."""
+        self._outbox.look(self.kernel.host.now())
+        self._looking = False
+        if self._outbox.waiting():
+            self._look_later()
+        self._send()
+
+    def _service_of(self, task_id: TaskId) -> Component | None:
+        """Returns the service here that has a record of a task, where it runs. Any thread."""
+        service = self._records.service_of(task_id)
+        return self.kernel.registry.get(join(self.agent, service)) if service else None

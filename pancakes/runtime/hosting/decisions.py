@@ -1,0 +1,169 @@
+"""What a person decides about tasks of which their agent cannot know by itself where they are: adopt, or forget."""
+
+from __future__ import annotations
+
+from pancakes.control import Adopt, Forget
+from pancakes.errors import ControlRefused
+from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked
+from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId
+from pancakes.runtime.hosting import adoption
+from pancakes.runtime.hosting.bidding_messages import AttemptOver
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.lost import Lost
+from pancakes.runtime.hosting.mover import Mover
+from pancakes.runtime.hosting.place import Adoption, Place
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.life.request import Request
+
+
+class Decisions:
+    """Carries out `Adopt` and `Forget` for one service. All in that service's actor.
+
+    Args:
+        host: the service.
+        records: knows of tasks whose records were lost.
+        mover: looks after their moves.
+    """
+
+    def __init__(self, host: HostingService, records: Records, mover: Mover) -> None:
+        self._host = host
+        self._records = records
+        self._mover = mover
+
+    def concern(self, name: str) -> bool:
+        """Returns whether there is something to decide about a task of this name. Any thread."""
+        return bool(adoption.in_doubt(self._known(name)) or self._lost(name))
+
+    def _known(self, name: str) -> list[Record]:
+        return [place.standing.record for place in self._host.places.named(name)]
+
+    def _lost(self, name: str) -> list[Lost]:
+        return [
+            lost
+            for lost in self._records.all_lost()
+            if lost.task_id.name == name and self._records.decider_of(lost) == self._host.name
+        ]
+
+    def adopt(self, body: Adopt, request: Request) -> None:
+        """Runs a task here, on a person's word.
+
+        Raises:
+            ControlRefused: it is not in doubt, the other agent is there, or the request does not say `force`.
+        """
+        host = self._host
+        known, lost = self._known(body.target), self._lost(body.target)
+        chosen = adoption.chosen(host.address, body.target, body.birthplace, known, lost)
+        if isinstance(chosen, Record) and adoption.was_forgotten(chosen):
+            chosen = Lost(chosen.task_id, f"{host.agent} was told to forget it, after its record was lost")
+        if isinstance(chosen, Lost):
+            self._adopt_lost(chosen, body, request)
+        else:
+            self._adopt_doubtful(chosen, body, request)
+
+    def _adopt_doubtful(self, record: Record, body: Adopt, request: Request) -> None:
+        host, task_id, peer = self._host, record.task_id, record.peer
+        if not host.has_migrator():
+            raise ControlRefused(
+                f"{task_id} is not adopted: the Network Service of {host.agent} is stopped, so it is unknown whether"
+                f" {peer} is there"
+            )
+        if host.connected(peer):
+            raise ControlRefused(
+                f"{task_id} is not adopted: {peer} is connected, so it is not gone. The hand-off goes on by itself;"
+                f" where {peer} has lost its disk, switch it off first"
+            )
+        if not body.force:
+            raise ControlRefused(adoption.meaning(record, host.agent))
+        self._run_here(task_id, AdoptionAsked(), peer, f"{peer} is gone for good", body.dry_run, request)
+
+    def _adopt_lost(self, lost: Lost, body: Adopt, request: Request) -> None:
+        host, task_id = self._host, lost.task_id
+        slot = host.slots.get(task_id.name)
+        if slot is not None and host.places.at[slot.name].task_id != task_id:
+            raise ControlRefused(f"{task_id} is not adopted: {host.address} has a task named {slot.name} already")
+        # What it would begin with that begins as its configuration says.
+        snapshot = lost.snapshot or (host.snapshot(slot, slot.carried) if slot is not None else b"")
+        if not snapshot:
+            raise ControlRefused(
+                f"{task_id} cannot be adopted: nothing is left here to run it from, for {lost.story()}."
+                f" `pancakes task forget {host.agent}/{task_id.name}` lets it rest"
+            )
+        if not body.force:
+            raise ControlRefused(lost.meaning(host.agent))
+        event = AdoptionAsked(snapshot, lost.seen.n, lost.jump)
+        self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
+
+    def _run_here(
+        self, task_id: TaskId, event: AdoptionAsked, peer: str, why: str, dry_run: bool, request: Request
+    ) -> None:
+        host = self._host
+        if dry_run:
+            host.reply(request, result={"task_id": str(task_id), "peer": peer})
+            return
+        place = self._place(task_id)
+        reason = f"{task_id} was adopted on {host.agent}, as {request.by} asked, because {why}"
+        self._tell_asked("adopt", task_id, request)
+        host.log("warning", reason)
+        place.adoption = Adoption(request, peer, reason, self._mover.sequel_of(place.standing.record).ledger)
+        host.look_after(place, request)
+        host.feed_place(place, event)
+
+    def started(self, place: Place, adopted: Adoption, why_not: str) -> None:
+        """The start of a task is decided: answers the request to adopt it."""
+        place.adoption = None
+        host, task_id = self._host, place.task_id
+        record = place.standing.record
+        if record.phase is Phase.OWNER:
+            # The asker of the move that was in doubt has waited for this.
+            host.tell_migrator(AttemptOver(host.component, task_id, "", adopted.reason, adopted.ledger))
+            host.event("task_adopted", task=task_id.name, peer=adopted.peer, epoch=record.epoch.n)
+            if why_not:
+                why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"
+        done = {"task_id": str(task_id), "peer": adopted.peer}
+        host.reply(adopted.request, why_not, done if not why_not else None)
+
+    def forget(self, body: Forget, request: Request) -> None:
+        """Lets a task rest here whose record was lost, on a person's word that it runs elsewhere.
+
+        Raises:
+            ControlRefused: its record was not lost, or several can be meant.
+        """
+        host = self._host
+        known, lost_ones = self._known(body.target), self._lost(body.target)
+        lost = adoption.chosen(host.address, body.target, body.birthplace, known, lost_ones, "forget")
+        task_id = lost.task_id
+        if body.dry_run:
+            host.reply(request, result={"task_id": str(task_id)})
+            return
+        place = self._place(task_id)
+        self._tell_asked("forget", task_id, request)
+        place.forgetting = (request,)
+        host.look_after(place, request)
+        host.feed_place(place, ForgettingAsked(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
+
+    def written(self, place: Place, why_not: str) -> None:
+        """All that was decided about a task is on disk, or cannot be: answers the requests to forget it."""
+        asked, place.forgetting = place.forgetting, ()
+        host, task_id = self._host, place.task_id
+        for request in asked:
+            if why_not:
+                host.reply(request, f"{task_id} is not forgotten: {why_not}")
+                continue
+            host.log("warning", f"{task_id} was forgotten on {host.agent}, as {request.by} asked: it rests here")
+            host.event("task_forgotten", task=task_id.name)
+            host.reply(request, result={"task_id": str(task_id)})
+
+    def _place(self, task_id: TaskId) -> Place:
+        """Returns the place of a task that is to be decided about.
+
+        Raises:
+            ControlRefused: a decision about it is being written down.
+        """
+        place = self._host.places.of(task_id)
+        if place.adoption is not None or place.forgetting:
+            raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet")
+        return place
+
+    def _tell_asked(self, what: str, task_id: TaskId, request: Request) -> None:
+        host = self._host
+        host.event("asked", what=what, task=task_id.name, service=host.name, by=request.by, number=request.number)

@@ -1,0 +1,193 @@
+"""What an agent could be to a task from elsewhere, as its services, devices and tasks have it at the moment."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from pancakes.mesh.migration.capability import Capability
+from pancakes.mesh.migration.cost import Cost, HostLoad
+from pancakes.mesh.migration.messages import Reserve, Solicit
+from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.reservations import Reservation, Reservations
+from pancakes.mesh.migration.times import Times
+from pancakes.packet import join
+from pancakes.runtime.hosting.load import MeasuredLoad
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
+
+UNDER_WAY = frozenset((Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED))
+"""The phases in which a hand-off is under way."""
+
+
+class HostState:
+    """Says whether this agent can take a task, and how busy it is. Any thread.
+
+    The services that host tasks and the Task Migrator keep it true; so none of them reads another. Its lock is held for
+    its own tables alone.
+
+    Args:
+        kernel: the kernel, whose registry has the devices and all components.
+        role: the agent's role.
+        version: returns the version in which a task type is installed and can be imported; None where it is not.
+        costs: returns the cost functions, by name.
+        records: says which service has the record of a task.
+
+    Attributes:
+        battery_level: what is left of this agent's battery, from 0 to 1, as it last said; None before that.
+        measured: how busy the agent was lately; None before the first look.
+        negotiated: the tasks for which the Task Migrator compares bids.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        role: str,
+        version: Callable[[str], str | None],
+        costs: Callable[[], Mapping[str, Cost]],
+        records: Records,
+    ) -> None:
+        self._kernel = kernel
+        self._role = role
+        self._version = version
+        self.costs = costs
+        self._records = records
+        self._lock = threading.Lock()
+        self._names: dict[str, dict[str, TaskId]] = {}  # by service
+        self._under_way: dict[TaskId, str] = {}  # and their services
+        self._reservations = Reservations()
+        self.battery_level: float | None = None
+        self.measured: MeasuredLoad | None = None
+        self.negotiated: tuple[TaskId, ...] = ()
+
+    # What the services keep true -------------------------------------------------------------------------------
+
+    def begin(self, service: str) -> None:
+        """A service begins that takes tasks in."""
+        with self._lock:
+            self._names[service] = {}
+
+    def note(self, service: str, name: str, task_id: TaskId | None, record: Record) -> None:
+        """Learns of a record that is on disk now, and which task its name belongs to in a service; None: to none."""
+        with self._lock:
+            names = self._names[service]
+            if task_id is not None:
+                names[name] = task_id
+            else:
+                names.pop(name, None)
+            if record.phase in UNDER_WAY:
+                self._under_way[record.task_id] = service
+            else:
+                self._under_way.pop(record.task_id, None)
+
+    def reserve(self, peer: str, message: Reserve) -> str:
+        """Keeps a slot for a task that is about to come; says why that cannot be."""
+        self.free(message.task_id)
+        if refusal := self.refusal_of(message.request):
+            return refusal
+        now_s, task_id = self._kernel.host.now(), message.task_id
+        with self._lock:
+            # Another service may have kept the name since.
+            for other in self._reservations.kept(now_s):
+                if other.name == task_id.name and other != task_id:
+                    return f"has a task named {task_id.name} already ({other})"
+            self._reservations.keep(task_id, Reservation(peer, message.offer, now_s + Times().slot_s))
+        return ""
+
+    def free(self, task_id: TaskId) -> None:
+        """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
+        with self._lock:
+            self._reservations.free(task_id)
+
+    # What others ask -------------------------------------------------------------------------------------------
+
+    def under_way(self, service: str = "") -> list[TaskId]:
+        """Returns the tasks of a service that are being handed over; empty: of all services that run."""
+        services = [service] if service else self._running()
+        with self._lock:
+            return [task_id for task_id, its in self._under_way.items() if its in services]
+
+    def _running(self) -> list[str]:
+        with self._lock:
+            services = list(self._names)
+        registry, agent = self._kernel.registry, self._kernel.agent
+        return [service for service in services if registry.get(join(agent, service)) is not None]
+
+    def services(self) -> list[Component]:
+        """Returns the services that run and take tasks in."""
+        components = (self._kernel.registry.get(join(self._kernel.agent, name)) for name in self._running())
+        return [component for component in components if component is not None]
+
+    def _kept(self) -> tuple[TaskId, ...]:
+        with self._lock:
+            return self._reservations.kept(self._kernel.host.now())
+
+    def refusal_of(self, request: Solicit) -> str:
+        """Returns why this agent cannot take a task now, as a phrase; empty where it can."""
+        registry = self._kernel.registry
+        services = self._running()
+        with self._lock:
+            names = {name: task_id for service in services for name, task_id in self._names[service].items()}
+        for task_id in self._kept():
+            names.setdefault(task_id.name, task_id)
+        version = self._version(request.type)
+        recorded = self._records.service_of(request.task_id)
+        capability = Capability(
+            role=self._role,
+            devices=tuple(registry.device_types()),
+            types={request.type: version} if version is not None else {},
+            services=tuple(services),
+            records={request.task_id: recorded} if recorded else {},
+            names=names,
+            costs=tuple(self.costs()),
+            battery_level=self.battery_level,
+        )
+        return capability.refusal_of(request) or self._taken(request)
+
+    def _taken(self, request: Solicit) -> str:
+        registry = self._kernel.registry
+        place = join(self._kernel.agent, request.service, request.task_id.name)
+        for device in registry.devices():
+            if not device.actuator or device.type not in request.requires:
+                continue
+            holder = registry.holder(device.name)
+            if holder:
+                return f"{device.name} is held by {holder}"
+            taken = registry.taken(device.name, place)
+            if taken:
+                return taken
+        return ""
+
+    def load(self, rtt_s: float | None) -> HostLoad:
+        """Returns how busy this agent is.
+
+        Args:
+            rtt_s: the round trip to the agent that asks, in seconds; None: it is not known.
+        """
+        level = self.battery_level
+        if level is None and "battery" in self._kernel.registry.device_types():
+            level = math.nan
+        measured = self.measured
+        return HostLoad(
+            active_tasks=self._tasks() + len(self._kept()),
+            battery_level=level,
+            agent_share=measured.agent_share if measured is not None else None,
+            host_share=measured.host_share if measured is not None else None,
+            lateness_share=measured.lateness_share if measured is not None else None,
+            rtt_s=rtt_s,
+        )
+
+    def _tasks(self) -> int:
+        prefixes = tuple(join(self._kernel.agent, service) + "/" for service in self._running())
+        return sum(component.address.startswith(prefixes) for component in self._kernel.registry.components())
+
+    def describe(self) -> dict[str, Any]:
+        """Returns what people may want to know, as plain values."""
+        measured = self.measured
+        load = msgspec.to_builtins(measured) if measured is not None else None
+        return {"load": load, "battery_level": self.battery_level}

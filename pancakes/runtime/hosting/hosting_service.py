@@ -1,0 +1,81 @@
+"""What the parts of a hosting service need of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from pancakes.mesh.migration.snapshot import Posted
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.machine import AnyEvent
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.places import Places
+from pancakes.runtime.hosting.shared_outbox import SharedOutbox
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.task import TaskSpec
+
+
+class HostingService(Protocol):
+    """A service that hosts tasks. All in its actor."""
+
+    kernel: Kernel
+    agent: str
+    address: str
+    name: str
+    slots: dict[str, Slot]
+    places: Places
+    residents: frozenset[str]
+    outbox: SharedOutbox
+    state: HostState
+    closing: bool
+
+    @property
+    def component(self) -> Component:
+        """Itself, for what is told about it."""
+
+    def feed_place(self, place: Place, event: AnyEvent) -> None:
+        """Feeds an event to a task, and carries out what follows."""
+
+    def snapshot(self, slot: Slot, carried: Carried | None, posted: Posted | None = None) -> bytes:
+        """Returns a task as data, encoded."""
+
+    def look_after(self, place: Place, request: Request) -> None:
+        """Sees to it that a request which waits for the journal is told so in time."""
+
+    def drop_state(self, slot: Slot) -> None: ...
+
+    def admit(self, slot: Slot) -> str: ...
+
+    def connected(self, peer: str) -> bool:
+        """Returns whether there is a link to an agent now."""
+
+    def tell_courier(self, message: object) -> None:
+        """Tells this agent's courier something; nothing, while it is being started anew."""
+
+    def open_slot(self, spec: TaskSpec) -> Slot: ...
+
+    def has_migrator(self) -> bool:
+        """Returns whether the Task Migrator runs."""
+
+    def tell_migrator(self, message: object) -> None:
+        """Tells the Task Migrator something, where it runs."""
+
+    def hold_actuators(self, slot: Slot, reason: str) -> None: ...
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+
+    def put_off(self, request: Request, reason: str) -> None: ...
+
+    def waits(self, request: Request) -> bool: ...
+
+    def log(self, level: str, text: str) -> None: ...
+
+    def event(self, kind: str, /, **fields: Any) -> None: ...
+
+    def call(self, function: Callable[[], None]) -> Any: ...
+
+    def after_host(self, delay_s: float, function: Callable[[], None]) -> Any: ...

@@ -1,0 +1,230 @@
+"""The moves of hosted tasks: asked for by a person or a rule, awarded by the Task Migrator, and what follows them."""
+
+from __future__ import annotations
+
+from pancakes.control import Migrate
+from pancakes.errors import ControlRefused, MigrationError
+from pancakes.mesh.migration.cost import cost_text, fault_of_choice
+from pancakes.mesh.migration.effect import AttemptFailed, HandedOver
+from pancakes.mesh.migration.event import Award
+from pancakes.mesh.migration.ledger import Ledger
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.mesh.migration.rule import ASK_AGAIN_S
+from pancakes.mesh.migration.sequel import Sequel
+from pancakes.packet import SYSTEM, Packet, agent_of
+from pancakes.runtime.hosting.bidding_messages import (
+    Accounted,
+    AttemptOver,
+    BidAwarded,
+    BrokenOff,
+    HasMoved,
+    MoveOver,
+    Negotiate,
+    ServiceBegan,
+)
+from pancakes.runtime.hosting.hosting_event import PartConcluded, StartWanted
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.place import Move, Place
+from pancakes.runtime.kernel.keep import LATEST
+from pancakes.runtime.life.life import RESTS, State
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.supervision.slot import Slot
+
+
+class Mover:
+    """Looks after the moves of one service's tasks. All in that service's actor.
+
+    Args:
+        host: the service.
+    """
+
+    def __init__(self, host: HostingService) -> None:
+        self._host = host
+        self._broken_off: list[tuple[Record, Ledger]] = []  # by the end of this service's predecessor
+        self._watched: list[str] = []
+        self._asks = 0
+
+    def begin(self) -> None:
+        """The service has begun: accounts for the moves that its predecessor's end has broken off."""
+        for record, ledger in self._broken_off:
+            reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
+            stayed = ledger.stayed(str(record.offer), reason)
+            self._host.tell_migrator(BrokenOff(self._host.component, record.task_id, stayed, reason))
+        self._host.tell_migrator(ServiceBegan(self._host.component))
+
+    def found(self, record: Record) -> None:
+        """Learns of a record that was on disk."""
+        ledger = self.sequel_of(record).ledger
+        if record.phase is Phase.FROZEN and ledger is not None:
+            self._broken_off.append((record, ledger))
+
+    def sequel_of(self, record: Record) -> Sequel:
+        """Returns what is to follow a hand-over; nothing, where that cannot be read."""
+        try:
+            return Sequel.decode(record.sequel)
+        except MigrationError as error:
+            self._host.log("error", f"what was to follow the hand-over of {record.task_id} is not done: {error}")
+            return Sequel()
+
+    # Asking for a move -----------------------------------------------------------------------------------------
+
+    def negotiate(self, slot: Slot, body: Migrate, answer: Request | None) -> None:
+        """Has the Task Migrator ask the neighbours for bids.
+
+        Args:
+            slot: the task.
+            body: what is asked for.
+            answer: the request to answer; None where a rule asks.
+
+        Raises:
+            ControlRefused: the task cannot move now.
+        """
+        host = self._host
+        place = host.places.at[slot.name]
+        if slot.task is None or slot.life.state is not State.RUNNING:
+            raise ControlRefused(f"{slot.address} is {slot.life.word}, so it cannot move")
+        if not slot.spec.type:
+            raise ControlRefused(f"{slot.address} has no entry point under which another agent could find its class")
+        if place.move is not None:
+            raise ControlRefused(f"{slot.address} is being moved already")
+        fault = fault_of_choice(body.cost)
+        if fault:
+            raise ControlRefused(f"{slot.address} cannot move: {fault}")
+        if body.then and body.then not in host.slots:
+            raise ControlRefused(f"{host.address} has no task {body.then!r} that could follow {slot.name}")
+        if not host.has_migrator():
+            raise ControlRefused(f"{slot.address} cannot move: the Network Service of {host.agent} is stopped")
+        self._asks += 1
+        rule = slot.spec.rule
+        request = Solicit(
+            place.task_id,
+            self._asks,
+            slot.spec.type,
+            slot.spec.version,
+            host.name,
+            slot.spec.cls.requires,
+            len(place.standing.record.snapshot),
+            body.cost,
+            rule.below if rule is not None and rule.when == "battery" else None,
+        )
+        place.move = Move(request, body.then, answer, body.dry_run)
+        asked_by = answer.by if answer is not None else "rule"
+        host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
+        host.tell_migrator(Negotiate(self._host.component, request, asked_by, body.to, body.dry_run))
+
+    def watch(self, slot: Slot) -> None:
+        """A task runs: watches what its rule for moving is about."""
+        rule = slot.spec.rule
+        if rule is not None and rule.when not in self._watched:
+            self._watched.append(rule.when)
+            self._host.component.subscribe(SYSTEM, rule.when, self._on_reading, keep=LATEST)
+
+    def _on_reading(self, packet: Packet) -> None:
+        """A reading that rules watch has come."""
+        host = self._host
+        if agent_of(packet.source) != host.agent:
+            return
+        for slot in list(host.slots.values()):
+            rule = slot.spec.rule
+            if rule is None or rule.when != packet.type or slot.life.state is not State.RUNNING:
+                continue
+            place = host.places.at[slot.name]
+            due = host.kernel.host.now() >= place.ask_again_s
+            if due and place.move is None and rule.met_by(packet.body):
+                # What is to follow may exist only on the agent where the rule was written.
+                then = rule.then if rule.then in host.slots else ""
+                try:
+                    self.negotiate(slot, Migrate(slot.name, then=then, cost=rule.cost), None)
+                except ControlRefused as error:
+                    place.ask_again_s = host.kernel.host.now() + ASK_AGAIN_S
+                    host.log("warning", f"the rule of {slot.address} could not move it: {error}")
+
+    # What the Task Migrator tells ------------------------------------------------------------------------------
+
+    def awarded(self, awarded: BidAwarded) -> None:
+        """The bids are compared: hands the task to the cheapest bidder."""
+        place = self._host.places.of(awarded.task_id)
+        if place.move is not None:
+            place.move.ledger = awarded.ledger
+        self._host.feed_place(place, Award(awarded.peer, awarded.request))
+
+    def over(self, over: MoveOver) -> None:
+        """The move is over, one way or the other."""
+        place = self._host.places.of(over.task_id)
+        move, place.move = place.move, None
+        if move is None:
+            return
+        if move.answer is not None:
+            self._host.reply(move.answer, over.reason, over.result)
+        if over.reason and not move.dry_run:
+            place.ask_again_s = self._host.kernel.host.now() + ASK_AGAIN_S
+            self._host.log("warning", f"{over.task_id} stays on {self._host.agent}: {over.reason}")
+
+    def migrator_began(self) -> None:
+        """The migrator has started anew and knows of no negotiation: the requests that wait are answered.
+
+        A hand-off under way goes on without it, and with it the move.
+        """
+        for place in self._host.places:
+            if place.account is not None:
+                self._host.tell_migrator(place.account)
+            elif place.move is not None and place.move.ledger is None:
+                self.over(MoveOver(place.task_id, "the Task Migrator was started anew", None))
+
+    # What hand-offs ask for ------------------------------------------------------------------------------------
+
+    def attempt_failed(self, place: Place, effect: AttemptFailed) -> None:
+        """The hand-off to a bidder has come to nothing, or (no peer) none can begin now."""
+        ledger = place.move.take_ledger() if place.move is not None else None
+        if effect.peer or place.move is not None:
+            message = AttemptOver(self._host.component, place.task_id, effect.peer, effect.reason, ledger)
+            self._host.tell_migrator(message)
+
+    def handed_over(self, place: Place, effect: HandedOver) -> None:
+        """Another agent has the task: does what is to follow."""
+        self._host.event("task_handed_over", task=place.task_id.name, to=effect.peer, epoch=effect.epoch.n)
+        sequel = self.sequel_of(place.standing.record)
+        # In a turn of its own: after a restart of the agent this comes while the other tasks are being started.
+        self._host.call(lambda: self._conclude(place, effect, sequel))
+
+    def _conclude(self, place: Place, effect: HandedOver, sequel: Sequel) -> None:
+        host, task_id, peer = self._host, place.task_id, effect.peer
+        anew = f"the Task Migrator of {host.agent}" if place.move is not None else host.address
+        on_its_way = f"{anew} was started anew while the task was on its way"
+        note = f"{on_its_way}, so the duration ends with the choice of {peer}"
+        # Where the migrator does not run, it is told once it does.
+        place.account = HasMoved(host.component, task_id, peer, str(effect.epoch), sequel.ledger, note)
+        host.tell_migrator(place.account)
+        self._follow(sequel.then, place)
+
+    def accounted(self, accounted: Accounted) -> None:
+        """The account of a move is kept."""
+        place = self._host.places.of(accounted.task_id)
+        if place.account is not None:
+            place.account = None
+            self._host.feed_place(place, PartConcluded())
+
+    def _follow(self, name: str, gone: Place) -> None:
+        """Starts a task because another one has gone; once its record says that it is wanted, that is concluded."""
+        host = self._host
+        slot = host.slots.get(name)
+        reason = ""
+        if slot is None or slot.life.state not in RESTS:
+            if name and (slot is None or slot.life.state in (State.STOPPING, State.STUCK)):
+                reason = f"{name} cannot follow: {host.address} has no such task at rest"
+        elif reason := host.admit(slot):
+            reason = f"{slot.address} cannot follow: {reason}"
+        else:
+            place = host.places.at[slot.name]
+            place.follows = gone.task_id
+            host.feed_place(place, StartWanted())
+            return
+        if reason:
+            host.log("error", reason)
+        host.feed_place(gone, PartConcluded())
+
+    def followed(self, place: Place, gone: TaskId) -> None:
+        """The start of a task that follows another one is decided."""
+        place.follows = None
+        self._host.feed_place(self._host.places.of(gone), PartConcluded())

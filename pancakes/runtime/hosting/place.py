@@ -1,0 +1,93 @@
+"""All that a service knows of one task that it hosts, or has ever had to do with."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.mesh.migration.ledger import Ledger
+from pancakes.mesh.migration.messages import Solicit
+from pancakes.mesh.migration.record import TaskId
+from pancakes.runtime.hosting.bidding_messages import HasMoved
+from pancakes.runtime.hosting.checkpoints import LastCheckpoint
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.hosting.task_letters import TaskLetters
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.supervision.slot import Slot
+
+
+class Move(msgspec.Struct):
+    """A move that is under way.
+
+    Attributes:
+        request: what the neighbours are asked.
+        then: a task to start here once the other has gone.
+        answer: the request to answer; None where a rule asked.
+        dry_run: whether nothing is to be moved.
+        ledger: the account as it stands while a hand-off is under way; None before the first, and between two.
+    """
+
+    request: Solicit
+    then: str
+    answer: Request | None
+    dry_run: bool
+    ledger: Ledger | None = None
+
+    def take_ledger(self) -> Ledger | None:
+        """Returns the account as it stood: the hand-off has come to nothing."""
+        ledger, self.ledger = self.ledger, None
+        return ledger
+
+
+class Adoption(msgspec.Struct, frozen=True):
+    """A person has said that the task shall run here; the answer waits until that is decided.
+
+    Attributes:
+        request: the request to answer.
+        peer: the agent that is gone; empty: the record was lost.
+        reason: what was decided, as a sentence.
+        ledger: the account of the hand-off that was in doubt.
+    """
+
+    request: Request
+    peer: str
+    reason: str
+    ledger: Ledger | None
+
+
+class Place(msgspec.Struct):
+    """The place of one task, whether it runs here or has left only its record.
+
+    Its life is in its slot, as that of every task; a task without one has no life here.
+
+    Attributes:
+        task_id: the task.
+        slot: its slot; None: it has none.
+        standing: its record, and what its hand-off is about to do.
+        letters: what is known of the letters that have come for it; None: none has.
+        written: what was written down of it last; None: nothing since it began.
+        came_from: the agent that it is on its way from; empty: none.
+        move: the move that was asked for; None: none.
+        ask_again_s: its rule leaves it alone until this host time.
+        account: the account of its move, which the Task Migrator has not kept yet; None: there is none.
+        adoption: the adoption that waits for its start; None: none.
+        forgetting: the requests to forget it that wait for the disk.
+        follows: the task that it is started after; None: none.
+    """
+
+    task_id: TaskId
+    standing: Standing
+    slot: Slot | None = None
+    letters: TaskLetters | None = None
+    written: LastCheckpoint | None = None
+    came_from: str = ""
+    move: Move | None = None
+    ask_again_s: float = 0.0
+    account: HasMoved | None = None
+    adoption: Adoption | None = None
+    forgetting: tuple[Request, ...] = ()
+    follows: TaskId | None = None
+
+    @property
+    def owes(self) -> bool:
+        """Whether something that the task has handled waits for the disk."""
+        return self.letters is not None and bool(self.letters.owed)

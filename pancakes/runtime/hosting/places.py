@@ -1,0 +1,73 @@
+"""The places of all tasks of one service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from pancakes.mesh.migration.record import Phase, Record, TaskId
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.supervision.slot import Slot
+
+
+class Places:
+    """All places, and which of them each slot belongs to. In the service's actor.
+
+    Args:
+        agent: the agent's name.
+        slots: the service's slots, by the names of tasks.
+
+    Attributes:
+        at: the place that each slot belongs to, by the name of the task.
+    """
+
+    def __init__(self, agent: str, slots: Mapping[str, Slot]) -> None:
+        self.at: dict[str, Place] = {}
+        self._agent = agent
+        self._slots = slots
+        self._places: dict[TaskId, Place] = {}
+        self._by_name: dict[str, list[Place]] = {}
+
+    def __iter__(self) -> Iterator[Place]:
+        return iter(list(self._places.values()))
+
+    def add(self, record: Record) -> Place:
+        """Makes a place for a task of which there is a record."""
+        place = self._places[record.task_id] = Place(record.task_id, Standing(record))
+        self._by_name.setdefault(place.task_id.name, []).append(place)
+        return place
+
+    def find(self, task_id: TaskId) -> Place | None:
+        """Returns the place of a task; None: this service has never heard of it."""
+        return self._places.get(task_id)
+
+    def of(self, task_id: TaskId) -> Place:
+        """Returns the place of a task, and makes it where this service has never heard of the task."""
+        return self._places.get(task_id) or self.add(Record(task_id))
+
+    def named(self, name: str) -> list[Place]:
+        """Returns the places of all tasks of a name: each birthplace may have one."""
+        return list(self._by_name.get(name, ()))
+
+    def bind(self, name: str) -> TaskId | None:
+        """Finds out anew which place the slot of a name belongs to: a record has changed, or the slot has.
+
+        Returns:
+            The task that it is for; of one that came from elsewhere, its birthplace is another agent. None: there is no
+            such slot.
+        """
+        for place in self._by_name.get(name, ()):
+            place.slot = None
+        slot = self._slots.get(name)
+        if slot is None:
+            self.at.pop(name, None)
+            return None
+        here = [place for place in self._by_name.get(name, ()) if _is_here(place.standing)]
+        place = here[0] if here else self.of(TaskId(self._agent, name))
+        place.slot = slot
+        self.at[name] = place
+        return place.task_id
+
+
+def _is_here(standing: Standing) -> bool:
+    return standing.leaving or standing.record.phase not in (Phase.ABSENT, Phase.RELEASED)

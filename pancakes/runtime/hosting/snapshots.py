@@ -1,0 +1,104 @@
+"""A task as data: what is written down of it and sent with it, and what becomes of that where it begins again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from msgspec.structs import asdict
+
+from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import alike
+from pancakes.runtime.installed import Installed
+from pancakes.runtime.life.restart import RestartSpec
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.task import TaskSpec
+
+
+def snapshot_of(
+    slot: Slot, task_id: TaskId, service: str, carried: Carried | None, now_s: float, sent: int, posted: Posted | None
+) -> Snapshot:
+    """Returns a task as data.
+
+    Args:
+        slot: its place.
+        task_id: its identity for life.
+        service: the service that looks after it.
+        carried: what it carries; None: it has not begun yet.
+        now_s: mission time.
+        sent: the number of the last packet that it has published.
+        posted: what it has sent to other tasks and is not acknowledged; only of one that moves.
+    """
+    spec = slot.spec
+    carried = carried or Carried(spec.settings, {})
+    return Snapshot(
+        task_id=task_id,
+        type=spec.type,
+        version=spec.version,
+        service=service,
+        requires=spec.cls.requires,
+        settings=dict(carried.settings),
+        configured=dict(spec.settings),
+        state=dict(carried.state),
+        timers=tuple(
+            TimerPhase(name, period_s, period_s - now_s % period_s) for name, period_s in carried.periods_s.items()
+        ),
+        posted=posted,
+        heard={stream: Heard(upto) for stream, upto in carried.heard.items()},
+        sent={slot.address: sent},
+        restart=_plain_restart(spec.restart),
+        durability=spec.durability,
+        migrate=asdict(spec.rule) if spec.rule is not None else None,
+    )
+
+
+def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
+    """Returns how to start a task of which nothing is known here but its snapshot.
+
+    Raises:
+        PancakesError: its class is not installed here.
+        msgspec.ValidationError: its rules of restart or migration are none.
+    """
+    cls, version = catalogue.find(snapshot.type)
+    return TaskSpec(
+        name=snapshot.task_id.name,
+        cls=cls,
+        type=snapshot.type,
+        version=version,
+        settings=snapshot.configured,
+        start=False,
+        restart=codecs.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
+        durability=snapshot.durability,
+        rule=codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
+    )
+
+
+def carried_of(snapshot: Snapshot) -> Carried:
+    """Returns what a task that begins from a snapshot carries."""
+    return Carried(
+        snapshot.settings,
+        snapshot.state,
+        {timer.name: timer.period_s for timer in snapshot.timers},
+        {stream: heard.upto for stream, heard in snapshot.heard.items()},
+    )
+
+
+def settings_now(snapshot: Snapshot, configured: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Returns a task's own settings with what its configuration has changed since, and the names of that."""
+    settings, before = dict(snapshot.settings), snapshot.configured
+    changed = [key for key in configured if key not in before or not alike(before[key], configured[key])]
+    settings.update((key, configured[key]) for key in changed)
+    removed = [key for key in before if key not in configured]
+    for key in removed:
+        settings.pop(key, None)
+    return settings, [*changed, *removed]
+
+
+@cache
+def _plain_restart(spec: RestartSpec) -> dict[str, Any]:
+    return asdict(spec)

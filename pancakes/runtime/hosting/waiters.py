@@ -1,0 +1,50 @@
+"""Requests that wait for the journal: their senders hear in time what they wait for."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.machine import settled
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.life.request import Request
+
+ANSWERED_S: Final = 1.5
+"""The sender of a request that waits for the journal is told so after this time, in host time."""
+LOOK_AGAIN_S: Final = 0.25
+"""What the journal has begun to write meanwhile may fail a moment later."""
+
+
+class Waiters:
+    """Looks after the requests to one service. All in that service's actor.
+
+    Args:
+        host: the service.
+        records: knows what keeps a record from being written.
+    """
+
+    def __init__(self, host: HostingService, records: Records) -> None:
+        self._host = host
+        self._records = records
+
+    def look_after(self, place: Place, request: Request) -> None:
+        """Sees to it that a request about a task is answered, where that waits for the journal.
+
+        What was asked for is done all the same once the journal can write.
+        """
+        self._host.after_host(ANSWERED_S, lambda: self._look(place, request))
+
+    def _look(self, place: Place, request: Request) -> None:
+        host, standing = self._host, place.standing
+        if not host.waits(request):
+            return
+        trouble = "" if settled(standing) else standing.trouble or self._records.trouble(place.task_id)
+        if not trouble:
+            host.after_host(LOOK_AGAIN_S, lambda: self._look(place, request))
+            return
+        slot = place.slot
+        what = f"{slot.address} is {slot.life.word}" if slot is not None else str(place.task_id)
+        host.put_off(
+            request, f"{what}; what was asked for waits: {trouble}. It is done as soon as the journal can write"
+        )

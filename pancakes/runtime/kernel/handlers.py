@@ -1,0 +1,161 @@
+"""How a component says what it reacts to: `@on` a packet, `@every` so often (paper §3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, TypeVar
+
+import msgspec
+
+from pancakes.errors import ClassError
+from pancakes.packet import type_name
+from pancakes.runtime.foundation.signatures import check_called
+from pancakes.runtime.kernel.keep import LATEST, Keep, queue
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+DEFAULT_KEEP = queue(256)
+MOST_HZ = 10_000.0
+"""No timer ticks faster: one that did would leave its agent time for nothing else."""
+
+
+class Tick(msgspec.Struct, frozen=True, gc=False):
+    """What a time-driven method is given.
+
+    Attributes:
+        time_s: the deadline of this tick, in mission time.
+        missed: how many ticks before it never came, because the component was late.
+        lateness_s: how long after its deadline the method was called, in mission time.
+    """
+
+    time_s: float
+    missed: int = 0
+    lateness_s: float = 0.0
+
+
+class Subscription(msgspec.Struct, frozen=True):
+    """What a method listens to.
+
+    Attributes:
+        channel: the channel.
+        type: the name of the packets' type; None: all types.
+        keep: what happens when the component is slow.
+        addressed: only packets whose destination is this component.
+    """
+
+    channel: str
+    type: str | None
+    keep: Keep
+    addressed: bool = False
+
+
+class Period(msgspec.Struct, frozen=True):
+    """How often a method is called, in seconds of mission time; infinity: not before it is rescheduled."""
+
+    period_s: float
+
+
+def on(
+    channel: str,
+    body: type | str | None = None,
+    *,
+    keep: Keep | Literal["latest"] = DEFAULT_KEEP,
+    addressed: bool = False,
+) -> Callable[[_F], _F]:
+    """Makes a method event-driven: it is called with each packet on `channel`, in the component's actor.
+
+    Args:
+        channel: the channel to listen to.
+        body: the class of the packets' bodies, or their type's name; None: packets of all types.
+        keep: what waits when the component is slow: `"latest"`, `queue(n)` or `reliable(n)`.
+        addressed: only packets whose destination is this component.
+
+    Raises:
+        ClassError: the method is `async def`, or cannot be called with a packet.
+    """
+    if not isinstance(channel, str):
+        raise ClassError(f'@on takes the name of a channel, not {channel!r}: write @on("system")')
+    name = body if body is None or isinstance(body, str) else type_name(body)
+    subscription = Subscription(channel, name, LATEST if keep == "latest" else keep, addressed)
+
+    def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, packet: Packet) -> None"
+        check_called(method, ("self", "packet"), "@on calls it with a packet", wanted)
+        marks = (*getattr(method, "__subscriptions__", ()), subscription)
+        method.__subscriptions__ = marks  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+def every(period_s: float | None = None, *, hz: float | None = None) -> Callable[[_F], _F]:
+    """Makes a method time-driven: it is called with a `Tick` at a rate that can be changed while it runs.
+
+    Args:
+        period_s: seconds of mission time from tick to tick.
+        hz: instead, ticks for each second; 0: none before it is rescheduled.
+
+    Raises:
+        ClassError: the method is `async def`, or cannot be called with a `Tick`.
+    """
+    if callable(period_s):
+        raise ClassError(f"@every takes a period or a rate, not {period_s!r}: write @every(hz=10)")
+    if (period_s is None) == (hz is None):
+        raise TypeError("@every takes either period_s or hz")
+    period = Period(period_of(hz) if hz is not None else checked_period(period_s or 0.0))
+
+    def mark(method: _F) -> _F:
+        wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"
+        check_called(method, ("self", "tick"), "@every calls it with a Tick", wanted)
+        method.__period__ = period  # type: ignore[attr-defined]
+        return method
+
+    return mark
+
+
+def period_of(rate_hz: float) -> float:
+    """Returns the period of a rate, in seconds; infinity for 0.
+
+    Raises:
+        ValueError: the rate is negative, no number, or above `MOST_HZ`.
+    """
+    if not 0 <= rate_hz <= MOST_HZ:
+        raise ValueError(f"a rate must lie between 0 and {MOST_HZ:,.0f} ticks a second, not {rate_hz:g}")
+    return 1.0 / rate_hz if rate_hz > 0 else float("inf")
+
+
+def checked_period(period_s: float) -> float:
+    """Returns a period that a timer may have, in seconds; infinity lets it rest.
+
+    Raises:
+        ValueError: it is shorter than that of `MOST_HZ`, or no number.
+    """
+    if not period_s >= 1.0 / MOST_HZ:
+        raise ValueError(f"a period must be at least {1.0 / MOST_HZ:g} s, not {period_s:g} s")
+    return float(period_s)
+
+
+def subscriptions_of(cls: type) -> list[tuple[Subscription, str]]:
+    """Returns what the methods of a class listen to, as (subscription, method name), in the order of the class."""
+    return [
+        (subscription, name)
+        for name in _names(cls)
+        for subscription in getattr(getattr(cls, name), "__subscriptions__", ())
+    ]
+
+
+def periods_of(cls: type) -> dict[str, Period]:
+    """Returns the time-driven methods of a class, in the order of the class."""
+    return {
+        name: period for name in _names(cls) if (period := getattr(getattr(cls, name), "__period__", None)) is not None
+    }
+
+
+def _name_of(method: Any) -> str:
+    return str(getattr(method, "__name__", "handle"))
+
+
+def _names(cls: type) -> list[str]:
+    # Bases first, each in the order of its text; an overriding method keeps the place of what it overrides.
+    names = {name: None for base in reversed(cls.__mro__) for name in vars(base) if not name.startswith("__")}
+    return [name for name in names if callable(getattr(cls, name, None))]

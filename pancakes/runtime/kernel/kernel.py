@@ -1,0 +1,204 @@
+"""The kernel of an agent: registry, information stream, timer and dispatchers (paper §2, §3).
+
+One kernel an agent, many agents a process: nothing here is global.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from pancakes.errors import PancakesError
+from pancakes.events import LogLine
+from pancakes.packet import LOG, Packet, type_name
+from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.counter import Counter
+from pancakes.runtime.kernel.dispatch import Dispatcher
+from pancakes.runtime.kernel.guest import Guest
+from pancakes.runtime.kernel.letters import DeadLetters
+from pancakes.runtime.kernel.pinned import PinnedDispatcher
+from pancakes.runtime.kernel.pool import PoolDispatcher
+from pancakes.runtime.kernel.registry import Registry
+from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.timer import Timer, VirtualTimer
+from pancakes.runtime.kernel.virtual import VirtualDispatcher
+
+_Made = TypeVar("_Made", bound=Component)
+
+
+class Kernel:
+    """What an agent stands on.
+
+    Args:
+        agent: the agent's name.
+        seed: draws all random numbers of its components.
+        speed: mission seconds for each second of host time.
+        hold: whether the mission waits at 0 for a `Begin` packet.
+        virtual: run on this dispatcher, in virtual time; None: on threads, in real time.
+
+    Attributes:
+        host: the host clock.
+        mission: the mission clock.
+        now: returns the mission time in seconds; one object for all who ask for it with each tick and packet.
+        stream: the information stream.
+        registry: who runs here.
+        letters: packets whose handlers failed.
+        timer: the timer actor.
+        transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
+        stopping: whether the agent is about to end for good.
+        mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
+        lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
+    """
+
+    def __init__(
+        self,
+        agent: str,
+        *,
+        seed: int = 0,
+        speed: float = 1.0,
+        hold: bool = False,
+        virtual: VirtualDispatcher | None = None,
+    ) -> None:
+        self.agent = agent
+        self.seed = seed
+        self.virtual = virtual
+        self.host: Clock = virtual.clock if virtual is not None else MonotonicClock()
+        self.mission = MissionClock(self.host, speed, hold)
+        self.now = self.mission.now
+        self.stream = InformationStream(agent)
+        self.registry: Registry[Component] = Registry()
+        self.letters = DeadLetters(self.log)
+        self.transport: Any = None
+        self.stopping = False
+        self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
+        self._seqs: dict[str, Counter] = {}
+        self._lock = threading.Lock()
+        self.timer: Timer
+        self._shared: Dispatcher
+        if virtual is not None:
+            self.timer = VirtualTimer(agent, self.mission, virtual)
+            self._shared = virtual
+            self._pinned: Dispatcher = virtual
+        else:
+            self._shared = pool = PoolDispatcher(agent, self.host, self._hogged)
+            self.timer = Timer(agent, self.mission, self.host, pool)
+            self._pinned = PinnedDispatcher(agent)
+        self.timer.launch()
+
+    def spawn(
+        self,
+        cls: Callable[..., _Made],
+        address: str,
+        *,
+        exited: Callable[[Component, BaseException | None], None] | None = None,
+        **arguments: Any,
+    ) -> _Made:
+        """Makes a component and lets it run.
+
+        Args:
+            cls: its class.
+            address: its address; no other component may run there.
+            exited: called in the component's thread when it has ended, with the error if it failed; None: its
+                subscriptions end with it.
+            arguments: what else its class wants.
+
+        Raises:
+            ValueError: a component runs at this address already.
+        """
+        component = cls(self, address, **arguments)
+        component.exited = exited or self._release
+        self.registry.add(component)
+        self.attach(component)
+        return component
+
+    def guest(self, relieve: Callable[[], None]) -> Guest:
+        """Makes the calling thread a guest of the pool, see `Guest`. Not in virtual time, which has no threads."""
+        assert isinstance(self._shared, PoolDispatcher)
+        return Guest(self._shared, relieve)
+
+    def attach(self, component: Component) -> None:
+        """Puts a component on the dispatcher that suits it."""
+        (self._pinned if component.blocking else self._shared).attach(component)
+
+    def seq_of(self, address: str) -> Counter:
+        """Returns the counter of the packets of a source; it outlives the actor, so that numbers never repeat."""
+        with self._lock:
+            counter = self._seqs.get(address)
+            if counter is None:
+                counter = self._seqs[address] = Counter(1)
+            return counter
+
+    def continue_seq(self, address: str, next_seq: int) -> None:
+        """Lets the packets of a source go on where they were, elsewhere or before a reboot; never back."""
+        with self._lock:
+            counter = self._seqs.get(address)
+            if counter is None or counter.value < next_seq:
+                self._seqs[address] = Counter(next_seq)
+
+    def hear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
+        """Calls `heard` with each timer of a task that ticks, and how late it was, in mission time; in the task's turn.
+
+        It must not block; the `append` of a deque takes the least. Any thread.
+        """
+        with self._lock:
+            self.lateness_heard = (*self.lateness_heard, heard)
+
+    def unhear_lateness(self, heard: Callable[[tuple[TaskTimer, float]], None]) -> None:
+        """Ends what `hear_lateness` began."""
+        with self._lock:
+            self.lateness_heard = tuple(other for other in self.lateness_heard if other != heard)
+
+    def random_for(self, name: str) -> random.Random:
+        """Returns a source of random numbers of its own for each name, drawn from the agent's seed."""
+        return random.Random(f"{self.seed}/{name}")
+
+    def begin(self, in_s: float) -> None:
+        """Lets a mission that is held at 0 begin in `in_s` seconds of host time."""
+        self.mission.begin(in_s)
+        self.timer.wake()
+
+    def log(self, level: str, text: str, traceback: str = "") -> None:
+        """Publishes a line on `log` in the kernel's own name; see `Component.log`. Any thread."""
+        self.say(LogLine(level, text, traceback))
+
+    def say(self, body: Any) -> None:
+        """Publishes on `log` in the kernel's own name. Any thread."""
+        address = f"{self.agent}/kernel"
+        packet = Packet(LOG, type_name(body), address, "", self.mission.now(), self.seq_of(address).take(), body)
+        try:
+            self.stream.publish(packet)
+        except PancakesError:
+            # As in `Component.log`: a thread that logs must not fail because of a reader.
+            self.stream.undelivered += 1
+
+    def stop(self) -> None:
+        """Ends the timer and all threads. The components have been stopped before; not from one of them."""
+        self.timer.halt()
+        if self.virtual is None:
+            self._shared.stop()
+            self._pinned.stop()
+
+    def crash(self) -> None:
+        """Lets nothing run any more, without a word to anybody. In virtual time only, between two turns."""
+        self.stream.silence()
+        self.timer.halt()
+        for component in self.registry.components():
+            component.actor_stopped.set()
+            component.actor_inbox.component = None
+
+    def _release(self, component: Component, error: BaseException | None) -> None:
+        self.stream.unsubscribe(component.address)
+
+    def _hogged(self, address: str, held_s: float) -> None:
+        if address == f"{self.agent}/kernel":  # the root: no user can write it otherwise
+            return
+        self.log(
+            "warning",
+            f"{address} has held a thread of the pool for {held_s * 1000:.0f} ms:"
+            " a task that waits or computes for long should say `blocking = True`",
+        )

@@ -1,0 +1,299 @@
+"""Many components on a few threads: the default on a robot.
+
+One thread is at work, one stands by. A worker that readies components does not wake another one: threads that wake each
+other are what costs under the interpreter lock. For the same reason a thread that is not of the pool and brings work
+(the timer's, the network's) may do that work itself, as a guest, while no other thread is at work.
+Where a handler holds its thread, a watchdog stops counting on that thread until it is back: the sibling, one more
+worker or another guest is at work instead. The watchdog names a component that holds its thread for long.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from pancakes.runtime.clock import Clock
+from pancakes.runtime.kernel.dispatch import Dispatcher
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.shift import Shift
+
+SLICE_S: Final = 0.002
+"""A turn ends after this time even if more waits, so that others get theirs."""
+WATCH_S: Final = 0.02
+"""How often the watchdog looks."""
+MOST_PASSED_S: Final = 2 * WATCH_S
+"""So much counts between two looks, at the most: where the watchdog itself comes late, the machine stood still."""
+DOZE_LOOKS: Final = 5
+"""After so many looks at which no turn was given the watchdog rests until a thread is at work."""
+HOGGED_S: Final = 0.05
+"""A handler that holds its thread longer than this is named."""
+MOST_WORKERS: Final = 64
+"""So many workers may be held at a time, and as many guests."""
+MOST_IDLE: Final = 2
+"""So many idle workers are kept: one for work, one to stand by."""
+STOP_S: Final = 0.3
+"""How long, in all, a stop waits for workers that are held."""
+
+_LOG: Final = logging.getLogger("pancakes.runtime.kernel")
+
+
+class _Worker(threading.Thread):
+    """One thread of the pool.
+
+    Attributes:
+        wake: released when an idle worker is wanted.
+    """
+
+    def __init__(self, pool: PoolDispatcher, number: int) -> None:
+        super().__init__(name=f"{pool.name}-pool-{number}", daemon=True)
+        self.pool = pool
+        self.shift = Shift()
+        self.wake = threading.Lock()
+        self.wake.acquire()
+
+    def run(self) -> None:
+        while True:
+            self.pool.give_turns(self.shift)
+            if self.pool.retire(self):
+                return
+
+
+class PoolDispatcher(Dispatcher):
+    """Runs components on a few shared threads.
+
+    Args:
+        name: for the names of the threads.
+        clock: the host's clock.
+        hogged: called by the watchdog, in its thread, with the address of a component that has held a
+            worker for `HOGGED_S`, and for how long at least, in seconds.
+
+    Attributes:
+        work: the mailboxes whose components are to get a turn.
+    """
+
+    def __init__(self, name: str, clock: Clock, hogged: Callable[[str, float], None] = lambda address, held_s: None):
+        self.name = name
+        self.clock = clock
+        self.work: deque[Mailbox] = deque()
+        self._hogged = hogged
+        self._lock = threading.Lock()
+        self._idle: list[_Worker] = []
+        self._workers: list[_Worker] = []
+        self._guests: list[Shift] = []
+        self._numbers = 0
+        self._active = 0  # threads at work that are not held
+        self._visits = 0
+        self._lacks_threads = False
+        self._reliefs: list[Callable[[], None]] = []
+        self._looked_s = 0.0
+        self._stopping = False
+        self._dozing = False
+        self._alarm = threading.Lock()  # released to wake the watchdog
+        self._alarm.acquire()
+        self._watchdog = threading.Thread(target=self._watch, name=f"{name}-pool-watchdog", daemon=True)
+        self._watchdog.start()
+
+    def ready(self, mailbox: Mailbox) -> None:
+        self.work.append(mailbox)
+        # A racy read is enough: a worker looks at `work` once more, under the lock, before it lies down.
+        if self._active == 0:
+            self._lend()
+
+    def give_turns(self, shift: Shift, until_s: float = math.inf) -> None:
+        """Gives turns in this thread, the longest waiting first, until no more wait or it is late enough.
+
+        Args:
+            shift: the calling thread's.
+            until_s: after the first turn that ends at this host time or later it gives no other.
+        """
+        while self.work:
+            try:
+                mailbox = self.work.popleft()
+            except IndexError:  # another thread was faster
+                return
+            shift.turns += 1
+            shift.mailbox = mailbox
+            self.give_turn(mailbox, SLICE_S)
+            shift.mailbox = None
+            if shift.held:
+                self._come_back(shift)
+            if shift.relieved:
+                return
+            if until_s < math.inf and self.clock.now() >= until_s:
+                return
+
+    def _lend(self) -> None:
+        """Puts a worker to work, if no thread is at work."""
+        with self._lock:
+            if self._stopping or self._active or len(self._workers) - len(self._idle) >= MOST_WORKERS:
+                return
+            self._watch_again()
+            if self._idle:
+                worker = self._idle.pop()
+                self._begin(worker.shift)
+                worker.wake.release()
+                return
+            self._numbers += 1
+            worker = _Worker(self, self._numbers)
+            try:
+                worker.start()
+            except RuntimeError as error:  # no fault of the publisher that called this; the watchdog tries again
+                if not self._lacks_threads:
+                    _LOG.error("%s has work for another thread, and gets none: %s", self.name, error)
+                self._lacks_threads = True
+                return
+            self._lacks_threads = False
+            self._begin(worker.shift)
+            self._workers.append(worker)
+
+    def retire(self, worker: _Worker) -> bool:
+        """Lays an idle worker down until it is wanted. Returns whether its thread shall end."""
+        with self._lock:
+            # First the count, then the look: a thread that puts work in reads the count only after that.
+            self._end(worker.shift)
+            if self.work:
+                self._begin(worker.shift)
+                return False
+            if self._stopping or len(self._idle) >= MOST_IDLE:
+                self._workers.remove(worker)
+                return True
+            self._idle.append(worker)
+        worker.wake.acquire()
+        if self._stopping:
+            with self._lock:
+                self._workers.remove(worker)
+            return True
+        return False
+
+    def welcome(self, guest: Shift) -> bool:
+        """Lets a guest do the work, if no other thread does it now."""
+        with self._lock:
+            if self._active or self._stopping or len(self._guests) >= MOST_WORKERS:
+                return False
+            self._begin(guest)
+            self._visits += 1
+            self._guests.append(guest)
+            self._watch_again()
+            return True
+
+    def farewell(self, guest: Shift) -> None:
+        """Lets a guest go; a worker does what it has left."""
+        with self._lock:
+            self._guests.remove(guest)
+            self._end(guest)
+        if self.work:
+            self._lend()
+
+    def _begin(self, shift: Shift) -> None:
+        """Counts on a thread from now on. Under the lock."""
+        self._active += 1
+        shift.here = True
+        shift.turns += 1  # what comes before its first turn is not seen as part of the last one
+
+    def _end(self, shift: Shift) -> None:
+        """Counts on a thread no more. Under the lock."""
+        shift.here = False
+        if shift.held:
+            shift.held = False
+        else:
+            self._active -= 1
+
+    def _come_back(self, shift: Shift) -> None:
+        """Counts on a thread again whose turn has ended. In that thread; no other one takes the mark away."""
+        with self._lock:
+            shift.held = False
+            self._active += 1
+
+    def _watch_again(self) -> None:
+        """Wakes the watchdog if it dozes. Under the lock."""
+        if self._dozing:
+            self._dozing = False
+            self._alarm.release()
+
+    def _watch(self) -> None:
+        quiet = 0
+        before = -1
+        while not self._stopping:
+            try:
+                turns = self.look()
+            except Exception:  # without a watchdog one handler could stop all others
+                _LOG.exception("the watchdog of the pool of %s failed", self.name)
+                turns = before + 1
+            quiet = quiet + 1 if turns == before else 0
+            before = turns
+            # Regular wake-ups would be the most of what an agent at rest costs.
+            self._alarm.acquire(timeout=-1 if quiet >= DOZE_LOOKS and self._may_doze() else WATCH_S)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no thread is at work, and none is held."""
+        return len(self._idle) == len(self._workers) and not self._guests
+
+    def _may_doze(self) -> bool:
+        with self._lock:
+            self._dozing = self.at_rest and not self.work
+            return self._dozing
+
+    def look(self) -> int:
+        """Does what the watchdog does at each look. Returns a number that changes as long as turns are given."""
+        now_s = self.clock.now()
+        passed_s = min(now_s - self._looked_s, MOST_PASSED_S)
+        self._looked_s = now_s
+        with self._lock:
+            shifts = [*(worker.shift for worker in self._workers), *self._guests]
+            turns = self._visits
+        for shift in shifts:
+            turns += shift.turns
+            mailbox = shift.mailbox
+            if not shift.here:
+                continue
+            seen_s = shift.see(passed_s)
+            if seen_s < WATCH_S:
+                continue
+            self._hold(shift)
+            component = mailbox.component if mailbox is not None else None
+            if seen_s >= HOGGED_S and not shift.named and component is not None:
+                shift.named = True
+                self._hogged(component.address, seen_s)
+        while self._reliefs:
+            self._reliefs[0]()  # where no thread can be started it fails, and is tried again at the next look
+            del self._reliefs[0]
+        if self.work:
+            self._lend()
+        return turns
+
+    def _hold(self, shift: Shift) -> None:
+        """Stops counting on a thread whose turn does not end; another thread takes over a guest's duties.
+
+        A thread may be held by what it does before a turn, too, or where the system gives it no core. One whose turn
+        has ended just now is taken for held until the end of its next turn, which does no harm.
+        """
+        with self._lock:
+            if not shift.here:
+                return
+            if not shift.held:
+                shift.held = True
+                self._active -= 1
+            # First the mark, then the look: a thread looks for the mark when its turn has ended.
+            if shift.mailbox is not None and shift.relieve is not None and not shift.relieved:
+                shift.relieved = True
+                self._reliefs.append(shift.relieve)
+
+    def stop(self) -> None:
+        with self._lock:
+            self._stopping = True
+            for worker in self._idle:
+                worker.wake.release()
+            self._idle.clear()
+            workers = list(self._workers)
+            if self._alarm.locked():
+                self._alarm.release()
+        self._watchdog.join()
+        until_s = self.clock.now() + STOP_S
+        for worker in workers:
+            # A worker that is held by a stuck handler is a daemon thread: it must not hold up the rest.
+            worker.join(timeout=max(0.0, until_s - self.clock.now()))

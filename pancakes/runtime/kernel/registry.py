@@ -1,0 +1,179 @@
+"""The registry of an agent's actors (paper §3.3), and of the devices that its tasks may depend on."""
+
+from __future__ import annotations
+
+import threading
+from typing import Generic, TypeVar
+
+import msgspec
+
+from pancakes.runtime.kernel.mailbox import Runnable
+
+Member = TypeVar("Member", bound=Runnable)
+
+
+class DeviceEntry(msgspec.Struct, frozen=True):
+    """A device that runs.
+
+    Attributes:
+        name: its name, as in `[device.NAME]`.
+        type: its type, as in a task's `requires`.
+        actuator: whether it takes commands, and therefore has one holder at a time.
+        networked: whether its readings come from another agent.
+        address: where it takes commands.
+    """
+
+    name: str
+    type: str
+    actuator: bool = False
+    networked: bool = False
+    address: str = ""
+
+
+class Registry(Generic[Member]):
+    """Who runs on this agent. All methods may be called from any thread.
+
+    pykka's own registry is global to the process and scans a list; this one belongs to one agent and keeps its
+    actors alive.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._components: dict[str, Member] = {}
+        self._devices: dict[str, DeviceEntry] = {}
+        self._addresses: dict[
+            str, str
+        ] = {}  # of all devices that ever ran: one may be down, and is to hold all the same
+        self._holders: dict[str, str] = {}
+        self._reserved: dict[str, str] = {}
+
+    def add(self, component: Member) -> None:
+        """Enters an actor.
+
+        Raises:
+            ValueError: another one runs under this address.
+        """
+        with self._lock:
+            if component.address in self._components:
+                raise ValueError(f"{component.address} runs already")
+            self._components[component.address] = component
+
+    def remove(self, component: Member) -> None:
+        """Strikes an actor out, if it is in."""
+        with self._lock:
+            if self._components.get(component.address) is component:
+                del self._components[component.address]
+
+    def get(self, address: str) -> Member | None:
+        """Returns the actor that runs at `address`."""
+        return self._components.get(address)
+
+    def components(self) -> list[Member]:
+        """Returns all actors, in the order in which they started."""
+        with self._lock:
+            return list(self._components.values())
+
+    def add_device(self, device: DeviceEntry) -> None:
+        """Enters a device that has come to run."""
+        with self._lock:
+            self._devices[device.name] = device
+            self._addresses[device.name] = device.address
+
+    def remove_device(self, name: str) -> None:
+        """Strikes a device out."""
+        with self._lock:
+            self._devices.pop(name, None)
+
+    def devices(self) -> list[DeviceEntry]:
+        """Returns the devices that run."""
+        with self._lock:
+            return list(self._devices.values())
+
+    def device_types(self) -> list[str]:
+        """Returns the types of the devices that run, each once, sorted."""
+        return sorted({device.type for device in self.devices()})
+
+    def lacking(self, types: tuple[str, ...]) -> list[str]:
+        """Returns those of `types` of which no device runs."""
+        present = self.device_types()
+        return [type_name for type_name in types if type_name not in present]
+
+    def hold(self, address: str, types: tuple[str, ...]) -> str:
+        """Grants a task the actuators among the device types that it requires: all of them or none.
+
+        Returns:
+            An empty string, or the reason why not.
+        """
+        with self._lock:
+            reason = self._claim(self._holders, address, types)
+            if not reason:
+                self._unreserve(address)
+            return reason
+
+    def reserve(self, address: str, types: tuple[str, ...]) -> str:
+        """Keeps the actuators among the device types for a task that arrives or is to start: all of them or none.
+
+        It does not hold them yet, so that they obey no task. `hold` for the same address takes them, `unreserve` gives
+        them back.
+
+        Returns:
+            An empty string, or the reason why not.
+        """
+        with self._lock:
+            return self._claim(self._reserved, address, types)
+
+    def _claim(self, claims: dict[str, str], address: str, types: tuple[str, ...]) -> str:
+        """Notes a task for all actuators of these types, or says why that cannot be. Under the lock."""
+        names = self._actuators(types)
+        reason = next((taken for name in names if (taken := self._taken(name, address))), "")
+        if not reason:
+            claims.update(dict.fromkeys(names, address))
+        return reason
+
+    def _actuators(self, types: tuple[str, ...]) -> list[str]:
+        """Returns the names of the actuators of these types. Under the lock."""
+        return [device.name for device in self._devices.values() if device.actuator and device.type in types]
+
+    def unreserve(self, address: str) -> None:
+        """Gives back what was kept for a task that does not arrive."""
+        with self._lock:
+            self._unreserve(address)
+
+    def _unreserve(self, address: str) -> None:
+        self._reserved = {name: kept_for for name, kept_for in self._reserved.items() if kept_for != address}
+
+    def taken(self, device: str, address: str) -> str:
+        """Returns why the task at `address` cannot have an actuator now; empty where it can."""
+        with self._lock:
+            return self._taken(device, address)
+
+    def _taken(self, device: str, address: str) -> str:
+        holder = self._holders.get(device, address)
+        if holder != address:
+            return f"{device} is held by {holder}"
+        kept_for = self._reserved.get(device, address)
+        return "" if kept_for == address else f"{device} is kept for {kept_for}, which is about to start"
+
+    def claim(self, device: str, address: str) -> str:
+        """Grants an actuator that no task holds or is about to; returns the address that does so then."""
+        with self._lock:
+            kept_for = self._reserved.get(device, address)
+            return self._holders.setdefault(device, address) if kept_for == address else kept_for
+
+    def address_of(self, device: str) -> str:
+        """Returns the address of a device that runs or has run; empty where it never did."""
+        return self._addresses.get(device, "")
+
+    def held_by(self, address: str) -> list[str]:
+        """Returns the names of the devices that a task holds."""
+        with self._lock:
+            return [name for name, holder in self._holders.items() if holder == address]
+
+    def release(self, address: str) -> None:
+        """Takes back what a task holds."""
+        with self._lock:
+            self._holders = {name: holder for name, holder in self._holders.items() if holder != address}
+
+    def holder(self, device: str) -> str:
+        """Returns the address of the task that holds a device; empty where none does."""
+        return self._holders.get(device, "")

@@ -1,0 +1,251 @@
+"""The runtime directory: which agents run on this machine now, for the command line to find them.
+
+Each agent writes one small JSON file there and keeps it locked while it lives; so a file whose lock is free belongs to
+an agent that has died, however that came about, and whichever process may bear its number today.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import stat
+import sys
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.malformed import MALFORMED
+from pancakes.runtime.foundation.printable import printable
+
+VARIABLE: Final = "PANCAKES_RUNTIME_DIR"
+"""The environment variable that names another directory."""
+_SUFFIX: Final = ".json"
+_TEMPORARY: Final = ".tmp"
+_NAME: Final = re.compile(r".+\.\d+\.json(\.tmp)?", re.DOTALL)
+"""Files of these names are written by agents, `NAME.PID.json`."""
+_LIMIT_BYTES: Final = 65_536
+_KINDS: Final = {
+    stat.S_IFDIR: "a directory",
+    stat.S_IFLNK: "a symbolic link",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFBLK: "a block device",
+    stat.S_IFCHR: "a character device",
+}
+
+
+class RunningAgent(msgspec.Struct, frozen=True):
+    """One agent that runs on this machine.
+
+    Attributes:
+        name: its name.
+        fleet: its fleet.
+        role: its role, such as `agent`.
+        listen: the address at which this machine reaches it; empty where it does not listen.
+        pid: its process.
+    """
+
+    name: str
+    fleet: str
+    role: str
+    listen: str
+    pid: int
+
+
+_DECODE: Final = codecs.json_decoder(RunningAgent)
+
+
+class Registration:
+    """An agent's own entry; it stands until `remove`, or until the process ends."""
+
+    def __init__(self, path: Path, handle: int) -> None:
+        self._path = path
+        self._handle: int | None = handle
+
+    def remove(self) -> None:
+        """Takes the entry away. A second call does nothing."""
+        if self._handle is None:
+            return
+        with contextlib.suppress(OSError):
+            self._path.unlink(missing_ok=True)
+        os.close(self._handle)  # which gives the lock back
+        self._handle = None
+
+
+def runtime_dir() -> Path:
+    """Returns where the entries are: a directory of the user's own."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    if base and os.path.isdir(base):
+        return Path(base) / "pancakes"
+    return Path(f"/tmp/pancakes-{os.getuid()}")
+
+
+def register(entry: RunningAgent) -> Registration:
+    """Writes an agent's entry: a reader finds all of it, or nothing.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
+    directory = runtime_dir()
+    try:
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        usable(directory)
+        path = directory / f"{entry.name}.{entry.pid}{_SUFFIX}"
+        temporary = path.with_name(path.name + _TEMPORARY)
+        handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.write(handle, codecs.encode_json(entry))
+            os.replace(temporary, path)
+        except BaseException:
+            os.close(handle)
+            raise
+    except OSError as error:
+        raise _unusable(directory, error) from None
+    return Registration(path, handle)
+
+
+class Found(msgspec.Struct, frozen=True):
+    """What lies in the runtime directory.
+
+    Attributes:
+        entries: the agents that run on this machine, by name.
+        cleared: the entries of agents that died without taking them away, as `NAME.PID`; they have just been removed.
+        odd: a sentence for each thing there that no agent has written; it is left as it is.
+    """
+
+    entries: list[RunningAgent]
+    cleared: list[str]
+    odd: list[str]
+
+
+def entries() -> list[RunningAgent]:
+    """Returns the agents that run on this machine, by name; what the dead left behind is cleared away.
+
+    What else lies there is passed over, with a warning on standard error, once in a process.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
+    found = look()
+    for sentence in found.odd:
+        _warn(sentence)
+    return found.entries
+
+
+@cache
+def _warn(sentence: str) -> None:
+    print(f"warning: {sentence}; passed over", file=sys.stderr)
+
+
+def look() -> Found:
+    """Looks at all that lies in the runtime directory, and clears away what the dead left behind.
+
+    Raises:
+        PancakesError: the directory cannot be used; the sentence says why.
+    """
+    directory = runtime_dir()
+    found = Found([], [], [])
+    try:
+        if not directory.exists():
+            return found
+        usable(directory)
+        for path in sorted(directory.iterdir()):
+            if path.name.endswith((_SUFFIX, _SUFFIX + _TEMPORARY)):
+                try:
+                    _read(path, found)
+                except FileNotFoundError:
+                    pass  # it has gone in the meantime
+                except OSError as error:
+                    why = (error.strerror or str(error)).lower()
+                    found.odd.append(f"{printable(str(path))} cannot be read: {why}")
+    except OSError as error:
+        raise _unusable(directory, error) from None
+    found.entries.sort(key=lambda entry: (entry.name, entry.pid))
+    return found
+
+
+def usable(directory: Path) -> None:
+    """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
+
+    Raises:
+        PancakesError: another user could; the sentence says why.
+    """
+    found = os.lstat(directory)
+    if not stat.S_ISDIR(found.st_mode):
+        raise PancakesError(f"the runtime directory {directory} is no directory")
+    if found.st_uid != os.getuid():
+        raise PancakesError(f"the runtime directory {directory} belongs to another user (uid {found.st_uid})")
+    if found.st_mode & 0o077:
+        mode = stat.S_IMODE(found.st_mode)
+        raise PancakesError(f"the runtime directory {directory} is open to other users (mode {mode:o}, not 700)")
+
+
+def _read(path: Path, found: Found) -> None:
+    """Looks at one entry. Whatever it is, this neither waits for it nor reads more of it than an entry has.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    oddity = _oddity(os.lstat(path))
+    if oddity:
+        found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
+        return
+    # What it is may have changed since: to open a FIFO would wait for a writer.
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        oddity = _oddity(os.fstat(handle))
+        lives = not oddity and is_locked(handle)
+        if lives and path.name.endswith(_TEMPORARY):
+            return  # it is being written
+        if lives:
+            try:
+                found.entries.append(_DECODE(os.read(handle, _LIMIT_BYTES)))
+                return
+            except MALFORMED:
+                oddity = "in use, but what it says is"
+        elif not oddity and _NAME.fullmatch(path.name):
+            path.unlink()
+            found.cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
+            return
+        found.odd.append(f"{printable(str(path))} is {oddity or 'a file of another kind,'} no agent's entry")
+    finally:
+        os.close(handle)
+
+
+def _oddity(status: os.stat_result) -> str:
+    """Returns what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
+    kind = stat.S_IFMT(status.st_mode)
+    if kind != stat.S_IFREG:
+        return _KINDS.get(kind, "no file")
+    if status.st_uid != os.getuid():
+        return f"a file of another user (uid {status.st_uid})"
+    if status.st_size > _LIMIT_BYTES:
+        return f"a file of {status.st_size} bytes"
+    return ""
+
+
+def is_locked(file: int | BinaryIO) -> bool:
+    """Returns whether another process has the lock on a file."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
+
+
+def _unusable(directory: Path, error: OSError) -> PancakesError:
+    what = (error.strerror or str(error)).lower()
+    if error.filename is not None and Path(os.fsdecode(error.filename)) != directory:
+        what = f"{printable(os.fsdecode(error.filename))}: {what}"
+    return PancakesError(f"the runtime directory {directory} cannot be used: {what}")

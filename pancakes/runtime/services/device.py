@@ -1,0 +1,372 @@
+"""The Device Service: one task for each sensor and actuator of the agent (paper §3.3)."""
+
+from __future__ import annotations
+
+import random
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import msgspec
+
+from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
+from pancakes.control import Hold
+from pancakes.errors import MailboxFull
+from pancakes.mesh.net.transport import Transport
+from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
+from pancakes.runtime.kernel.handlers import Tick, every, on
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.registry import DeviceEntry
+from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
+from pancakes.runtime.services.fences import Fences
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.service import Service
+from pancakes.task import Task, TaskSpec
+
+if TYPE_CHECKING:
+    from pancakes.runtime.kernel.kernel import Kernel
+
+
+class DeviceSpec(msgspec.Struct, frozen=True):
+    """A device as data, from `[device.NAME]`.
+
+    Attributes:
+        name: its name.
+        cls: the class of its driver.
+        type: name of the driver's entry point.
+        settings: the driver's settings, as plain values.
+        rate_hz: how often it is sampled; None: whenever the driver has something.
+        hold_after_s: an actuator goes to its safe hold after this mission time without a fresh command.
+        restart: what happens when the driver fails.
+    """
+
+    name: str
+    cls: type[Driver]
+    type: str = ""
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    rate_hz: float | None = None
+    hold_after_s: float = 0.5
+    restart: RestartSpec = DeviceRestartSpec()
+
+
+class SharedThings:
+    """What the drivers of one agent share, such as the connection to a bus. Any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._things: dict[str, Any] = {}
+
+    def get(self, key: str, make: Callable[[], Any]) -> Any:
+        """Returns the thing under `key`, making it first where it is not there."""
+        with self._lock:
+            if key not in self._things:
+                self._things[key] = make()
+            return self._things[key]
+
+    def close(self) -> None:
+        """Closes all of them."""
+        with self._lock:
+            things = list(self._things.values())
+            self._things.clear()
+        for thing in things:
+            thing.close()
+
+
+class TaskContext:
+    """What a driver gets of its agent: see `pancakes.bodies.devices.driver.DeviceContext`."""
+
+    def __init__(self, task: DeviceTask, shared: SharedThings) -> None:
+        self._task = task
+        self._shared = shared
+        self.agent = task.agent
+        self.device = task.name
+        self.random: random.Random = task.random
+        self.transport: Transport = task.kernel.transport
+
+    def now(self) -> float:
+        return self._task.now()
+
+    def deliver(self, body: Any) -> None:
+        self._task.deliver(body)
+
+    def send(self, channel: str, body: Any, to: str) -> None:
+        self._task.publish(channel, body, to)
+
+    def call(self, function: Callable[[], None]) -> None:
+        self._task.call(function)
+
+    def after(self, delay_s: float, function: Callable[[], None]) -> None:
+        self._task.after(delay_s, function)
+
+    def log(self, level: str, text: str) -> None:
+        self._task.log(level, f"{self.device}: {text}")
+
+    def mission_packets_sent(self) -> int:
+        return self._task.kernel.mission_packets_sent()
+
+    def network_awake(self) -> bool:
+        return self._task.kernel.stream.gateway is not None
+
+    def shared(self, key: str, make: Callable[[], Any]) -> Any:
+        return self._shared.get(key, make)
+
+
+class DeviceTask(Task):
+    """One device: samples a sensor at its rate, or carries out what an actuator's holder commands.
+
+    An actuator obeys the task that holds it (the kernel's registry says which) and, of that task, no epoch lower than
+    the highest it has seen. A new epoch is on disk before it is obeyed; the newest command waits that long. Without a
+    fresh command it goes to its safe hold.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        mailbox: Mailbox | None = None,
+        *,
+        device: DeviceSpec,
+        shared: SharedThings,
+        fences: Fences,
+        **others: Any,
+    ) -> None:
+        # The settings of a device are its driver's.
+        self.Settings = device.cls.Settings  # type: ignore[misc]
+        super().__init__(kernel, address, mailbox, **others)
+        self.device = device
+        self.blocking = device.cls.blocking
+        self._shared = shared
+        self._fences = fences
+        self._put_up: Fence | None = None  # what is being written
+        self._waiting: tuple[Packet, float] | None = None  # for that, and since when
+        self.driver: Driver | None = None
+        self._sensor: Sensor | None = None
+        self._actuator: Actuator | None = None
+        self._command_s = 0.0
+        self._guarded = False
+        self._holding = True
+        self._crowded = False
+        self._refused: dict[str, str] = {}
+
+    @property
+    def _author_class(self) -> type:
+        return self.device.cls
+
+    def on_start(self) -> None:
+        driver_class = self.device.cls
+        self._context = TaskContext(self, self._shared)
+        self._open_driver()
+        actuator = isinstance(self.driver, Actuator)
+        if actuator:
+            self.subscribe(CTRL, driver_class.type, self.command)
+        self.kernel.registry.add_device(
+            DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address)
+        )
+
+    def on_settings(self) -> None:
+        # A driver reads its settings when it is opened, so it is opened anew.
+        self._close_driver()
+        self._open_driver()
+
+    def on_stop(self) -> None:
+        self.kernel.registry.remove_device(self.name)
+        self._close_driver()
+
+    def _open_driver(self) -> None:
+        self.driver = driver = self.device.cls(self._context, self.settings)
+        # Which of the two it is, is asked for each reading and each command.
+        self._sensor = driver if isinstance(driver, Sensor) else None
+        self._actuator = driver if isinstance(driver, Actuator) else None
+        driver.open()
+
+    def _close_driver(self) -> None:
+        driver, self.driver, self._sensor, self._actuator = self.driver, None, None, None
+        if driver is None:
+            return
+        try:
+            if isinstance(driver, Actuator):
+                driver.hold()
+        finally:
+            driver.close()
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.on_stop()
+
+    @every(hz=0)
+    def sample(self, tick: Tick) -> None:
+        """Takes a reading and publishes it."""
+        if self._sensor is not None:
+            reading = self._sensor.sample()
+            if reading is not None:
+                self.deliver(reading)
+        elif self._actuator is not None:
+            self._actuator.tick()
+
+    def deliver(self, reading: Any) -> None:
+        """Publishes a reading on `system`. Any thread."""
+        if self.actor_stopped.is_set():
+            return
+        try:
+            self.publish(SYSTEM, reading)
+        except MailboxFull as error:
+            # A sensor goes on although a reader is slow. Said once: at 10 readings a second it would drown the rest.
+            if not self._crowded:
+                self._crowded = True
+                self.log("warning", f"readings of {self.name} are lost: {error}")
+        else:
+            self._crowded = False
+
+    @on(SYSTEM, None, addressed=True)
+    def receive(self, packet: Packet) -> None:
+        """Takes what was sent to this very device."""
+        if self.driver is not None:
+            self.driver.receive(packet)
+
+    def command(self, packet: Packet) -> None:
+        """Carries out a command of the actuator's holder; refuses anybody else's."""
+        refusal = self._refusal(packet)
+        if refusal:
+            self._refuse(packet, refusal)
+            return
+        fence = packet.fence
+        if fence is not None and not self._fences.holds(self.name, fence):
+            self._waiting = (packet, self.now())
+            if self._put_up != fence:
+                self._put_up = fence
+                self._fences.put_up(
+                    self.name,
+                    fence,
+                    lambda: self.call(lambda: self._fence_stands(fence)),
+                    lambda reason: self.call(lambda: self._fence_failed(fence, reason)),
+                )
+            return
+        driver = self._actuator
+        assert driver is not None
+        self._refused.pop(packet.source, None)
+        self._command_s = self.now()
+        self._holding = False
+        # What a virtual actuator sends on is said under the right of the task that commands it.
+        self.fence = fence
+        try:
+            driver.apply(packet.body, self.device.hold_after_s, packet.source)
+        finally:
+            self.fence = None
+        if not self._guarded:
+            self._guarded = True
+            self.after(self.device.hold_after_s, self._guard)
+
+    def _refuse(self, packet: Packet, refusal: str) -> None:
+        # Said once for each source and reason: at 10 commands a second it would drown everything else.
+        if self._refused.get(packet.source) != refusal:
+            self._refused[packet.source] = refusal
+            self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
+            self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
+
+    def _fence_stands(self, fence: Fence) -> None:
+        """An epoch that is new here is on disk: what has waited for it is obeyed, if it still may be."""
+        if self._put_up != fence:
+            return  # a later one is being written
+        self._put_up = None
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None and self.now() - waiting[1] < self.device.hold_after_s:
+            self.command(waiting[0])
+
+    def _fence_failed(self, fence: Fence, reason: str) -> None:
+        if self._put_up != fence:
+            return
+        # The next command tries again.
+        self._put_up = None
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._refuse(waiting[0], f"its epoch is not on disk: {reason}")
+
+    def _refusal(self, packet: Packet) -> str:
+        fence = packet.fence
+        if fence is not None:
+            # First of all: who speaks without a right must not get hold of an actuator that is free just now.
+            mark = self._fences.highest(self.name, fence.task_id)
+            if mark is not None and tuple(fence.epoch) < mark:
+                return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
+        registry = self.kernel.registry
+        holder = registry.holder(self.name)
+        if not holder and agent_of(packet.source) != self.agent:
+            # Another agent's virtual actuator: it holds this one for as long as its commands are fresh.
+            holder = registry.claim(self.name, packet.source)
+        if packet.source != holder:
+            return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
+        return ""
+
+    def _guard(self) -> None:
+        """Looks whether a fresh command has come in the time that the last one was good for."""
+        left_s = self._command_s + self.device.hold_after_s - self.now()
+        if left_s > 1e-9:
+            self.after(left_s, self._guard)
+            return
+        self._guarded = False
+        if not self._holding:
+            self._hold("no fresh command")
+
+    @on(CTRL, Hold, addressed=True)
+    def hold(self, packet: Packet) -> None:
+        """Goes to the safe hold at once, where a service of this agent or the holder says so."""
+        if agent_of(packet.source) == self.agent or packet.source == self.kernel.registry.holder(self.name):
+            self._hold(packet.body.reason)
+
+    def _hold(self, reason: str) -> None:
+        self._holding = True
+        self._waiting = None
+        if isinstance(self.driver, Actuator):
+            self.driver.hold()
+            self.event("safe_hold", device=self.name, reason=reason)
+            holder = self.kernel.registry.holder(self.name)
+            if holder and agent_of(holder) != self.agent:
+                self.kernel.registry.release(holder)
+
+
+class DeviceService(Service):
+    """Creates the device tasks and schedules them (paper §3.3).
+
+    Args:
+        devices: the devices that it looks after.
+        fences: what the actuators have seen of the tasks that command them.
+    """
+
+    durable: ClassVar[bool] = False
+
+    def __init__(self, *args: Any, fences: Fences, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._devices = tuple(devices)
+        self._shared = SharedThings()
+        self._fences = fences
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        return [
+            TaskSpec(
+                name=device.name,
+                cls=DeviceTask,
+                type=device.type,
+                settings=device.settings,
+                rate_hz=device.rate_hz,
+                restart=device.restart,
+                arguments={"device": device, "shared": self._shared, "fences": self._fences},
+            )
+            for device in self._devices
+        ]
+
+    def on_stop(self) -> None:
+        self._shared.close()
+
+    def settings_class(self, slot: Slot) -> type:
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls.Settings if device is not None else super().settings_class(slot)
+
+    def author_of(self, slot: Slot) -> type:
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        return device.cls if device is not None else super().author_of(slot)
+
+    def describe_task(self, slot: Slot) -> dict[str, Any]:
+        device: DeviceSpec | None = slot.spec.arguments.get("device")
+        if device is None:  # a task of the configuration
+            return super().describe_task(slot)
+        holder = self.kernel.registry.holder(slot.name)
+        return {**super().describe_task(slot), "device": device.cls.type, **({"holder": holder} if holder else {})}

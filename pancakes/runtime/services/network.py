@@ -1,0 +1,209 @@
+"""The Network Service: what goes to other agents and comes from them (paper §3.3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Any, ClassVar
+
+from msgspec import Meta, Struct, field
+
+from pancakes.control import Follow, Stop, Unfollow
+from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
+from pancakes.mesh.net.busy_poll import BUSY_POLL_S
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.wire.link import LinkTimes
+from pancakes.packet import Packet, agent_of
+from pancakes.runtime.hosting.bidding import TaskMigrator
+from pancakes.runtime.hosting.host_state import HostState
+from pancakes.runtime.hosting.ledgers import Ledgers
+from pancakes.runtime.kernel.handlers import Tick, every
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.services.follower import LEAST_HZ, Follower
+from pancakes.runtime.supervision.service_messages import PeerDown
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.service import Service
+from pancakes.task import Task, TaskSpec
+
+CLIENT = "NetworkClient"
+
+
+class NetworkClient(Task):
+    """Takes what is bound for other agents and gives it to the mesh (paper §3.3).
+
+    It takes it in the publisher's own thread, so that sending costs no hop; it is the task that decides whether there
+    is a way out at all.
+    """
+
+    def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+
+    def on_start(self) -> None:
+        self.kernel.stream.gateway = self.send
+
+    def on_stop(self) -> None:
+        self.kernel.stream.gateway = None
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        self.kernel.stream.gateway = None
+
+    def send(self, packet: Packet) -> None:
+        """Sends a packet. In the publisher's thread.
+
+        A packet for an agent that is away is dropped and counted, as a packet without a subscriber is on any channel.
+
+        Raises:
+            LocalProtocolError: it cannot travel.
+            PeerBusy: the peer is too slow, and the channel may not lose packets.
+        """
+        try:
+            self._mesh.send(packet)
+        except PeerLost:
+            self.kernel.stream.undelivered += 1
+
+
+class Discovery(Task):
+    """Tells the neighbours which agents there are, at a rate that can be lowered to save power (paper §3.4)."""
+
+    def __init__(self, *args: Any, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+
+    @every(hz=1)
+    def announce(self, tick: Tick) -> None:
+        """Sends a beacon to every peer."""
+        self._mesh.announce()
+
+
+class NetworkService(Service):
+    """Enables communication with other agents (paper §3.3)."""
+
+    durable: ClassVar[bool] = False
+    # There is one mesh, and other agents know the Task Migrator by its address.
+    only_name: ClassVar[str] = "network"
+
+    class Settings(Struct):
+        """How it talks.
+
+        Attributes:
+            discovery_hz: beacons for each second of mission time.
+            heartbeat_s: a sign of life is sent where nothing else was for so long, in seconds of host time; a peer that
+                is silent for four times as long is gone.
+            busy_poll_s: so long the network's thread stays awake for the next packet where one comes after the other
+                within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
+                saves power.
+            insecure: whether it may listen where other machines can reach it, although links are not encrypted.
+            transport: settings of the transport that the addresses in `[agent]` name.
+        """
+
+        discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
+        heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
+        busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
+        insecure: bool = False
+        transport: dict[str, bool | int | float | str] = field(default_factory=dict)
+
+    def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mesh = mesh
+        self._state = state
+        self._ledgers = ledgers
+        self._followers: dict[tuple[str, str], Follower] = {}
+        self._for_s: float | None = None  # how long it is to sleep, in mission time
+
+    def own_tasks(self) -> Sequence[TaskSpec]:
+        mesh = {"mesh": self._mesh}
+        return [
+            TaskSpec(CLIENT, NetworkClient, arguments=mesh),
+            TaskSpec("Discovery", Discovery, rate_hz=self.settings.discovery_hz, arguments=mesh),
+            TaskSpec("TaskMigrator", TaskMigrator, arguments={**mesh, "state": self._state, "ledgers": self._ledgers}),
+        ]
+
+    def on_start(self) -> None:
+        # The mesh outlives the service, so that a port that was taken stays taken while the network sleeps.
+        self._mesh.wake()
+
+    def close(self, for_s: float | None = None) -> None:
+        self._for_s = for_s
+        super().close(for_s)
+
+    def on_stop(self) -> None:
+        for channel, by in list(self._followers):
+            self._unfollow(channel, by)
+        if not self.kernel.stopping:
+            for_s = self._for_s
+            self._mesh.sleep(for_s / self.kernel.mission.speed if for_s is not None else None)
+
+    def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
+        super().on_failure(exception_type, exception_value, traceback)
+        # Its successor knows nothing of them, and an agent that follows anew would get everything twice.
+        for channel, by in list(self._followers):
+            self._unfollow(channel, by)
+
+    def refuse_stop(self) -> str:
+        networked = {device.type for device in self.kernel.registry.devices() if device.networked}
+        for component in self.kernel.registry.components():
+            if isinstance(component, Task) and networked.intersection(component.requires):
+                needed = ", ".join(sorted(networked.intersection(component.requires)))
+                return f"{self.address} must not sleep while {component.address} needs {needed} from elsewhere"
+        moving = ", ".join(map(str, dict.fromkeys((*self._state.negotiated, *self._state.under_way()))))
+        return f"the network of {self.agent} must not sleep while {moving} is being moved" if moving else ""
+
+    def links(self) -> list[dict[str, Any]]:
+        """Returns what is to be known about the links to other agents, as plain values. Any thread."""
+        return self._mesh.links()
+
+    def followers(self, channel: str) -> list[str]:
+        """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
+        return [by for followed, by in list(self._followers) if followed == channel]
+
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, PeerDown):
+            return super().on_receive(message)
+        for channel, by in list(self._followers):
+            if agent_of(by) == message.peer:
+                self._unfollow(channel, by)
+        return None
+
+    def carry_out_command(self, body: Any, slot: Slot | None, request: Request) -> None:
+        if isinstance(body, Follow):
+            self._follow(body, request)
+        elif isinstance(body, Unfollow):
+            self._unfollow(body.channel, request.by)
+            self.reply(request)
+        elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
+            # Without it no answer leaves.
+            raise ControlRefused(
+                f"{slot.address} cannot be stopped from elsewhere: no packet from elsewhere could start it again"
+            )
+        else:
+            super().carry_out_command(body, slot, request)
+
+    def _follow(self, body: Follow, request: Request) -> None:
+        by = request.by
+        if agent_of(by) == self.agent:
+            raise ControlRefused(f"{by} is on this agent: it can subscribe to {body.channel!r} itself")
+        destination = agent_of(by)
+        role = next((hello.role for hello in self._mesh.connected() if hello.name == destination), "")
+        if not role:
+            # It has asked and gone, and no agent would ever end what it began.
+            raise ControlRefused(f"{destination} is not connected, so it cannot follow {body.channel!r}")
+        if body.foreign and role != "client":
+            # Two agents that follow each other would send one packet to and fro for ever.
+            raise ControlRefused(f"{destination} is no client, so it cannot follow what others send to {self.agent}")
+        if body.most_hz != 0 and not LEAST_HZ <= body.most_hz < math.inf:
+            raise ControlRefused(f"most_hz is to be 0 (all), or {LEAST_HZ:g} or more a second, not {body.most_hz}")
+        self._unfollow(body.channel, by)
+        follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
+        try:
+            self.kernel.stream.tap(body.channel, follower.take, body.types)
+        except UnknownChannel as error:
+            raise ControlRefused(str(error)) from None
+        self._followers[body.channel, by] = follower
+        self.reply(request)
+
+    def _unfollow(self, channel: str, by: str) -> None:
+        follower = self._followers.pop((channel, by), None)
+        if follower is not None:
+            self.kernel.stream.untap(channel, follower.take)
+            follower.end()

@@ -1,0 +1,407 @@
+"""The root of an agent: it stands by the services, and is where all control packets come in (paper §3.4).
+
+All control packets to an agent pass here and are numbered, so that contradictory ones are applied in one order. Each is
+handed to the service that it concerns; what is about a service itself is done here, because a service that sleeps
+cannot wake itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from msgspec.structs import replace
+
+from pancakes.control import (
+    CONTROLS,
+    Adopt,
+    Begin,
+    Channels,
+    Command,
+    Configure,
+    Describe,
+    Follow,
+    Forget,
+    History,
+    Migrate,
+    Migrations,
+    Reschedule,
+    Restart,
+    Shutdown,
+    Start,
+    Stop,
+    Traces,
+    Unfollow,
+)
+from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
+from pancakes.runtime.foundation.suggestion import suggestion
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.dispatch import defer
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.life.life import State
+from pancakes.runtime.life.life_event import StartAsked, StopAsked
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.services.network import NetworkService
+from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
+from pancakes.runtime.supervision.answers import Answers
+from pancakes.runtime.supervision.service_messages import Close, NoRoom, ServiceEnded, ServiceReady
+from pancakes.runtime.supervision.service_spec import ServiceSpec
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_commands import WAITING
+from pancakes.service import Service
+
+ANSWERED_S = 2.5
+"""An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
+NETWORK = "network"
+
+
+class Root(Component):
+    """Starts the services in order, stands by them, and takes all control packets.
+
+    Args:
+        kernel: the kernel.
+        address: `agent/kernel`.
+        specs: the services, in the order in which they start; they stop in reverse.
+        identity: what `Describe` says of the agent besides its tasks.
+        migrations: what `Migrations` is answered with.
+        ready: called in this actor once every service has started all that it should.
+        shutdown: ends the agent, after this actor's turn; returns why it cannot. With True it only says that.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        address: str,
+        *,
+        specs: Sequence[ServiceSpec],
+        identity: Callable[[], dict[str, Any]] = dict,
+        migrations: Callable[[], list[dict[str, Any]]] = list,
+        ready: Callable[[], None] = lambda: None,
+        shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
+    ) -> None:
+        super().__init__(kernel, address)
+        self._services = ServiceKeeper(self, self, specs, self._become_ready)
+        self._identity = identity
+        self._migrations = migrations
+        self._on_ready = ready
+        self._shutdown = shutdown
+        self._answers = Answers(self)
+        self._number = 0
+        self.ready = False
+
+    @property
+    def places(self) -> dict[str, ServicePlace]:
+        """The places of its services, by name."""
+        return self._services.places
+
+    def on_start(self) -> None:
+        for body in CONTROLS:
+            self.subscribe(SYSCTRL, body, self.on_control, keep=WAITING)
+        self._services.start_next()
+
+    def _become_ready(self) -> None:
+        self.ready = True
+        self.event("ready")
+        self._on_ready()
+
+    def on_receive(self, message: Any) -> Any:
+        match message:
+            case ServiceReady():
+                self._services.service_ready(message)
+            case ServiceEnded():
+                self._services.service_ended(message)
+            case NoRoom():
+                # It has its place in the order like any other.
+                self.reply(self._numbered(message.packet), message.reason)
+            case Close():
+                self._services.close()
+            case _:
+                return super().on_receive(message)
+        return None
+
+    # Control ---------------------------------------------------------------------------------------------------
+
+    def on_control(self, packet: Packet) -> None:
+        """Numbers a control packet and hands it on."""
+        request = self._numbered(packet)
+        self._answers.owe(request)
+        self._attempt(request, lambda: self._resolve(packet.body, request))
+
+    def _numbered(self, packet: Packet) -> Request:
+        self._number += 1
+        return Request(packet.source, (packet.source, packet.seq), self._number)
+
+    def _attempt(self, request: Request, do: Callable[[], None]) -> None:
+        """Does what was asked for, and answers with the reason where that fails."""
+        try:
+            do()
+        except (PancakesError, ValueError) as error:
+            self.reply(request, str(error))
+        except Exception as error:  # what a service's author wrote may raise anything, and must not end the root
+            text = f"what {request.by} asked for failed: {describe(error)}"
+            self.log("error", text, traceback_of(error))
+            self.reply(request, text)
+
+    def refuse_all(self, reason: str) -> None:
+        """Answers, once this actor has ended, all control packets that it took or that still wait for it."""
+        queue = self.actor_inbox.queues.get(SYSCTRL)
+        while queue is not None and (packet := queue.take()) is not None:
+            # The one that it failed on lies here again, and has its number.
+            if not self._answers.owes((packet.source, packet.seq)):
+                self.reply(self._numbered(packet), reason)
+        self._answers.refuse_all(reason)
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None:
+        """Answers the sender of a request; an empty reason means that it has been done."""
+        self._answers.give(request, reason, result)
+
+    def put_off(self, request: Request, reason: str) -> None:
+        """Tells the sender of a request what it waits for; what becomes of it in the end is said on `log`."""
+        self._answers.put_off(request, reason)
+
+    def _resolve(self, body: Any, request: Request) -> None:
+        if isinstance(body, Begin):
+            if not 0 <= body.in_s < math.inf:
+                raise ControlRefused(f"a mission cannot begin in {body.in_s} s")
+            self.kernel.begin(body.in_s)
+            self.reply(request)
+            return
+        if isinstance(body, (Follow, Unfollow)):
+            self._hand(NETWORK, "", body, request)
+            return
+        if isinstance(body, (History, Traces)):
+            self._hand(LOG_SERVICE, "", body, request)
+            return
+        if isinstance(body, Channels):
+            self.reply(request, result=self.describe_channels(body.channel))
+            return
+        if isinstance(body, Shutdown):
+            self._end_agent(body, request)
+            return
+        if isinstance(body, Migrations):
+            self.reply(request, result=self._migrations())
+            return
+        target = body.target
+        if isinstance(body, Describe) and not target:
+            self._tell_description(request)
+            return
+        service, task = self.find(target)
+        if isinstance(body, (Adopt, Forget)) and task:
+            # A task that was given away has no place in its service any more: the service is asked, not the task.
+            self._hand(service, "", replace(body, target=task), request)
+        elif task:
+            self._hand(service, task, body, request)
+        else:
+            self._control_service(self.places[service], body, request)
+
+    def find(self, target: str) -> tuple[str, str]:
+        """Returns the service and the task that a target means; the task is empty where it means a service.
+
+        Raises:
+            ControlRefused: it means nothing here, or two things.
+        """
+        parts = target.split("/")
+        if parts and parts[0] == self.agent and len(parts) > 1:
+            parts = parts[1:]
+        if len(parts) == 2 and parts[0]:
+            if parts[0] not in self.places:
+                raise ControlRefused(f"{self.agent} has no service {parts[0]!r}, only {', '.join(self.places)}")
+            return parts[0], parts[1]
+        if len(parts) != 1 or not parts[0]:
+            raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service")
+        name = parts[0]
+        owners = [
+            place.spec.name for place in self.places.values() if place.service is not None and place.service.has(name)
+        ]
+        if len(owners) > 1:
+            raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which")
+        if owners:
+            return owners[0], name
+        if name in self.places:
+            return name, ""
+        for place in self.places.values():
+            if place.service is None and name in [spec.name for spec in place.spec.tasks]:
+                raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
+        known = [
+            *self.places,
+            *(slot.name for place in self.places.values() if place.service for slot in _slots(place.service)),
+        ]
+        meant = suggestion(name, known)
+        raise ControlRefused(
+            f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else "")
+        )
+
+    def _hand(self, service: str, task: str, body: Any, request: Request) -> None:
+        place = self.places.get(service)
+        if place is None or place.service is None or place.life.state is not State.RUNNING:
+            raise ControlRefused(f"{join(self.agent, service)} is {place.life.word if place else 'not there'}")
+        self.publish(SYSCTRL, Command(request.number, request.cause, task, body), to=place.address)
+        self._answers.pass_on(request)
+
+    def _control_service(self, place: ServicePlace, body: Any, request: Request) -> None:
+        if isinstance(body, (Start, Stop, Restart)):
+            self.after_host(ANSWERED_S, lambda: self._tell_what_waits(place, request))
+            if place.busy or place.commands:
+                # One after the other, so that the last of several that contradict each other is the one that holds.
+                place.commands = (*place.commands, (body, request))
+            else:
+                self._change_service(place, body, request)
+        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget)):
+            raise ControlRefused(f"{place.address} is a service: name one of its tasks")
+        elif place.service is not None:
+            self._hand(place.spec.name, "", body, request)
+        else:
+            self.reply(request, result=[])
+
+    def _tell_what_waits(self, place: ServicePlace, request: Request) -> None:
+        """Tells the asker of a command that takes long why it does, before the asker stops waiting."""
+        why = f"{place.address} is {place.life.word}: that waits for a task that is busy, or for the journal"
+        self._answers.put_off(request, f"{why}. What was asked for is done after that")
+
+    def _change_service(self, place: ServicePlace, body: Start | Stop | Restart, request: Request) -> None:
+        name, life = place.spec.name, place.life
+        if isinstance(body, Start):
+            if life.state not in (State.STOPPED, State.FAILED, State.RESTARTING):
+                raise ControlRefused(f"{place.address} is {life.word} already")
+            if body.settings is not None:
+                raise ControlRefused(f"{place.address} is a service: only a task can be started with other settings")
+        elif isinstance(body, Stop):
+            self._refuse_stop(place, body, request)
+        if body.dry_run:
+            self.reply(request)
+            return
+        self._tell_asked(type(body).__name__.lower(), name, request)
+        if isinstance(body, Start):
+            self._services.feed(place, StartAsked(request))
+            return
+        if isinstance(body, Restart):
+            place.fresh = not body.keep_state
+            place.for_s = 0.0  # a peer that hears goodbye dials again soon
+        else:
+            place.for_s = body.for_s
+            place.wakes_s = self.now() + body.for_s if body.for_s is not None else None
+        event = StopAsked(request, again=isinstance(body, Restart))
+        if name != NETWORK:
+            self._services.feed(place, event)
+            return
+        # The answer has to leave before the way out is closed. It leaves at the end of this turn, and the service may
+        # have its own turn before that, in another thread.
+        self.reply(request)
+        place.told = request.number
+        defer(lambda: self._services.feed(place, event))
+
+    def _refuse_stop(self, place: ServicePlace, body: Stop, request: Request) -> None:
+        due = place.life.restarts.due_s is not None  # its next try, which a stop calls off
+        if place.life.state is not State.RUNNING and not due:
+            raise ControlRefused(f"{place.address} is {place.life.word}, not running")
+        if body.for_s is not None and not 0 < body.for_s < math.inf:
+            raise ControlRefused(f"{place.address} cannot be stopped for {body.for_s} s")
+        elsewhere = agent_of(request.by) != self.agent
+        if elsewhere and place.spec.name == NETWORK and body.for_s is None:
+            raise ControlRefused(
+                f"{place.address} can be stopped from elsewhere only for a time (for_s):"
+                " no packet from elsewhere could start it again"
+            )
+        reason = place.service.refuse_stop() if place.service is not None else ""
+        if reason:
+            raise ControlRefused(reason)
+
+    def next_command(self, place: ServicePlace) -> None:
+        """Carries out the commands for a service that waited behind another."""
+        while place.commands and not place.busy:
+            (body, request), *later = place.commands
+            place.commands = tuple(later)
+            self._attempt(request, partial(self._change_service, place, body, request))
+
+    def _end_agent(self, body: Shutdown, request: Request) -> None:
+        reason = self._shutdown(True)
+        if reason:
+            raise ControlRefused(f"{self.agent} cannot be ended: {reason}")
+        if not body.dry_run:
+            self.event("asked", what="shutdown", by=request.by, number=request.number)
+        # The answer has to leave before the way out is closed.
+        self.reply(request)
+        if not body.dry_run:
+            self._shutdown(False)
+
+    def _tell_asked(self, what: str, service: str, request: Request) -> None:
+        self.event("asked", what=what, service=service, by=request.by, number=request.number)
+
+    # Describing ------------------------------------------------------------------------------------------------
+
+    def _tell_description(self, request: Request) -> None:
+        """Answers `Describe` in three turns: pages ask it each second, and in one it would put off ticks by 1 ms."""
+        description: dict[str, Any] = {}
+
+        def tell_parts() -> None:
+            description.update(self._describe_parts())
+            self.call(lambda: self._attempt(request, tell_identity))
+
+        def tell_identity() -> None:
+            description.update(self._identity())
+            self.call(lambda: self.reply(request, result=description))
+
+        # What a packet's handler asks for is still done in its turn, what is asked for from there on in the next.
+        self.call(lambda: self._attempt(request, tell_parts))
+
+    def describe(self) -> dict[str, Any]:
+        """Returns what is to be known about the agent, as plain values."""
+        return {**self._describe_parts(), **self._identity()}
+
+    def _describe_parts(self) -> dict[str, Any]:
+        return {
+            "agent": self.agent,
+            "ready": self.ready,
+            "mission_s": self.kernel.mission.now(),
+            "held": self.kernel.mission.held,
+            "channels": self.kernel.stream.channels(),
+            "devices": self.kernel.registry.device_types(),
+            "services": [self.describe_service(place) for place in self.places.values()],
+            "tasks": [
+                place.service.describe_task(slot)
+                for place in self.places.values()
+                if place.service is not None
+                for slot in _slots(place.service)
+            ],
+            "dead_letters": self.kernel.letters.count,
+            "undelivered": self.kernel.stream.undelivered,
+        }
+
+    def describe_channels(self, channel: str) -> list[dict[str, Any]]:
+        """Returns what is to be known about one channel, or about all, as plain values.
+
+        Raises:
+            UnknownChannel: there is no such channel.
+        """
+        stream = self.kernel.stream
+        network = self.places[NETWORK].service
+        return [
+            {
+                "agent": self.agent,
+                "channel": name,
+                "core": name in CORE_CHANNELS,
+                "subscribers": stream.describe(name),
+                "followers": network.followers(name) if isinstance(network, NetworkService) else [],
+            }
+            for name in ([channel] if channel else stream.channels())
+        ]
+
+    def describe_service(self, place: ServicePlace) -> dict[str, Any]:
+        """Returns what is to be known about a service, as plain values."""
+        return {
+            "agent": self.agent,
+            "service": place.spec.name,
+            "type": place.spec.cls.__name__,
+            "state": place.life.word,
+            "reason": place.life.reason,
+            **place.life.restarts.describe(self.kernel.host.now()),
+            "tasks": [slot.name for slot in _slots(place.service)] if place.service is not None else [],
+        }
+
+
+def _slots(service: Service) -> list[Slot]:
+    # The service changes its table in its own actor; a copy made in one step is a consistent picture.
+    return list(service.slots.values())

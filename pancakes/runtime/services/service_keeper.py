@@ -1,0 +1,291 @@
+"""Starts an agent's services in order, watches them, and stops them in reverse (paper §3.4)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Protocol, assert_never
+
+import msgspec
+
+from pancakes.control import Command
+from pancakes.errors import ClassError, PancakesError, describe, traceback_of
+from pancakes.packet import SYSCTRL, join
+from pancakes.runtime.foundation.printable import printable_line
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.kernel.timer import OneShot
+from pancakes.runtime.life.life import Life, State
+from pancakes.runtime.life.life_effect import Answer, News, Tell
+from pancakes.runtime.life.life_event import (
+    Admitted,
+    Began,
+    Event,
+    Finished,
+    LeaveRefused,
+    StartAsked,
+    StopAsked,
+    Written,
+)
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.life.restart import Restarts
+from pancakes.runtime.supervision.closing import STUCK_S
+from pancakes.runtime.supervision.keeper import Keeper
+from pancakes.runtime.supervision.service_messages import Close, ServiceEnded, ServiceReady
+from pancakes.runtime.supervision.service_spec import ServiceSpec
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.service import Service
+from pancakes.settings import SettingsError
+
+WATCH_S: Final = 0.02
+"""How often, in host time, a service that is to start is looked at until the last of its old tasks has ended."""
+LOG_SERVICE: Final = "log"
+
+
+class ServicePlace(msgspec.Struct):
+    """The place of one service; it outlives the actors that fill it.
+
+    Attributes:
+        life: how far the service is.
+        service: its actor; None: none runs.
+        kept: what its tasks carried when it was stopped, by their names.
+        fresh: whether they begin as the configuration says, whatever they carried.
+        traceback: of its last failure.
+        told: the number of the request that is being carried out, where its sender has had the answer before; 0: none.
+        commands: the control packets that wait until the one that is being carried out is done, and their requests.
+        for_s: while it stops: after how many seconds of mission time it starts again; None: it does not by itself.
+        wakes_s: the mission time at which it does.
+        alarm: what starts it then.
+    """
+
+    spec: ServiceSpec
+    address: str
+    life: Life
+    service: Service | None = None
+    kept: Mapping[str, Carried] = msgspec.field(default_factory=dict)
+    fresh: bool = False
+    traceback: str = ""
+    told: int = 0
+    commands: tuple[tuple[Any, Request], ...] = ()
+    for_s: float | None = None
+    wakes_s: float | None = None
+    alarm: OneShot | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a command that starts or stops the service is being carried out."""
+        return self.life.asker is not None or bool(self.told)
+
+
+class Answering(Protocol):
+    """What the keeper needs of the root besides what every component has."""
+
+    def reply(self, request: Request, reason: str = "", result: Any = None) -> None: ...
+
+    def put_off(self, request: Request, reason: str) -> None: ...
+
+    def next_command(self, place: ServicePlace) -> None: ...
+
+
+class ServiceKeeper:
+    """Keeps the services of one agent, each at its place. All in the root's actor.
+
+    Args:
+        root: the root, in whose name services are started.
+        answering: the same root.
+        specs: the services, in the order in which they start; they stop in reverse.
+        ready: called once every service has started all that it should.
+    """
+
+    def __init__(
+        self, root: Component, answering: Answering, specs: Sequence[ServiceSpec], ready: Callable[[], None]
+    ) -> None:
+        self._root = root
+        self._answering = answering
+        self._ready = ready
+        self.places = {spec.name: _place(root.agent, spec) for spec in specs}
+        self.closing = False
+        self._keeper: Keeper[ServicePlace] = Keeper(root, self)
+        self._to_start = list(self.places.values())
+        self._starts: ServicePlace | None = None
+        self._to_close: list[ServicePlace] = []
+        self._closes: ServicePlace | None = None
+
+    def feed(self, place: ServicePlace, event: Event) -> None:
+        """Feeds an event to the life of a service, and carries out what follows."""
+        self._keeper.feed(place, event)
+
+    def start_next(self) -> None:
+        """Starts the services one after the other: tasks need the devices that come before them."""
+        if self.closing:
+            return
+        if not self._to_start:
+            self._starts = None
+            self._ready()
+            return
+        self._starts = self._to_start.pop(0)
+        self.feed(self._starts, StartAsked())
+
+    def close(self) -> None:
+        """Stops all services, last first, and then the root."""
+        if self.closing:
+            return
+        self.closing = True
+        self._to_close = list(self.places.values())
+        self._close_next()
+
+    def _close_next(self) -> None:
+        while self._to_close:
+            place = self._to_close.pop()
+            if not place.life.at_rest:
+                self._closes = place
+                self.feed(place, StopAsked(reason="its agent stops"))
+                return
+        self._closes = None
+        self._root.stop()
+
+    # What a service's actor tells ------------------------------------------------------------------------------
+
+    def service_ready(self, message: ServiceReady) -> None:
+        """All tasks that start with a service run, or do not."""
+        place = self.places[message.service.name]
+        if place.service is message.service:
+            self.feed(place, Began())
+
+    def service_ended(self, message: ServiceEnded) -> None:
+        """A service has ended."""
+        place = self.places[message.service.name]
+        if place.service is not message.service:
+            return
+        for request in message.unheard:
+            self._answering.reply(request, f"{place.address} ended before it came to that")
+        place.service = None
+        if message.error is None:
+            place.kept = message.kept
+            self.feed(place, Finished("it stopped itself", closing=self.closing))
+        else:
+            self._fail(place, message.error)
+
+    def _fail(self, place: ServicePlace, error: BaseException, hopeless: bool = False) -> None:
+        place.traceback = traceback_of(error)
+        hopeless = hopeless or isinstance(error, ClassError)
+        self.feed(place, Finished(describe(error, place.spec.cls), True, hopeless, self.closing))
+
+    # What the lives of the services ask for --------------------------------------------------------------------
+
+    def ask_leave(self, place: ServicePlace, again: bool) -> None:
+        """Lets a service start once the last of its old tasks has ended: no task may run twice."""
+        if place.alarm is not None:
+            place.alarm.cancel()
+        self._look_for_old_tasks(place, self._root.kernel.host.now())
+
+    def _look_for_old_tasks(self, place: ServicePlace, since_s: float) -> None:
+        prefix = place.address + "/"
+        old = [it.address for it in self._root.kernel.registry.components() if it.address.startswith(prefix)]
+        if place.life.state is State.CALLED_OFF:
+            self.feed(place, LeaveRefused("it was called off"))
+        elif not old:
+            self.feed(place, Admitted())
+        else:
+            asker = place.life.asker
+            if asker is not None and self._root.kernel.host.now() > since_s + STUCK_S:
+                self._answering.put_off(asker, f"{place.address} waits for the end of {old[0]}, which is stuck")
+            self._root.after_host(WATCH_S, lambda: self._look_for_old_tasks(place, since_s))
+
+    def spawn(self, place: ServicePlace) -> None:
+        spec = place.spec
+        try:
+            service = self._root.kernel.spawn(
+                spec.cls,
+                place.address,
+                settings=spec.settings,
+                tasks=spec.tasks,
+                kept=None if place.fresh else place.kept,
+                owner=self._root,
+                **spec.arguments,
+            )
+        except Exception as error:  # what a service's author wrote in __init__ may raise anything
+            self._fail(place, error, hopeless=isinstance(error, SettingsError))
+            return
+        # Not before: the next try begins with the same where its constructor fails.
+        place.kept, place.fresh = {}, False
+        assert isinstance(service, Service)
+        place.service = service
+
+    def halt(self, place: ServicePlace) -> None:
+        service, asker = place.service, place.life.asker
+        assert service is not None
+        if asker is not None:
+            try:
+                # What was asked of the service before is begun before it ends.
+                end = Command(asker.number, asker.cause, "", for_s=place.for_s)
+                self._root.publish(SYSCTRL, end, to=place.address)
+                return
+            except PancakesError as error:
+                self._root.log("warning", f"{place.address} ends before it did all that it was asked: {error}")
+        tell(service, Close(place.for_s))
+
+    def revoke_rights(self, place: ServicePlace) -> None:
+        """A service that does not end keeps its rights: its tasks hold the actuators."""
+
+    def let_go(self, place: ServicePlace) -> None:
+        """The kernel ends the subscriptions of a service with its actor."""
+
+    def settle(self, place: ServicePlace, reason: str) -> None:
+        if place is self._starts:
+            self.start_next()
+
+    def write_rest(self, place: ServicePlace) -> None:
+        self.feed(place, Written())
+        if place.wakes_s is not None:
+            # Not before: to stop may take longer than the sleep that was asked for.
+            left_s = max(0.0, place.wakes_s - self._root.now())
+            place.alarm, place.wakes_s = self._root.after(left_s, lambda: self._wake(place)), None
+        place.for_s = None
+        if place is self._closes:
+            self._close_next()
+
+    def _wake(self, place: ServicePlace) -> None:
+        if place.life.state is State.STOPPED and not self.closing:
+            self._root.event("asked", what="wake", service=place.spec.name, by=self._root.address)
+            self.feed(place, StartAsked())
+
+    def answer(self, place: ServicePlace, effect: Answer) -> None:
+        if place.told == effect.asker.number:
+            place.told = 0
+        else:
+            self._answering.reply(effect.asker, effect.reason)
+        self._root.call(lambda: self._answering.next_command(place))
+
+    def tell_news(self, place: ServicePlace, effect: Tell) -> None:
+        root, name, text = self._root, place.spec.name, effect.text
+        restarts = place.life.restarts
+        now_s = root.kernel.host.now()
+        match effect.news:
+            case News.STARTED:
+                root.event("service_started", service=name)
+            case News.STOPPED:
+                root.event("service_stopped", service=name)
+            case News.FAILED:
+                following = effect.following.value if effect.following is not None else ""
+                root.event("service_failed", service=name, error=text, then=following)
+            case News.RESTARTS:
+                root.log("warning", f"{place.address} is started again {restarts.when(now_s)}: {text}", place.traceback)
+            case News.GIVEN_UP:
+                then_again = "" if restarts.due_s is None else f", and tried again {restarts.when(now_s)}"
+                root.log("error", f"{place.address} is given up{then_again}: {text}", place.traceback)
+                if name == LOG_SERVICE:
+                    # The console is a task of this service, so it is said here.
+                    line = f"{place.address} is given up, so nothing is shown of what is logged: {text}"
+                    print(printable_line(line), file=sys.stderr)
+            case News.FAILED_WHILE_STOPPING | News.FAILED_AT_THE_END:
+                root.log("warning", f"{place.address} failed while it stopped: {text}", place.traceback)
+            case News.REFUSED | News.STUCK:
+                root.log("error", text)
+            case _:
+                assert_never(effect.news)
+
+
+def _place(agent: str, spec: ServiceSpec) -> ServicePlace:
+    address = join(agent, spec.name)
+    return ServicePlace(spec, address, Life(address, Restarts(spec.restart)))

@@ -1,0 +1,32 @@
+"""A service as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.life.restart import RestartSpec
+from pancakes.task import TaskSpec
+
+
+class ServiceSpec(msgspec.Struct, frozen=True):
+    """All that the kernel's root needs to start a service, as data.
+
+    Attributes:
+        name: its name.
+        cls: its class.
+        settings: its settings, as plain values.
+        tasks: its tasks, in the order in which they start.
+        restart: what happens when it ends by itself.
+        arguments: what else its class wants.
+    """
+
+    name: str
+    cls: type[Component]
+    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
+    tasks: tuple[TaskSpec, ...] = ()
+    restart: RestartSpec = RestartSpec()
+    arguments: Mapping[str, Any] = msgspec.field(default_factory=dict)

@@ -1,0 +1,58 @@
+"""The place of one task in its service."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.control import Command
+from pancakes.packet import Fence
+from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.life.life import Life
+from pancakes.runtime.life.request import Request
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.task import Task, TaskSpec
+
+
+class Failure(msgspec.Struct, frozen=True):
+    """How a task failed.
+
+    Attributes:
+        text: in one line, with the line of its author's code.
+        traceback: the whole of it.
+        t_s: the mission time.
+    """
+
+    text: str
+    traceback: str
+    t_s: float
+
+
+class Slot(msgspec.Struct):
+    """The place of one task in its service: it outlives the actors that fill it.
+
+    Requests and commands stand in tuples: empty ones cost nothing, and empty lists and a deque for each of ten thousand
+    tasks are 11 MiB.
+
+    Attributes:
+        name: the task's name.
+        life: how far the task is.
+        task: its actor; None: none runs.
+        carried: what its next actor begins with; None: what the configuration says.
+        fresh: whether its next actor begins as the configuration says, whatever it carried.
+        failure: how it failed the last time; None: it has not.
+        changing: the requests for a change that its actor has not answered yet.
+        commands: those that wait until the one that is being carried out is done.
+    """
+
+    name: str
+    spec: TaskSpec
+    address: str
+    life: Life
+    mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
+    task: Task | None = None
+    carried: Carried | None = None
+    fresh: bool = False
+    fence: Fence | None = None
+    failure: Failure | None = None
+    changing: tuple[Request, ...] = ()
+    commands: tuple[Command, ...] = ()

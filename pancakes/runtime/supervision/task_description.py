@@ -1,0 +1,98 @@
+"""What is to be known about a task, as plain values."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+
+from pancakes.runtime.foundation.schema import schema_of
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_messages import Carried
+from pancakes.settings import SettingsError, make_settings, plain_settings
+
+
+def describe_task(kernel: Kernel, service: str, slot: Slot) -> dict[str, Any]:
+    """Returns what is to be known about each task.
+
+    Args:
+        kernel: the kernel that it runs on.
+        service: the address of its service.
+        slot: its place.
+    """
+    task, life = slot.task, slot.life
+    # A copy: the task makes its timers in its own thread.
+    timers = list(task.timers.values()) if task is not None else []
+    first = timers[0] if timers else None
+    agent, _, name = service.partition("/")
+    return {
+        "agent": agent,
+        "service": name,
+        "task": slot.name,
+        "type": slot.spec.type or slot.spec.cls.__name__,
+        "state": life.word,
+        "rest": "",
+        "rate_hz": first.rate_hz if first is not None else None,
+        "incarnation": life.incarnation,
+        "reason": life.reason,
+        **life.restarts.describe(kernel.host.now()),
+        "ticks": first.ticks if first is not None else 0,
+        "lateness_sum_s": first.lateness_sum_s if first is not None else 0.0,
+        "missed": sum(timer.missed_total for timer in timers),
+        "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
+        "dropped": slot.mailbox.dropped(),
+    }
+
+
+def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
+    """Returns what else is to be known about one task, its settings among it.
+
+    Args:
+        kernel: the kernel that it runs on.
+        slot: its place.
+        settings_class: the dataclass of its settings.
+        carried: what it would begin with where it does not run.
+    """
+    task, spec = slot.task, slot.spec
+    return {
+        # No configuration names it: it comes with its service, whose settings are where its own come from.
+        "own": not spec.type,
+        "requires": list(spec.cls.requires),
+        "timers": [timer.describe() for timer in list(task.timers.values())] if task is not None else [],
+        "reads": kernel.stream.readings(slot.address),
+        "settings": settings_of(slot, settings_class, carried),
+        "settings_schema": _schema_of_settings(settings_class),
+        "durability": spec.durability,
+        "restart": msgspec.structs.asdict(spec.restart),
+        "failure": msgspec.to_builtins(slot.failure),
+        "fence": {"task_id": slot.fence.task_id, "epoch": slot.fence.epoch[0]} if slot.fence is not None else None,
+    }
+
+
+def settings_of(slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
+    """Returns the settings of a task, or those that it would begin with; arguments as in `describe_in_detail`."""
+    try:
+        settings = slot.task.settings if slot.task is not None else None
+        settings = settings or make_settings(settings_class, carried.settings)
+    except SettingsError:  # it cannot start with them, and the person who asks wants to see why
+        return dict(carried.settings)
+    try:
+        return plain_settings(settings)
+    except TypeError as error:  # what its author put there may be anything
+        return {"error": f"the settings of {slot.address} cannot be told: {error}"}
+
+
+def _schema_of_settings(cls: type) -> dict[str, Any]:
+    """Returns the JSON Schema of a task's settings; empty where they have a type that cannot be checked."""
+    try:
+        return _schema_of(cls)
+    except TypeError:
+        return {}
+
+
+@lru_cache(maxsize=256)
+def _schema_of(cls: type) -> dict[str, Any]:
+    """As `schema_of`, which takes milliseconds, once for each class: pages ask again and again. Not to be changed."""
+    return schema_of(cls)

@@ -1,0 +1,229 @@
+"""An agent as a process: from its command line until it has ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.tools.cli import interpreter
+from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.output import show_text
+
+if TYPE_CHECKING:
+    from pancakes.runtime.agent import Agent
+    from pancakes.runtime.config import Config
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.runtime.runtime_dir import Registration
+
+STOP_S: Final = 1.9
+"""An agent that has not stopped in good order by then is ended all the same, in seconds."""
+TWICE_S: Final = 0.05
+"""The same signal so soon again, in seconds, is the same wish; later, it ends the agent at once."""
+SHOW_TRACEBACKS: Final = "service.log.settings.traceback=true"
+"""What `--traceback` changes of a configuration."""
+
+
+def run(path: str, sets: Sequence[str], check: bool, parent_pid: int | None, ready_fd: int | None) -> None:
+    """Runs an agent until it is told to stop, or checks its configuration. Ends the process where it has run.
+
+    Args:
+        path: the configuration file.
+        sets: what is changed of it, each as `table.key=value`.
+        check: whether the configuration is only checked.
+        parent_pid: the process with which the agent ends, 0 for the one that launched it; None: it ends with none.
+        ready_fd: the file descriptor that learns when the agent is ready; None: none.
+    """
+    orders = None if check else Orders()
+    if orders is not None:
+        interpreter.prepare()
+    if parent_pid is not None:
+        from pancakes.tools.cli.parent import die_with_parent
+
+        die_with_parent(parent_pid)
+    from pancakes.runtime.config import load
+    from pancakes.runtime.plugins import Plugins
+
+    plugins = Plugins()
+    config = load(path, sets, plugins, must_load=check)
+    if orders is None:
+        _check(config, plugins)
+    else:
+        sys.exit(_run(config, plugins, orders, ready_fd))
+
+
+class Orders:
+    """Waits for a signal, or for a reason why the agent cannot go on. Made before the agent, so that none is missed.
+
+    From then on it has `STOP_S` to end: one that a stuck task or driver delays is ended all the same. Before it has
+    begun there is nothing to end in order, and the process ends at once.
+    """
+
+    def __init__(self) -> None:
+        self._begun = False
+        self._reasons: deque[str] = deque()
+        self._now = MonotonicClock().now
+        self._seen: dict[int, float] = {}  # when each signal came first
+        # The kernel may hand a signal to any thread, and Python handles it in this one, which has to be woken for that.
+        self._wake_reader, self._wake_writer = os.pipe()
+        os.set_blocking(self._wake_writer, False)
+        signal.set_wakeup_fd(self._wake_writer, warn_on_full_buffer=False)
+        signal.signal(signal.SIGALRM, self._too_late)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks for
+                signal.signal(number, self._heard)
+
+    def begin(self) -> None:
+        """The agent begins: from here on it is ended in order."""
+        self._begun = True
+
+    def give_up(self, reason: str) -> None:
+        """Ends the wait with a reason, which is empty where the agent was asked to end. From any thread."""
+        self._reasons.append(reason)
+        os.write(self._wake_writer, b"\0")
+
+    def wait(self) -> str:
+        """Waits until the agent is to stop; returns why it cannot go on, empty where it was told to."""
+        while not self._reasons:
+            os.read(self._wake_reader, 1)
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        return self._reasons[0]
+
+    def _heard(self, number: int, frame: FrameType | None) -> None:
+        if not self._begun:
+            os._exit(OK)
+        # A terminal and a launcher may both send a signal. Only a second signal of one kind means: do not wait.
+        if number in self._seen:
+            # `timeout` tells a process, and then its group, in which it is again: that is once.
+            if self._now() - self._seen[number] >= TWICE_S:
+                os._exit(REFUSED)
+            return
+        if not self._seen:
+            signal.setitimer(signal.ITIMER_REAL, STOP_S)
+        self._seen[number] = self._now()
+        self._reasons.append("")
+
+    def _too_late(self, number: int, frame: FrameType | None) -> None:
+        os.write(2, f"the agent did not stop within {STOP_S:g} s and was ended\n".encode())
+        os._exit(REFUSED)
+
+
+def _run(config: Config, plugins: Plugins, orders: Orders, ready_fd: int | None) -> int:
+    from pancakes.runtime.agent import Agent
+
+    running = Agent(config, plugins)
+    deafen = _listen_to_libraries(running)
+    interpreter.keep()
+    running.on_fatal(orders.give_up)
+    running.on_shutdown(lambda: orders.give_up(""))
+    orders.begin()
+    running.start()
+    registration = _register(running)
+    if ready_fd is not None:
+        _tell_when_ready(running, ready_fd)
+    reason = orders.wait()
+    # From now on no command finds the agent, which is about to end.
+    if registration is not None:
+        registration.remove()
+    running.stop()
+    deafen()
+    if reason:
+        _warn(f"{running.name} cannot run: {reason}")
+    return REFUSED if reason else OK
+
+
+def _check(config: Config, plugins: Plugins) -> None:
+    """Says that a configuration is sound, and which plug-ins of this environment are not."""
+    from pancakes.errors import PluginError
+    from pancakes.runtime.plugins import GROUPS
+
+    for group in GROUPS:
+        for name in plugins.names(group):
+            try:
+                plugins.get(group, name)
+            except PluginError:
+                continue  # `problems` has it
+    for problem in plugins.problems():
+        _warn(f"warning: {problem}")
+    show_text(f"{config.path} is sound: the agent {config.agent.name} of the fleet {config.agent.fleet}")
+
+
+def _register(running: Agent) -> Registration | None:
+    """Lets `pancakes` find the agent. One that cannot be found runs all the same."""
+    from pancakes.errors import PancakesError
+    from pancakes.mesh.net.peers import reachable
+    from pancakes.runtime.runtime_dir import RunningAgent, register
+
+    agent = running.config.agent
+    listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
+    try:
+        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+    except PancakesError as error:
+        _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
+        return None
+
+
+def _tell_when_ready(running: Agent, ready_fd: int) -> None:
+    """Lets the launcher know that the agent is ready, and before that which of its tasks do not start.
+
+    Each is a line: `rests SERVICE/TASK WHY`, and at the end `ready`. A launcher that has gone need not know.
+    """
+    import contextlib
+    import threading
+
+    def tell() -> None:
+        running.ready.wait()
+        told = [*(f"rests {task} {why}" for task, why in running.resting.items()), "ready"]
+        with contextlib.suppress(OSError), open(ready_fd, "w", encoding="utf-8") as pipe:
+            pipe.writelines(f"{line}\n" for line in told)
+
+    threading.Thread(target=tell, name=f"{running.name}-ready", daemon=True).start()
+
+
+def _listen_to_libraries(running: Agent) -> Callable[[], None]:
+    """Sends what libraries log, and how threads die, to the agent's `log`: as sentences, each with its traceback
+    where the settings ask for it.
+
+    Returns:
+        What ends that, for when the agent has stopped. The agent would else live until Python takes its modules apart,
+        and some things, like a space of pymunk's, cannot be freed that late: they end the process with a fault.
+    """
+    import logging
+    import threading
+
+    from pancakes.errors import describe, traceback_of
+
+    levels = {"DEBUG": "debug", "INFO": "info", "WARNING": "warning"}
+
+    class ToLog(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            error = record.exc_info[1] if record.exc_info else None
+            text, traceback = f"{record.name}: {record.getMessage()}", ""
+            if error is not None:
+                text, traceback = f"{text}: {describe(error)}", traceback_of(error)
+            running.kernel.log(levels.get(record.levelname, "error"), text, traceback)
+
+    def died(args: Any) -> None:
+        if args.exc_value is not None:
+            name = args.thread.name if args.thread is not None else "a thread"
+            text = f"the thread {name} died: {describe(args.exc_value)}"
+            running.kernel.log("error", text, traceback_of(args.exc_value))
+
+    def deafen() -> None:
+        logging.getLogger().removeHandler(handler)
+        threading.excepthook = threading.__excepthook__
+
+    handler = ToLog(logging.WARNING)
+    logging.getLogger().addHandler(handler)
+    threading.excepthook = died
+    return deafen
+
+
+def _warn(text: str) -> None:
+    show_text(text, err=True)

@@ -1,0 +1,19 @@
+"""Where the programs begin: it is imported before anything else of ours, and first sees to an early SIGINT."""
+
+from __future__ import annotations
+
+from pancakes.tools.cli import quiet_interrupt  # noqa: F401 - a SIGINT ends the program quietly
+
+
+def pancakes() -> None:
+    """The console script `pancakes`."""
+    from pancakes.tools.cli.main import main
+
+    main()
+
+
+def agent() -> None:
+    """The console script `pancakes-agent`."""
+    from pancakes.tools.cli.agent_command import agent
+
+    agent()

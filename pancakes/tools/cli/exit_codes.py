@@ -1,0 +1,90 @@
+"""The one place where an error becomes a sentence for a person and an exit code for a script."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, NoReturn
+
+import click
+
+from pancakes.errors import EXTRAS, ConfigError, PancakesError, Unreachable, missing_extra
+
+OK: Final = 0
+REFUSED: Final = 1
+"""It was understood and is not done: an agent refused it, a port is in use, ..."""
+USAGE: Final = 2
+"""The command line itself is wrong; click says so."""
+UNREACHABLE: Final = 3
+"""No agent answered."""
+BAD_CONFIGURATION: Final = 4
+UNREAD: Final = 141
+"""The reader of its output ended early. A shell gives other tools this exit code when SIGPIPE ends them."""
+
+TRACEBACK: Final = "PANCAKES_TRACEBACK"
+"""The environment variable with which a defect shows its traceback, for the developer who mends it."""
+
+UNWRITABLE: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""What says that output cannot be written because of where it goes to: a full disk, for example."""
+
+
+def exit_code(error: PancakesError) -> int:
+    """Returns the exit code that an error stands for."""
+    if isinstance(error, ConfigError):
+        return BAD_CONFIGURATION
+    if isinstance(error, Unreachable):
+        return UNREACHABLE
+    return REFUSED
+
+
+def fail(error: Exception) -> NoReturn:
+    """Says what is wrong on standard error, and exits."""
+    from pancakes.tools.cli.output import show_text  # only now: help needs no msgspec
+
+    if isinstance(error, PancakesError):
+        show_text(str(error), err=True)
+        sys.exit(exit_code(error))
+    if isinstance(error, OSError) and error.errno in UNWRITABLE:
+        show_text(f"cannot write {error.filename or 'the output'}: {error.strerror}", err=True)
+        if not error.filename:
+            forget_output()
+        sys.exit(REFUSED)
+    missing = missing_extra(error)
+    if missing:
+        show_text(f"this needs {missing}: pip install 'pancakes-agents[{EXTRAS[missing]}]'", err=True)
+        sys.exit(REFUSED)
+    if os.environ.get(TRACEBACK):
+        raise error
+    text = " ".join(str(error).split())
+    show_text(
+        f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {text} (set {TRACEBACK}=1 to see where)",
+        err=True,
+    )
+    sys.exit(REFUSED)
+
+
+def end_unread() -> NoReturn:
+    """Exits without a message: the reader of the output, such as `head`, has ended."""
+    forget_output()
+    sys.exit(UNREAD)
+
+
+def forget_output() -> None:
+    """Discards the text that Python still has for standard output: its end would else report an error."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+@contextmanager
+def sentences() -> Iterator[None]:
+    """Makes sentences of the errors that leave its block: the user of a command sees no traceback."""
+    try:
+        yield
+    except (click.ClickException, click.exceptions.Exit, click.Abort):
+        raise  # click has sentences of its own for these
+    except BrokenPipeError:
+        end_unread()
+    except Exception as error:
+        fail(error)

@@ -1,0 +1,166 @@
+"""The options that all verbs share which speak to agents, and how those speak."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+
+import click
+
+from pancakes.tools.cli.name_types import the_fleet
+from pancakes.tools.cli.output import show
+
+if TYPE_CHECKING:
+    from pancakes.client import Client, Where
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+class AgentAddress(click.ParamType):
+    """`HOST:PORT` or `tcp://HOST:PORT`."""
+
+    name = "address"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from pancakes.mesh.address import dialled
+
+        try:
+            return dialled(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Duration(click.ParamType):
+    """A time such as `30s`, `500ms`, `2min` or `1h`; a number alone means seconds. It becomes seconds."""
+
+    name = "duration"
+
+    _UNITS_S: ClassVar = {"": 1.0, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        if isinstance(value, float):
+            return value
+        found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(|ms|s|min|h)", str(value).strip())
+        if found is None or float(found[1]) == 0.0:
+            self.fail(f"{value!r} is no time: write it as 30s, 500ms, 2min or 1h", param, ctx)
+        return float(found[1]) * self._UNITS_S[found[2]]
+
+
+class FiniteRange(click.FloatRange):
+    """A number within bounds; unlike click's own, it takes neither NaN nor infinity."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number", param, ctx)
+        return number
+
+
+format_option = click.option(
+    "--format",
+    "format_",
+    type=click.Choice(["table", "json"]),
+    default="table",
+    show_default=True,
+    help="How to print the answer.",
+)
+"""The option `--format` of every verb; its parameter is `format_`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """How a verb asks agents, and prints what they answer: what its options `--at`, `--fleet` and so on say.
+
+    Attributes:
+        where: the addresses and the fleet, which may also stand in front of a name
+            (`pancakes.tools.cli.name_types`).
+        timeout_s: how long to wait for answers.
+        format_: `table` or `json`.
+    """
+
+    where: Where
+    timeout_s: float
+    format_: str
+
+    def client(self) -> Client:
+        """Returns a new client."""
+        from pancakes.client import Client
+
+        return Client(self.where, self.timeout_s)
+
+    def show(self, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
+        """Prints rows; see `pancakes.tools.cli.output.show`."""
+        show(rows, columns, self.format_)
+
+
+def asks_agents_for(timeout_s: float) -> Callable[[_F], _F]:
+    """Gives a verb the options `--at`, `--fleet`, `--timeout` and `--format`.
+
+    Its parameter is `ask`.
+
+    Args:
+        timeout_s: the time limit where none is given.
+    """
+    options = (
+        format_option,
+        click.option(
+            "--at",
+            metavar="HOST:PORT",
+            type=AgentAddress(),
+            multiple=True,
+            help="Ask the agent at this address and its fleet, instead of those of this machine. Repeatable.",
+        ),
+        click.option("--fleet", metavar="NAME", default="", help="Only agents of this fleet."),
+        click.option(
+            "--timeout",
+            metavar="SECONDS",
+            type=FiniteRange(min=0.0, min_open=True, max=3600.0),
+            default=timeout_s,
+            show_default=True,
+            help="How long to wait for answers.",
+        ),
+    )
+
+    def decorate(function: _F) -> _F:
+        @wraps(function)
+        def asking(at: tuple[str, ...], fleet: str, timeout: float, format_: str, **others: Any) -> Any:
+            from pancakes.client import Where
+
+            return function(ask=Ask(Where(at, the_fleet(fleet)), timeout, format_), **others)
+
+        decorated: Any = asking
+        for option in reversed(options):
+            decorated = option(decorated)
+        return cast(_F, decorated)
+
+    return decorate
+
+
+asks_agents = asks_agents_for(3.0)
+"""For verbs that only look."""
+orders_agents = asks_agents_for(10.0)
+"""For verbs that change something: a task may be busy before it can stop."""
+
+dry_run_option = click.option("--dry-run", is_flag=True, help="Only ask whether it would be done, and change nothing.")
+"""The option `dry_run` of every verb that changes something; the agent itself checks, as far as it would."""
+
+
+def keep_state_option(help_: str) -> Callable[[_F], _F]:
+    """Returns the option `--keep-state/--drop-state`; its parameter is `keep_state`."""
+    return click.option("--keep-state/--drop-state", default=True, show_default=True, help=help_)
+
+
+agent_sets_option = click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="[AGENT:]KEY=VALUE",
+    help="Change a key of one agent's configuration, or of all. Repeatable.",
+)
+"""The option `--set` of the verbs that start agents; its parameter is `sets`."""

@@ -1,0 +1,119 @@
+"""`pancakes agent ...`: the agents themselves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pancakes.tools.cli.asking import survey
+from pancakes.tools.cli.name_types import agents, the_agent
+from pancakes.tools.cli.options import Ask, asks_agents
+from pancakes.tools.cli.output import show_json, show_sections
+
+COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
+
+
+@click.group()
+def agent() -> None:
+    """Agents that run."""
+
+
+@agent.command("list")
+@agents
+@click.option("--role", metavar="ROLE", default="", help="Only those in this role: agent, environment.")
+@asks_agents
+def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
+    """List the agents that run, or those that are named.
+
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+
+    \b
+    Example:
+        pancakes agent list
+        pancakes agent list --at 192.168.1.20:7401 --format json
+    """
+    rows = [
+        {
+            **found,
+            "address": found["listen"],
+            "mission_s": round(found["mission_s"], 3),
+            "tasks": len(found["tasks"]),
+        }
+        for found in survey(ask, *agents)
+        if role in ("", found["role"])
+    ]
+    ask.show(rows, COLUMNS)
+
+
+@agent.command()
+@the_agent
+@asks_agents
+def info(agent: str, ask: Ask) -> None:
+    """Show all that AGENT says of itself: its process and load, its clock, links, services, devices, channels.
+
+    As JSON, it is the answer of the agent as it stands.
+
+    \b
+    Example:
+        pancakes agent info agent1
+        pancakes agent info agent1 --format json
+    """
+    with ask.client() as client:
+        (found,) = client.survey(agent).agents
+        own = client.name
+    if ask.format_ == "json":
+        show_json([found])
+    else:
+        show_sections(_sections(found, own))
+
+
+def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
+    """All about one agent, for people; own: the name of this command's link, which is no news."""
+    mesh = found["mesh"]
+    tasks = found["tasks"]
+    running = sum(task["state"] == "running" for task in tasks)
+    return {
+        found["agent"]: {
+            "role": found["role"],
+            "fleet": found["fleet"],
+            "address": found["listen"] or None,
+            "ready": found["ready"],
+            "clock": _clock(found),
+            "battery": found["battery_level"],
+            "load": found["load"],
+            "devices": found["devices"],
+            "channels": found["channels"],
+            "neighbours": found["neighbours"],
+            "asleep": [peer["name"] for peer in mesh["asleep"]],
+            "tasks": f"{running} of {len(tasks)} run (pancakes task list {found['agent']})",
+            "dead letters": found["dead_letters"],
+            "packets for agents that were away": found["undelivered"],
+        },
+        "process": found["process"] or {},
+        "services": [
+            {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
+        ],
+        "links": [_link(peer) for peer in mesh["peers"] if peer["name"] != own],
+    }
+
+
+def _clock(found: dict[str, Any]) -> str:
+    state = ", held until Begin" if found["held"] else ""
+    return f"{found['mission_s']:.3f} s of the mission, at speed {found['speed']:g}{state}"
+
+
+def _link(peer: dict[str, Any]) -> dict[str, Any]:
+    rtt_s = peer["rtt_s"]
+    return {
+        "link to": peer["name"],
+        "role": peer["role"],
+        "address": peer["address"] or peer["remote"],
+        "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
+        "packets out": peer["packets_out"],
+        "packets in": peer["packets_in"],
+        "kB out": peer["bytes_out"] / 1e3,
+        "kB in": peer["bytes_in"] / 1e3,
+        "waiting": peer["waiting"],
+        "dropped": peer["dropped"],
+    }

@@ -1,0 +1,146 @@
+"""What `pancakes doctor` looks at in agents that run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final
+
+from pancakes import __version__
+from pancakes.runtime.life.restart import tries
+from pancakes.runtime.runtime_dir import RunningAgent
+from pancakes.tools.cli.verbs.finding import Finding
+
+MISSED_SHARE: Final = 0.01
+"""A task that misses more than this share of its ticks is named."""
+
+Ask = Callable[[str, str], Any]
+"""Returns the detailed description of a task (an agent's name, `service/task`); None where there is none."""
+
+
+def check_entries(entries: Sequence[RunningAgent]) -> Iterator[Finding]:
+    """Looks at the agents of this machine from outside: their names and processes."""
+    for entry in entries:
+        same = [other.pid for other in entries if (other.fleet, other.name) == (entry.fleet, entry.name)]
+        if len(same) > 1 and entry.pid == same[0]:
+            text = (
+                f"{len(same)} agents of the fleet {entry.fleet} have this name: processes {', '.join(map(str, same))}"
+            )
+            yield Finding("error", entry.name, text, "end all but one of them")
+        elsewhere = sorted({other.fleet for other in entries if other.name == entry.name})
+        if len(elsewhere) > 1 and entry.fleet == elsewhere[0]:
+            text = f"agents of the fleets {', '.join(elsewhere)} have this name"
+            yield Finding("warning", entry.name, text, "say which you mean with --at HOST:PORT")
+        if is_suspended(entry.pid):
+            text = f"its process {entry.pid} is suspended: it neither answers nor drives anything"
+            yield Finding("error", entry.name, text, f"kill -CONT {entry.pid}")
+
+
+def is_suspended(pid: int) -> bool:
+    """Returns whether a process was stopped by a signal, or by a debugger."""
+    import psutil
+
+    try:
+        return psutil.Process(pid).status() in (psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP)
+    except psutil.Error:
+        return False
+
+
+def check_fleet(
+    agents: Sequence[dict[str, Any]], silent: Sequence[str], ask: Ask, asleep: Sequence[str] = ()
+) -> Iterator[Finding]:
+    """Looks at what agents say of themselves.
+
+    Args:
+        agents: the result of `Describe` of each.
+        silent: a sentence for each that said nothing.
+        ask: asks for more.
+        asleep: those of the sentences whose agent had said that its network would sleep, which is as it should be.
+    """
+    for sentence in silent:
+        if sentence in asleep:
+            yield Finding("ok", "agents", sentence)
+            continue
+        advice = "see whether it runs, and whether its process is suspended or its computer is away"
+        yield Finding("error", "agents", sentence, advice)
+    versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
+    if versions - {__version__}:
+        text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
+        yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
+    for agent in agents:
+        findings = [*_check_agent(agent), *_check_peers(agent), *_check_tasks(agent, ask)]
+        yield from findings
+        if not findings:
+            running = sum(task["state"] == "running" for task in agent["tasks"])
+            connected = len(agent["neighbours"])
+            text = f"is ready, with {_count(running, 'task')} running and {_count(connected, 'neighbour')}"
+            yield Finding("ok", agent["agent"], text)
+
+
+def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
+    name = agent["agent"]
+    if not agent["ready"]:
+        yield Finding("warning", name, "is not ready: its tasks are still starting", f"pancakes task list {name}")
+    if agent["held"]:
+        text = "its mission waits at 0, so nothing of it moves"
+        yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
+    for service in agent["services"]:
+        yield from _check_tries(f"{name}/{service['service']}", "service", service)
+    if agent["dead_letters"]:
+        text = f"readers failed at {_count(agent['dead_letters'], 'packet')}, given up after that"
+        yield Finding("warning", name, text, f"see which and why: pancakes log --from {name} --level warning")
+
+
+def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
+    name, mesh = agent["agent"], agent["mesh"]
+    connected = {peer["name"] for peer in mesh["peers"]}
+    asleep = {peer["name"] for peer in mesh["asleep"]}
+    for known in mesh["addresses"]:
+        if known["static"] and known["name"] not in connected | asleep:
+            peer = f"{known['name']} at {known['address']}" if known["name"] else f"at {known['address']}"
+            text = f"is not connected to its peer {peer}"
+            advice = "start that agent, or correct peers in [agent]"
+            yield Finding("warning", name, text, advice)
+    for peer in mesh["peers"]:
+        lost = sum(peer["dropped"].values())
+        if lost and peer["role"] != "client":
+            channels = ", ".join(f"{count} of {channel}" for channel, count in peer["dropped"].items())
+            text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
+            yield Finding("warning", name, text, "send less often, or look at the network between them")
+
+
+def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
+    name = agent["agent"]
+    for task in agent["tasks"]:
+        about = f"{name}/{task['task']}"
+        yield from _check_tries(about, "task", task)
+        if task["state"] == "stuck":
+            text = "was asked to stop and does not come back from what it is doing"
+            yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")
+        ticks = task["ticks"] + task["missed"]
+        if task["missed"] and task["missed"] > MISSED_SHARE * ticks:
+            late = f"missed {task['missed']} of {ticks} ticks, and was up to {task['lateness_max_s']:.3g} s late"
+            yield Finding("warning", about, late, f"let it tick less often: pancakes task rate {about} HZ")
+        if task["dropped"]:
+            yield from _check_drops(name, about, ask(name, f"{task['service']}/{task['task']}"))
+
+
+def _check_tries(about: str, noun: str, row: dict[str, Any]) -> Iterator[Finding]:
+    """Looks at a task or a service that has failed; a device is a task."""
+    when = tries(row)
+    if row["state"] == "failed":
+        text = f"was given up: {row['reason']}" + (f" ({when})" if when else "")
+        yield Finding("error", about, text, f"mend that, then: pancakes {noun} start {about}")
+    elif row["state"] == "restarting":
+        advice = f"mend that; to try at once: pancakes {noun} start {about}"
+        yield Finding("warning", about, f"{when or 'is started again'}: {row['reason']}", advice)
+
+
+def _check_drops(agent: str, about: str, described: Any) -> Iterator[Finding]:
+    for read in described["reads"] if described is not None else ():
+        if read["dropped"]:
+            text = f"lost {_count(read['dropped'], 'packet')} on {read['channel']}: it reads more slowly than they come"
+            yield Finding("warning", about, text, f"see its publishers: pancakes channel hz {agent}/{read['channel']}")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

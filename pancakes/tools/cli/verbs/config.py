@@ -1,0 +1,167 @@
+"""`pancakes config ...`: configuration files, checked and shown."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pancakes.errors import ConfigError
+from pancakes.runtime.foundation.printable import printable_data
+from pancakes.tools.cli.exit_codes import BAD_CONFIGURATION, OK
+from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.output import show, show_json, show_text
+
+SCHEMA_COLUMNS = ("table", "key", "type", "default", "bounds", "description")
+
+
+@click.group()
+def config() -> None:
+    """Configuration files."""
+
+
+@config.command()
+@click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@format_option
+def check(paths: tuple[Path, ...], format_: str) -> None:
+    """Check configuration files of agents, fleet files, and folders as `pancakes launch` takes them.
+
+    Everything that is wrong is named, with file, line and key; the exit code is then 4. A plug-in that a file names and
+    that cannot be imported is wrong too, though an agent would run without it.
+
+    \b
+    Example:
+        pancakes config check configs/encirclement robot.toml
+        pancakes config check robot.toml --format json
+    """
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.launch.fleet_plan import make_fleet
+
+    plugins = Plugins()
+    rows: list[dict[str, Any]] = []
+    for path in paths:
+        try:
+            for member in make_fleet([path], (), None, plugins, must_load=True):
+                fleet = member.config.agent.fleet
+                rows.append({"file": str(member.path), "agent": member.name, "fleet": fleet, "faults": []})
+        except ConfigError as error:
+            faults = [fault._asdict() for fault in error.faults]
+            rows.append({"file": str(path), "agent": None, "fleet": None, "faults": faults})
+            if format_ == "table":
+                show_text(str(error), err=True)
+    told = {fault["problem"] for row in rows for fault in row["faults"]}
+    for problem in plugins.problems():
+        if str(problem) not in told:
+            show_text(f"warning: {problem}", err=True)
+    if format_ == "json":
+        show_json(rows)
+    else:
+        for row in rows:
+            if not row["faults"]:
+                show_text(f"{row['file']} is sound: the agent {row['agent']} of the fleet {row['fleet']}")
+    sys.exit(BAD_CONFIGURATION if any(row["faults"] for row in rows) else OK)
+
+
+@config.command("show")
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--set", "sets", metavar="KEY=VALUE", multiple=True, help="Put VALUE in place of what the file says.")
+@format_option
+def show_(file: Path, sets: tuple[str, ...], format_: str) -> None:
+    """Show what an agent's configuration comes to: with all defaults, and where each value was said.
+
+    It is a configuration itself. As JSON it is a list of keys.
+
+    \b
+    Example:
+        pancakes config show configs/single.toml
+        pancakes config show configs/single.toml --set clock.speed=5 --format json
+    """
+    from pancakes.runtime.config import load
+    from pancakes.runtime.config.effective import effective, origin
+    from pancakes.runtime.config.toml_text import document_text, key_text, leaves
+    from pancakes.runtime.plugins import Plugins
+
+    plugins = Plugins()
+    found = load(file, sets, plugins)
+    for problem in plugins.problems():
+        show_text(f"warning: {problem}", err=True)
+    tables = {table: value for table, value in effective(found, plugins).items() if value != {}}
+    if format_ == "table":
+        show_text(printable_data(document_text(tables, lambda keys: origin(found, keys))), nl=False)
+        return
+    show_json(
+        [
+            {"key": key_text(keys), "value": value, "from": origin(found, keys)}
+            for keys, value in leaves(tables)
+            if value is not None
+        ]
+    )
+
+
+@config.command()
+@click.option("--fleet", is_flag=True, help="The schema of a fleet file instead, as `pancakes launch` takes it.")
+@click.option("--plugins", "with_plugins", is_flag=True, help="With the settings of all that is installed here.")
+@click.option(
+    "--format",
+    "format_",
+    type=click.Choice(["table", "json"]),
+    default="json",
+    show_default=True,
+    help="As a JSON Schema, or as a table of all keys.",
+)
+def schema(fleet: bool, with_plugins: bool, format_: str) -> None:
+    """Print the JSON Schema of an agent's configuration, for editors that check and complete.
+
+    \b
+    Example:
+        pancakes config schema --plugins > agent.schema.json
+        pancakes config schema --format table
+    """
+    from pancakes.runtime.config.config_schema import config_schema
+    from pancakes.runtime.plugins import Plugins
+
+    if fleet and with_plugins:
+        raise click.UsageError("a fleet file names no plug-ins: --fleet and --plugins do not go together")
+    if fleet:
+        from pancakes.tools.launch.fleet_file import fleet_schema
+
+        found = fleet_schema()
+    else:
+        found = config_schema(Plugins() if with_plugins else None)
+    if format_ == "json":
+        show_json(found)
+    else:
+        show(list(_schema_rows(found)), SCHEMA_COLUMNS, "table")
+
+
+def _schema_rows(schema: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for each key, with the table that it stands in."""
+    from pancakes.runtime.config.toml_text import value_text
+    from pancakes.tools.cli.verbs.schema_rows import rows_of
+
+    for table, part in schema["properties"].items():
+        inner = part.get("additionalProperties")
+        named = isinstance(inner, Mapping)
+        if named or "properties" in part:
+            entry = inner if named else part
+            for row in rows_of(entry, definitions=schema["$defs"]):
+                default = "-" if row["default"] is None else value_text(row["default"])
+                default = "required" if row["required"] else default
+                yield {
+                    **row,
+                    "table": f"[{table}.NAME]" if named else f"[{table}]",
+                    "key": row["param"],
+                    "default": default,
+                }
+        else:
+            yield {
+                "table": "",
+                "key": table,
+                "type": value_text(part["const"]),
+                "default": "required",
+                "bounds": "",
+                "description": part["description"],
+            }

@@ -1,0 +1,293 @@
+"""`pancakes demo NAME`: runs a whole mission, shows it, and judges it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pancakes.errors import PancakesError
+from pancakes.runtime.plugins import Plugins, UnknownPlugin
+from pancakes.tools.cli import interpreter
+from pancakes.tools.cli.interrupts import end_by_signals, event_at
+from pancakes.tools.cli.options import FiniteRange, agent_sets_option
+from pancakes.tools.cli.output import show_text
+from pancakes.tools.cli.verbs.demo_page import DemoPage
+from pancakes.tools.cli.verbs.view import port_option
+
+if TYPE_CHECKING:
+    from pancakes.tools.demo import Comparison, Demo, Run
+
+PASSED, FAILED, INTERRUPTED = 0, 1, 130
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class DemoNames(click.ParamType):
+    """The demos that are installed; completed in a shell, suggested in an error."""
+
+    name = "demo"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+        from click.shell_completion import CompletionItem
+
+        return [CompletionItem(name) for name in Plugins().names("pancakes.demos") if name.startswith(incomplete)]
+
+
+@click.command()
+@click.argument("name", type=DemoNames(), required=False)
+@click.option("--list", "list_", is_flag=True, help="Show the demos that are installed.")
+@click.option(
+    "--virtual/--live",
+    default=None,
+    help="In virtual time, in one process (same seed, same bytes), or as processes. [default: as the demo says]",
+)
+@click.option(
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="Draws noise, the mover's way, the start."
+)
+@click.option(
+    "--speed",
+    default=5.0,
+    show_default=True,
+    type=FiniteRange(0.01, 1000.0),
+    help="Mission seconds a second (live, or with --view).",
+)
+@click.option("--duration", type=FiniteRange(1.0), help="Mission seconds; the demo's own length if left out.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the results. [default: runs/NAME-SEED-MODE]",
+)
+@click.option(
+    "--configs",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder with the agents' configurations. [default: those that come with the demo]",
+)
+@agent_sets_option
+@click.option("--headless", is_flag=True, help="Plain lines instead of the live view.")
+@click.option("--record", is_flag=True, help="Record what all agents say, into the folder for the results.")
+@click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
+@click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
+@port_option
+@click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
+def demo(
+    name: str | None,
+    list_: bool,
+    virtual: bool | None,
+    seed: int,
+    speed: float,
+    out: Path | None,
+    view_: bool,
+    control: bool,
+    port: int | None,
+    faults: bool,
+    **asked: Any,
+) -> None:
+    """Run a demo and judge it: exit code 0 only where the verdict is PASS.
+
+    \b
+    Example:
+        pancakes demo encirclement
+        pancakes demo encirclement --virtual --seed 7 --out runs/seven
+        pancakes demo encirclement --view
+    """
+    plugins = Plugins()
+    if list_ or name is None:
+        _list(plugins)
+        return
+    found = _find(plugins, name)
+    if virtual is None:
+        virtual = found.virtual
+    if faults and not virtual:
+        raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
+    if not view_ and (control or port is not None):
+        raise click.UsageError("--control and --port are about the page: they need --view")
+    if control and virtual:
+        raise click.UsageError("--control does not go with --virtual: such a run repeats, and takes no orders")
+    interpreter.prepare()  # the launcher is an agent, and in virtual time all of them are in this process
+    # The agents end with the launcher, also where a second signal ends that at once.
+    interrupted = event_at(*SIGNALS, again=INTERRUPTED)
+    page = DemoPage(control, port, speed, interrupted) if view_ else None
+    out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
+    speed = 1.0 if virtual else speed
+    options = _Options(plugins, virtual, seed, speed, faults, interrupted, page, **asked)
+    try:
+        try:
+            code = _run(found, out, options)
+        except PancakesError:
+            if not interrupted.is_set():  # else it follows from that
+                raise
+            code = INTERRUPTED
+        if page is not None and code != INTERRUPTED:
+            page.stay()
+    finally:
+        if page is not None:
+            page.close()
+    end_by_signals(*SIGNALS)
+    if page is None and interrupted.is_set():  # a page is ended in this way
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+def _list(plugins: Plugins) -> None:
+    for name in plugins.names("pancakes.demos"):
+        show_text(f"{name:16} {plugins.get('pancakes.demos', name).title}")
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What the command line says about how to run a mission, and what ends and shows it."""
+
+    plugins: Plugins
+    virtual: bool
+    seed: int
+    speed: float
+    faults: bool
+    interrupted: threading.Event
+    page: DemoPage | None
+    duration: float | None
+    configs: Path | None
+    sets: tuple[str, ...]
+    headless: bool
+    record: bool
+
+
+def _find(plugins: Plugins, name: str) -> Demo | Comparison:
+    try:
+        found: Demo | Comparison = plugins.get("pancakes.demos", name)
+    except UnknownPlugin as error:
+        raise click.BadParameter(str(error), param_hint="NAME") from None
+    return found
+
+
+def _run(found: Demo | Comparison, out: Path, options: _Options) -> int:
+    from pancakes.tools.demo import Comparison
+    from pancakes.tools.demo.timeliness import how_slow
+
+    if isinstance(found, Comparison):
+        return _compare(found, out, options)
+    flown = _fly(found, out, options)
+    if flown is None:
+        return INTERRUPTED
+    run, summary, timing = flown
+    if found.draw is not None and not options.interrupted.is_set():
+        found.draw(run, summary)
+    if options.interrupted.is_set():
+        return _interrupted_late(out)
+    _say_pace(timing)
+    results = f"{_listed(path.name for path in out.iterdir() if path.is_file())} are in {_nice(out)}"
+    return _verdict(summary, how_slow(timing), results)
+
+
+def _interrupted_late(out: Path) -> int:
+    show_text(f"interrupted after the mission: no verdict; what is written so far is in {_nice(out)}", err=True)
+    return INTERRUPTED
+
+
+def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any], dict[str, Any]] | None:
+    """Runs one mission, and judges it; returns None where it was interrupted."""
+    from pancakes.tools.demo.conductor import Mission
+    from pancakes.tools.demo.demo_plan import find_configs, make_plan
+    from pancakes.tools.demo.launcher import RECORDING, NetworkFaults, fresh, judge, run_live, run_of, run_virtual
+    from pancakes.tools.demo.terminal_view import LiveView, PlainView
+    from pancakes.tools.demo.timeliness import how_slow
+
+    virtual, seed = options.virtual, options.seed
+    interrupted, page = options.interrupted, options.page
+    duration_s = options.duration if options.duration is not None else found.duration_s
+    configs = find_configs(found, options.configs)
+    recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
+    sets = (*recording, *options.sets)
+    plan = make_plan(found, configs, out, seed, options.speed, duration_s, sets, not virtual, options.plugins)
+    fresh(out, (*found.records.values(), "paths.png"))
+    mission = Mission(plan.demo.agents, duration_s)
+    plain = options.headless or virtual or not sys.stdout.isatty()
+    show_text(f"{found.title}: seed {seed}, {duration_s:g} s, results in {_nice(out)}")
+    # The page first: what is printed while the live view draws would stand in its way, and be erased.
+    onlooker = None
+    if page is not None and virtual:
+        onlooker = page.beside_virtual(found.title)
+    elif page is not None:
+        page.beside_live(plan, mission)
+    with PlainView(found, mission) if plain else LiveView(found, mission, page.address if page is not None else ""):
+        if virtual:
+            faults = NetworkFaults(seed) if options.faults else None
+            timing = run_virtual(
+                plan, mission, options.interrupted, faults, onlooker, lambda text: show_text(text, err=True)
+            )
+        else:
+            timing = run_live(plan, mission, interrupted)
+    if mission.phase == "interrupted":
+        show_text(f"interrupted after {mission.now_s:.1f} s: no verdict", err=True)
+        return None
+    run = run_of(plan, mission)
+    summary = judge(plan, run, timing)
+    if page is not None:
+        slow = ", and this machine was too slow for it" if how_slow(timing) else ""
+        page.end(f"the mission is over: {summary['verdict']}{slow}")
+    return run, summary, timing
+
+
+def _compare(found: Comparison, out: Path, options: _Options) -> int:
+    """Runs all variants of a mission one after the other, and judges what is different about them."""
+    from pancakes.tools.demo.launcher import fresh, write_results
+    from pancakes.tools.demo.timeliness import how_slow
+
+    fresh(out, (found.picture,))
+    runs: dict[str, Run] = {}
+    summaries: dict[str, dict[str, Any]] = {}
+    timings: dict[str, dict[str, Any]] = {}
+    for variant in found.variants:
+        mission = replace(found.mission, title=f"{found.mission.title}, {variant.title}")
+        # What the command line says comes last, and so goes before what is different by itself.
+        own = replace(options, sets=(*variant.sets, *options.sets))
+        flown = _fly(mission, out / variant.name, own)
+        if flown is None or options.interrupted.is_set():
+            return INTERRUPTED if flown is None else _interrupted_late(out)
+        runs[variant.name], summaries[variant.name], timings[variant.name] = flown
+        _say_pace(timings[variant.name])
+    summary = found.judge(out, runs, summaries)
+    write_results(out, summary, timings)
+    if not options.interrupted.is_set():
+        found.draw(out, runs, summary)
+    if options.interrupted.is_set():
+        return _interrupted_late(out)
+    slow = [(variant.title, how_slow(timings[variant.name])) for variant in found.variants]
+    folders = _listed(variant.name for variant in found.variants)
+    where = "; ".join(f"{title}: {text}" for title, text in slow if text)
+    return _verdict(summary, where, f"summary.json and {found.picture}, and the folders {folders}, are in {_nice(out)}")
+
+
+def _listed(names: Iterable[str]) -> str:
+    *others, last = sorted(names)
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _nice(path: Path) -> str:
+    relative = os.path.relpath(path)
+    return relative if not relative.startswith("..") else str(path)
+
+
+def _say_pace(timing: dict[str, Any]) -> None:
+    """Says how fast a mission in virtual time went."""
+    if timing["mode"] == "virtual":
+        show_text(f"took {timing['wall_s']:.2f} s, {timing['times_real_time']:.0f} times real time")
+
+
+def _verdict(summary: dict[str, Any], slow: str, results: str) -> int:
+    """Says how it went, in the manner of Robotarium, where the machine was too slow, and where the results are."""
+    from pancakes.tools.demo.timeliness import verdict_line
+
+    for line in summary.get("said", ()):
+        show_text(line)
+    show_text(f"verdict: {verdict_line(summary['verdict'], slow)}")
+    for reason in summary["reasons"]:
+        show_text(f"  - {reason}")
+    show_text(results)
+    return PASSED if summary["verdict"] == "PASS" else FAILED

@@ -1,0 +1,207 @@
+"""`pancakes launch`: runs the agents of a fleet on this machine, and stands by them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.runtime.foundation.printable import printable_data
+from pancakes.tools.cli.agent_process import SHOW_TRACEBACKS
+from pancakes.tools.cli.exit_codes import forget_output
+from pancakes.tools.cli.options import agent_sets_option, format_option
+from pancakes.tools.cli.output import show, show_text
+
+if TYPE_CHECKING:
+    from pancakes.tools.launch.member import Member, Policy
+
+COUNTDOWN_S: Final = 0.25
+"""How long before a mission begins its agents are told, so that all begin at the same moment."""
+REACH_S: Final = 10.0
+"""How long an agent is tried to be told that its mission begins."""
+COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta")
+
+
+@click.command()
+@click.argument("paths", metavar="FILE|DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@agent_sets_option
+@click.option(
+    "--restart",
+    "policy",
+    type=click.Choice(["never", "on-failure", "always"]),
+    help="Whether an agent is started again when it ends by itself. [default: as the fleet file says, or on-failure]",
+)
+@click.option(
+    "--hold", is_flag=True, help="Leave missions at 0 that wait there; else they begin once all agents are ready."
+)
+@click.option("--traceback", is_flag=True, help="Show failures of tasks with their whole tracebacks.")
+@click.option(
+    "--fresh",
+    is_flag=True,
+    help="Begin from empty state: the agents forget how far their tasks were, and where they are."
+    " Refused while another agent of the fleet runs.",
+)
+@click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
+@format_option
+def launch(
+    paths: tuple[Path, ...],
+    sets: tuple[str, ...],
+    policy: Policy | None,
+    hold: bool,
+    traceback: bool,
+    fresh: bool,
+    dry_run: bool,
+    format_: str,
+) -> None:
+    """Run a fleet: agents of this machine, each a process of its own, until Ctrl-C.
+
+    A FILE is an agent's configuration, or a fleet file that names several (docs/configuration.md). Of a DIR, its
+    fleet.toml is taken, or else all of its *.toml. All of them are checked before anything starts. What the agents
+    print has their names in front; what becomes of them is told on standard error. With --format json each line is a
+    JSON object.
+
+    An agent goes on where it was: a task that moved away, was stopped or failed does not start again with it. Each such
+    task is told, with the reason. With --fresh all begin as their files say.
+
+    An agent that fails is started again, at most three times within a minute unless the fleet file says otherwise.
+    SIGINT or SIGTERM stops all of them in order, the same again at once. The exit code is 0 where all were stopped or
+    ended in order, 1 where one was given up or cannot run, 4 where a configuration is bad.
+
+    \b
+    Example:
+        pancakes launch configs/encirclement
+        pancakes launch world.toml robot.toml --set robot:agent.seed=7
+        pancakes launch configs/encirclement --dry-run
+    """
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.launch.afresh import check_alone
+    from pancakes.tools.launch.fleet_plan import check_free, make_fleet
+
+    if traceback:
+        sets = (*sets, SHOW_TRACEBACKS)
+    members = make_fleet(paths, sets, policy, Plugins())
+    claim = check_free(members)
+    try:
+        if fresh:
+            check_alone(member.config for member in members)
+        if dry_run:
+            _show(members, format_)
+        else:
+            sys.exit(_run(members, hold, fresh, format_))
+    finally:
+        claim.release()
+
+
+def _show(members: Sequence[Member], format_: str) -> None:
+    rows = [
+        {
+            "agent": member.name,
+            "fleet": member.config.agent.fleet,
+            "role": member.config.agent.role,
+            "config": str(member.path),
+            "set": list(member.sets),
+            "listen": member.config.agent.listen,
+            "after": list(member.after),
+            "restart": member.restart.policy,
+        }
+        for member in members
+    ]
+    show(rows, tuple(rows[0]), format_)
+
+
+def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> int:
+    from pancakes.tools.launch.afresh import empty_state
+    from pancakes.tools.launch.course import Course
+    from pancakes.tools.launch.runner import Runner
+
+    voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
+    for member in members if fresh else ():
+        directory = empty_state(member.config)
+        if directory is not None:
+            voice.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
+    code = Runner(members, Course(members, begin=not hold), voice, let_begin).run()
+    try:
+        sys.stdout.flush()
+    except OSError:
+        forget_output()
+    return code
+
+
+def let_begin(pids: Mapping[str, int]) -> list[str]:
+    """Lets the missions of agents of this machine begin, all at the same moment.
+
+    Args:
+        pids: their processes, by name.
+
+    Returns:
+        A sentence for each that could not be told.
+    """
+    from pancakes.client import Client
+    from pancakes.control import Begin
+    from pancakes.errors import PancakesError
+    from pancakes.runtime.clock import MonotonicClock
+    from pancakes.runtime.runtime_dir import entries
+
+    now = MonotonicClock().now
+    problems = []
+    try:
+        there = {entry.pid: entry.listen for entry in entries()}
+        places = {name: there.get(pid, "") for name, pid in pids.items()}
+        problems += [
+            f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]
+        ]
+        reached = [name for name in places if places[name]]
+        if not reached:
+            return problems
+        with Client([places[name] for name in reached], REACH_S) as client:
+            client.survey(*reached)
+            begin_s = now() + COUNTDOWN_S
+            for name in reached:
+                reply = client.request(name, Begin(max(0.0, begin_s - now())))
+                if not reply.ok:
+                    problems.append(f"the mission of {name} does not begin: {reply.reason}")
+    except PancakesError as error:
+        problems.append(str(error))
+    return problems
+
+
+class _Prefixed:
+    """Prints lines with the agent's coloured name in front; what becomes of agents goes to standard error."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        plain = "NO_COLOR" in os.environ
+        width = max(map(len, names))
+        self._heads = {
+            name: f"{name:{width}} | " if plain else click.style(f"{name:{width}} | ", fg=colour)
+            for name, colour in zip(names, cycle(COLOURS), strict=False)
+        }
+
+    def line(self, agent: str, text: str) -> None:
+        """See `Voice`."""
+        show_text(text, head=self._heads[agent])
+
+    def told(self, agent: str, event: str, text: str) -> None:
+        """See `Voice`."""
+        show_text(f"{agent} {text}" if agent else text, err=True)
+
+
+class _Objects:
+    """Prints one JSON object a line: `{agent, line}`, or `{agent, event, text}`."""
+
+    def line(self, agent: str, text: str) -> None:
+        """See `Voice`."""
+        self._print({"agent": agent, "line": text})
+
+    def told(self, agent: str, event: str, text: str) -> None:
+        """See `Voice`."""
+        self._print({"agent": agent or None, "event": event, "text": text})
+
+    def _print(self, value: dict[str, Any]) -> None:
+        import json
+
+        show_text(printable_data(json.dumps(value, ensure_ascii=False)))

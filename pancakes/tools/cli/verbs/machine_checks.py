@@ -1,0 +1,235 @@
+"""What `pancakes doctor` looks at on this machine, whether agents run or not."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import socket
+import statistics
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from pancakes.errors import PancakesError
+from pancakes.runtime.plugins import GROUPS, Plugins
+from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir
+from pancakes.tools.cli.verbs.finding import Finding, Level
+
+DISTRIBUTION: Final = "pancakes-agents"
+FULL_MIB: Final = 50
+NEARLY_FULL_MIB: Final = 500
+FEW_FILES: Final = 256
+"""An agent of a full mesh has 63 links; with its files, pipes and devices it should have room for this many."""
+LATE_S: Final = 0.002
+"""A machine that wakes a thread later than this, in the middle of several tries, keeps no rate well."""
+WAITS: Final = 21
+WAIT_S: Final = 0.001
+
+
+def check_machine(plugins: Plugins) -> Iterator[Finding]:
+    """Yields what is found, one thing after the other.
+
+    Args:
+        plugins: all plug-ins; they are imported.
+    """
+    yield from check_python()
+    yield from check_plugins(plugins)
+    yield from check_runtime_dir()
+    yield from check_state_dirs(state_base())
+    yield check_files(*resource.getrlimit(resource.RLIMIT_NOFILE))
+    yield check_clock()
+    yield check_loopback()
+
+
+def check_python() -> Iterator[Finding]:
+    """Looks at Python and the libraries: those that are needed, in versions that will do."""
+    from importlib.metadata import PackageNotFoundError, requires, version
+
+    from packaging.requirements import Requirement
+
+    there = []
+    for text in requires(DISTRIBUTION) or ():
+        wanted = Requirement(text)
+        if wanted.marker is not None and not wanted.marker.evaluate():
+            continue  # an extra needs it
+        try:
+            found = version(wanted.name)
+        except PackageNotFoundError:
+            yield Finding("error", "libraries", f"{wanted.name} is not installed", f"pip install '{text}'")
+            continue
+        if not wanted.specifier.contains(found, prereleases=True):
+            yield Finding("error", "libraries", f"{wanted.name} {found} is not {text}", f"pip install '{text}'")
+        there.append(f"{wanted.name} {found}")
+    number = ".".join(map(str, sys.version_info[:3]))
+    yield Finding("ok", "libraries", f"Python {number}, {DISTRIBUTION} {version(DISTRIBUTION)}, {', '.join(there)}")
+
+
+def check_plugins(plugins: Plugins) -> Iterator[Finding]:
+    """Imports all plug-ins."""
+    from pancakes.tools.cli.verbs.plugin import rows_of
+
+    rows = [row for group in GROUPS for row in rows_of(plugins, group)]
+    for problem in plugins.unreadable():
+        yield Finding("error", "plug-ins", str(problem), "install that distribution anew")
+    for row in rows:
+        if row["state"] == "broken":
+            advice = f"mend or uninstall {row['distribution']}: what it offers does not run"
+            yield Finding("error", "plug-ins", row["reason"], advice)
+    sound = [row for row in rows if row["state"] == "ok"]
+    sources = sorted({row["distribution"] for row in sound})
+    yield Finding("ok", "plug-ins", f"{len(sound)} can be used, of {', '.join(sources)}")
+
+
+def check_runtime_dir() -> Iterator[Finding]:
+    """Looks at the directory where the agents of this machine are found."""
+    directory, about = runtime_dir(), "runtime directory"
+    if not directory.exists():
+        yield Finding("ok", about, f"{directory} is not there: no agent has run yet")
+        return
+    try:
+        found = look()
+    except (PancakesError, OSError) as error:
+        advice = f"make it yours alone: chown {os.getuid()} {directory} && chmod 700 {directory}"
+        yield Finding("error", about, str(error), advice)
+        return
+    for sentence in found.odd:
+        yield Finding("warning", about, sentence, "see which program put it there, and remove it")
+    if found.cleared:
+        text = f"{directory} has entries of agents that did not end in order: {', '.join(found.cleared)}"
+        yield Finding("warning", about, text, "none: they have just been cleared away; see why those agents died")
+    elif not found.odd:
+        yield Finding("ok", about, f"{directory} is yours alone")
+
+
+def state_base() -> Path:
+    """Returns the directory below which agents have their state, where their configuration does not say another."""
+    from pancakes.runtime.state_dir import default_state_dir
+
+    return default_state_dir("fleet", "agent").parents[1]
+
+
+def check_state_dirs(base: Path) -> Iterator[Finding]:
+    """Looks at what agents keep on disk: `BASE/FLEET/AGENT`."""
+    about = "state"
+    if not base.exists():
+        yield Finding("ok", about, f"{base} is not there: no agent has kept anything yet")
+        return
+    free_mib = shutil.disk_usage(base).free // 2**20
+    if not os.access(base, os.W_OK | os.X_OK):
+        yield Finding("error", about, f"{base} cannot be written", f"make it yours: chown -R {os.getuid()} {base}")
+    if free_mib < NEARLY_FULL_MIB:
+        level: Level = "error" if free_mib < FULL_MIB else "warning"
+        yield Finding(
+            level, about, f"only {free_mib} MiB are free at {base}", "make room: tasks cannot move without it"
+        )
+    else:
+        yield Finding("ok", about, f"{free_mib} MiB are free at {base}")
+    for directory in sorted(path for path in base.glob("*/*") if path.is_dir()):
+        yield _check_journal(directory)
+
+
+def _check_journal(directory: Path) -> Finding:
+    """Looks at one agent's journal without opening it: to open it would count a boot and lock the agent out."""
+    from pancakes.runtime.journal.directory import fault_of
+    from pancakes.runtime.journal.journal import BAD, SUFFIX
+    from pancakes.runtime.journal.seal import Unbelievable, unseal
+
+    about = f"state of {directory.parent.name}/{directory.name}"
+    torn = []
+    try:
+        aside = sorted(path.name for path in directory.glob(f"*{BAD}"))
+        there = {path.name for path in directory.glob(f"*{SUFFIX}")}
+        for path in sorted(directory.glob(f"*{SUFFIX}")):
+            try:
+                unseal("", path.read_bytes())
+            except FileNotFoundError:
+                continue  # an agent that runs replaces its entries
+            except Unbelievable as error:
+                torn.append(f"{path.name} {error}")
+    except OSError as error:
+        text = f"{directory} cannot be read: {(error.strerror or str(error)).lower()}"
+        return Finding("error", about, text, f"make it yours: chown -R {os.getuid()} {directory}")
+    fault = fault_of(directory, directory.stat())
+    if fault:
+        return Finding("error", about, fault, "do that: its agent does not start before")
+    if torn:
+        advice = "the agent sets it aside at its next start; look there for a task that is missing"
+        return Finding("error", about, f"in {directory}, {'; '.join(torn)}", advice)
+    undecided = [
+        name for name in aside if name.startswith("record.") and f"{name.partition(SUFFIX)[0]}{SUFFIX}" not in there
+    ]
+    if undecided:
+        text = f"{directory} has lost what it knew of tasks: {', '.join(undecided)}"
+        advice = "decide with `pancakes task adopt` or `pancakes task forget`, whose --help says what each means"
+        return Finding("warning", about, text, advice)
+    if aside:
+        advice = "none is needed any more: remove them"
+        return Finding("warning", about, f"{directory} has entries that were set aside: {', '.join(aside)}", advice)
+    holder = _holder(directory)
+    return Finding(
+        "ok", about, f"{directory} is in use by process {holder}" if holder else f"{directory} is not in use"
+    )
+
+
+def _holder(directory: Path) -> str:
+    """The process that has a state directory locked; empty where none has."""
+    with contextlib.suppress(OSError), (directory / "lock").open("rb") as lock:
+        if is_locked(lock):
+            return lock.read(32).decode("ascii", "replace").strip() or "?"
+    return ""
+
+
+def check_files(soft: int, hard: int) -> Finding:
+    """Looks at how many files a process may have open."""
+    if soft != resource.RLIM_INFINITY and soft < FEW_FILES:
+        text = f"a process may have only {soft} open: an agent with many peers or devices will not get along"
+        return Finding("warning", "open files", text, f"ulimit -n {min(hard, 1024) if hard > 0 else 1024}")
+    return Finding("ok", "open files", f"a process may have {'any number' if soft < 0 else soft} open")
+
+
+def check_clock() -> Finding:
+    """Measures how late this machine wakes a thread that waits for a point in time."""
+    from pancakes.runtime.kernel.slack import wake_on_time
+
+    late: list[float] = []
+
+    def wait() -> None:
+        wake_on_time()
+        for _ in range(WAITS):
+            began_s = time.monotonic()
+            time.sleep(WAIT_S)
+            late.append(time.monotonic() - began_s - WAIT_S)
+
+    thread = threading.Thread(target=wait, name="clock check")
+    thread.start()
+    thread.join()
+    median_s = statistics.median(late)
+    step_s = time.get_clock_info("monotonic").resolution
+    text = f"threads wake {median_s * 1e6:.0f} µs late, and {max(late) * 1e6:.0f} µs at worst; its step is {step_s:g} s"
+    if median_s > LATE_S:
+        return Finding("warning", "clock", text, "run less on this machine, or expect missed ticks at high rates")
+    return Finding("ok", "clock", text)
+
+
+def check_loopback() -> Finding:
+    """Makes a connection from this machine to itself."""
+    try:
+        with (
+            socket.create_server(("127.0.0.1", 0)) as server,
+            socket.create_connection(server.getsockname(), timeout=2.0) as client,
+        ):
+            server.settimeout(2.0)
+            connection, _ = server.accept()
+            with connection:
+                client.sendall(b"?")
+                connection.settimeout(2.0)
+                connection.recv(1)
+    except OSError as error:
+        text = f"no program can listen at 127.0.0.1: {(error.strerror or str(error)).lower()}"
+        return Finding("error", "loopback", text, "look at the network of this machine or container: ip link set lo up")
+    return Finding("ok", "loopback", "programs can listen at 127.0.0.1")

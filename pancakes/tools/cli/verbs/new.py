@@ -1,0 +1,131 @@
+"""`pancakes new ...`: begins a distribution of one's own."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.output import show, show_json, show_text
+
+if TYPE_CHECKING:
+    from pancakes.tools.cli.verbs.distribution import Names
+
+COLUMNS = ("file", "purpose")
+_ABOUT: Final = {
+    "task": (
+        "Begin a task: it watches how busy this computer is, and tells when that changes.",
+        "Begin a task.",
+        "pancakes new task ScanTarget",
+    ),
+    "driver": (
+        "Begin a driver: a sensor whose readings stand in a file, with a packet type of its own.",
+        "Begin a driver.",
+        "pancakes new driver wind-speed --into ..",
+    ),
+    "service": (
+        "Begin a service: it counts the packets of each publisher, with a task and a channel of its own.",
+        "Begin a service.",
+        "pancakes new service bookkeeping",
+    ),
+    "plugin": (
+        "Begin a plug-in: a driver, a task, a service and packet types that work together, and two agents.",
+        "Begin a plug-in with a task, a driver, a service and packets.",
+        "pancakes new plugin greenhouse",
+    ),
+}
+"""Of each kind: what its command does, its line in the list of commands, and an example."""
+
+
+class DistributionName(click.ParamType):
+    """Reads the name of a distribution that is to be made."""
+
+    name = "NAME"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Names:
+        from pancakes.tools.cli.verbs.distribution import Names
+
+        if isinstance(value, Names):
+            return value
+        try:
+            return Names.of(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+@click.group()
+def new() -> None:
+    """Begin a task, driver, service or plug-in of one's own.
+
+    Each command writes a distribution that works: with its entry points, tests that pass, a configuration that runs
+    it, and a README. Change it from there.
+    """
+
+
+def _command(kind: str) -> click.Command:
+    about, short, example = _ABOUT[kind]
+
+    @click.command(kind, short_help=short)
+    @click.argument("name", metavar="NAME", type=DistributionName())
+    @click.option(
+        "--into",
+        type=click.Path(exists=True, file_okay=False, writable=True, path_type=Path),
+        default=".",
+        metavar="DIR",
+        help="The folder in which the distribution's own folder is made. [default: this one]",
+    )
+    @click.option("--dry-run", is_flag=True, help="Only list what would be written.")
+    @format_option
+    def command(name: Names, into: Path, dry_run: bool, format_: str) -> None:
+        _make(kind, name, into, dry_run, format_)
+
+    command.help = f"""{about}
+
+    NAME may be written as scan_target, scan-target or ScanTarget: the distribution and its folder are then called
+    scan-target, the package scan_target, the class ScanTarget.
+
+    \b
+    Example:
+        {example}
+        {example} --dry-run
+    """
+    return command
+
+
+for _kind in _ABOUT:
+    new.add_command(_command(_kind))
+
+
+def _make(kind: str, names: Names, into: Path, dry_run: bool, format_: str) -> None:
+    from pancakes.errors import PancakesError
+    from pancakes.tools.cli.verbs.distribution import check_free, files_of, write
+
+    folder = into / names.dist
+    check_free(folder)
+    taken = names.taken(kind)
+    if taken:
+        raise PancakesError(f"{taken}: choose another name than {names.package}")
+    files = files_of(kind, names)
+    if not dry_run:
+        write(folder, files)
+    rows = [{"file": str(folder / file.path), "purpose": file.purpose, "written": not dry_run} for file in files]
+    if format_ == "json":
+        show_json(rows)
+        return
+    show(rows, COLUMNS, format_)
+    if dry_run:
+        show_text("Nothing was written.")
+        return
+    show_text("Next:\n")
+    for line in _next(kind, names, folder):
+        show_text(f"    {line}")
+
+
+def _next(kind: str, names: Names, folder: Path) -> list[str]:
+    """Returns the commands that a person types next."""
+    run = "pancakes launch configs" if kind == "plugin" else f"pancakes-agent --config configs/{names.package}.toml"
+    return [f"cd {shlex.quote(os.path.relpath(folder))}", 'pip install -e ".[test]"', "pytest", run]

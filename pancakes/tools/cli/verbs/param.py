@@ -1,0 +1,242 @@
+"""`pancakes param ...`: the settings of tasks, looked at and changed while they run."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pancakes.client import Client
+from pancakes.control import Configure, Describe
+from pancakes.errors import ControlRefused
+from pancakes.runtime.foundation.printable import printable_data
+from pancakes.runtime.foundation.suggestion import hint_of
+from pancakes.tools.cli.asking import accepted, meant, order, placed, surveyed
+from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.name_types import TaskName, a_task
+from pancakes.tools.cli.options import Ask, asks_agents, dry_run_option, orders_agents
+from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_text
+from pancakes.tools.cli.verbs import param_file
+from pancakes.tools.cli.verbs.param_names import AgentOrTask, Changes, ParamName, SettingChange, a_task_or_agent
+
+COLUMNS = ("agent", "service", "task", "param", "value")
+CHANGED = ("agent", "service", "task", "param", "before", "value", "done", "number")
+DESCRIBED = ("param", "value", "type", "default", "bounds", "unit", "description")
+LOADED = ("agent", "service", "task", "params", "done", "reason")
+
+
+@click.group()
+def param() -> None:
+    """Settings of tasks; a device is a task too, and bears the device's name."""
+
+
+@param.command("list")
+@click.argument("name", metavar="[AGENT[/TASK]]", required=False, type=AgentOrTask())
+@asks_agents
+def list_(name: TaskName | None, ask: Ask) -> None:
+    """List the settings of all tasks, of those of AGENT, or of one task.
+
+    \b
+    Example:
+        pancakes param list
+        pancakes param list agent1/ScanTarget --format json
+    """
+    with ask.client() as client:
+        rows = [row for described in _described(client, name) for row in _rows(described)]
+    _show(rows, COLUMNS, ("value",), ask.format_)
+
+
+@param.command()
+@a_task
+@click.argument("setting", metavar="[NAME]", default="", type=ParamName())
+@asks_agents
+def get(name: TaskName, setting: str, ask: Ask) -> None:
+    """Show the settings of a task; where NAME is given, only its value, as TOML.
+
+    \b
+    Example:
+        pancakes param get agent1/ScanTarget
+        pancakes param get agent1/ScanTarget radius_m
+    """
+    with ask.client() as client:
+        (described,) = _described(client, name)
+    known = _known(described, setting)
+    rows = [row for row in _rows(described) if not known or row["param"] == known]
+    if known and ask.format_ == "table":
+        show_text(printable_data(_text(rows[0]["value"])))
+    else:
+        _show(rows, COLUMNS, ("value",), ask.format_)
+
+
+@param.command("set")
+@a_task
+@click.argument("changes", metavar="NAME=VALUE...", nargs=-1, required=True, type=SettingChange())
+@dry_run_option
+@orders_agents
+def set_(name: TaskName, changes: Changes, dry_run: bool, ask: Ask) -> None:
+    """Change settings of a running task; all of them are good, or nothing changes.
+
+    A value that reads as TOML is taken as such (5, true, [1, 2], { x = 1 }), anything else as a string. Inside of a
+    table, NAME has dots: slow.PoseSharing=0.5.
+
+    \b
+    Example:
+        pancakes param set agent1/ScanTarget radius_m=0.8 speed_mps=0.05
+        pancakes param set agent1/ScanTarget radius_m=-1 --dry-run
+    """
+    with ask.client() as client:
+        (described,) = _described(client, name)
+        before = described["settings"]
+        wanted = param_file.changes_of(before, dict(changes))
+        target = f"{described['service']}/{described['task']}"
+        reply = accepted(client, name.agent, Configure(target, wanted, dry_run))
+    rows = [
+        {
+            **_place(described),
+            "param": key,
+            "before": before.get(key),
+            "value": value,
+            "done": DRY_RUN if dry_run else "set",
+            "number": reply.number,
+        }
+        for key, value in wanted.items()
+    ]
+    _show(rows, CHANGED, ("before", "value"), ask.format_)
+
+
+@param.command()
+@a_task
+@click.argument("setting", metavar="[NAME]", default="", type=ParamName())
+@asks_agents
+def describe(name: TaskName, setting: str, ask: Ask) -> None:
+    """Say what may be set: type, default, bounds, unit and meaning of a task's settings.
+
+    \b
+    Example:
+        pancakes param describe agent1/ScanTarget
+        pancakes param describe agent1/ScanTarget radius_m --format json
+    """
+    from pancakes.tools.cli.verbs.schema_rows import rows_of
+
+    with ask.client() as client:
+        (described,) = _described(client, name)
+    known = _known(described, setting)
+    rows = [
+        {**_place(described), **row, "value": described["settings"].get(row["param"])}
+        for row in rows_of(described["settings_schema"])
+        if not setting or row["param"] == known or row["param"].startswith(f"{known}.")
+    ]
+    columns = DESCRIBED if ask.format_ == "table" else ("agent", "service", "task", *DESCRIBED, "required")
+    _show(rows, columns, ("value", "default"), ask.format_)
+
+
+@param.command()
+@a_task_or_agent
+@asks_agents
+def dump(name: TaskName, ask: Ask) -> None:
+    """Print the settings of a task, or of all tasks of AGENT that its configuration names, as a configuration has them.
+
+    `pancakes param load` reads them again, and they can be pasted into the agent's file.
+
+    \b
+    Example:
+        pancakes param dump agent1 > agent1-settings.toml
+        pancakes param dump agent1/ScanTarget
+    """
+    with ask.client() as client:
+        rows = [row for row in _described(client, name) if row["settings"] and (name.task or not row["own"])]
+    if ask.format_ == "json":
+        show_json([{**_place(row), "settings": row["settings"]} for row in rows])
+    else:
+        show_text(printable_data(param_file.dumped(rows)), nl=False)
+
+
+@param.command()
+@a_task_or_agent
+@click.argument("file", metavar="FILE", type=click.Path(path_type=Path, allow_dash=True))
+@dry_run_option
+@orders_agents
+def load(name: TaskName, file: Path, dry_run: bool, ask: Ask) -> None:
+    """Change the settings of a running task, or of several of AGENT, to those in FILE; - is standard input.
+
+    FILE has what `pancakes param dump` prints; a whole configuration will do, of which only the settings are read. For
+    each task all settings are good, or none of them changes; a task that refuses is named, and the exit code is then 1.
+
+    \b
+    Example:
+        pancakes param load agent1 agent1-settings.toml --dry-run
+        pancakes param load agent1/ScanTarget agent1-settings.toml
+    """
+    settings = param_file.read(file)
+    if name.task:
+        if name.task not in settings:
+            raise ControlRefused(f"{file} has no settings of {name.task!r}, only of {', '.join(settings)}")
+        settings = {name.task: settings[name.task]}
+    rows = []
+    with ask.client() as client:
+        name = meant(client, name)
+        for task, values in settings.items():
+            row = {"agent": name.agent, "service": name.service, "task": task, "params": list(values)}
+            try:
+                there = placed(client, TaskName(name.agent, name.service, task))
+                row["service"] = there.service
+                order(client, name.agent, Configure(there.target, values, dry_run))
+                rows.append({**row, "done": DRY_RUN if dry_run else "set", "reason": ""})
+            except ControlRefused as error:
+                rows.append({**row, "done": "refused", "reason": str(error)})
+    for row in rows:
+        if row["reason"]:
+            show_text(f"{name.agent}/{row['task']}: {row['reason']}", err=True)
+    ask.show(rows, LOADED)
+    sys.exit(REFUSED if any(row["reason"] for row in rows) else OK)
+
+
+def _described(client: Client, name: TaskName | None) -> list[dict[str, Any]]:
+    """Describes a task, all tasks of an agent, or those of all agents; names the agents that do not answer."""
+    if name is not None and name.task:
+        name = placed(client, name)
+        return [order(client, name.agent, Describe(name.target))]
+    described = []
+    for agent in surveyed(client, name.agent if name is not None else ""):
+        for task in agent["tasks"]:
+            try:
+                described.append(order(client, agent["agent"], Describe(f"{task['service']}/{task['task']}")))
+            except ControlRefused as error:  # it may have moved on in the meantime
+                show_text(str(error), err=True)
+    return described
+
+
+def _known(described: dict[str, Any], setting: str) -> str:
+    """Returns the name of a setting, after a look whether there is one of this name; an empty string stays empty.
+
+    Raises:
+        ControlRefused: the task has none of this name.
+    """
+    names = list(described["settings_schema"].get("properties", described["settings"]))
+    if setting and setting not in names:
+        hint = hint_of(setting, names)
+        raise ControlRefused(f"{described['agent']}/{described['task']} has no setting {setting!r}{hint}")
+    return setting
+
+
+def _rows(described: dict[str, Any]) -> list[dict[str, Any]]:
+    return [{**_place(described), "param": key, "value": value} for key, value in described["settings"].items()]
+
+
+def _place(described: dict[str, Any]) -> dict[str, Any]:
+    return {key: described[key] for key in ("agent", "service", "task")}
+
+
+def _show(rows: list[dict[str, Any]], columns: tuple[str, ...], values: tuple[str, ...], format_: str) -> None:
+    """Prints rows; in a table, values stand as TOML has them, so that text and number can be told apart."""
+    if format_ == "table":
+        rows = [{**row, **{key: _text(row[key]) for key in values}} for row in rows]
+    show(rows, columns, format_)
+
+
+def _text(value: Any) -> str:
+    from pancakes.runtime.config.toml_text import value_text
+
+    return "-" if value is None else value_text(value)

@@ -1,0 +1,85 @@
+"""Settings of tasks as TOML, such as a configuration file has them: written by `param dump`, read by `param load`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pancakes.errors import PancakesError
+from pancakes.runtime.config.toml_source import tables_of, text_of
+from pancakes.runtime.config.toml_text import document_text
+
+STDIN = Path("-")
+_TABLES = ("task", "device")
+
+
+def dumped(rows: list[dict[str, Any]]) -> str:
+    """Returns the settings of tasks as a TOML document with tables `[task.NAME.settings]` and `[device.NAME.settings]`.
+
+    Args:
+        rows: what the agent says of each task (see `Describe`).
+
+    Raises:
+        PancakesError: two of them have the same name.
+    """
+    tables: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        table = tables.setdefault("device" if row.get("device") else "task", {})
+        if row["task"] in table:
+            raise PancakesError(f"{row['agent']} has several tasks {row['task']!r}: dump them one at a time")
+        table[row["task"]] = {"settings": row["settings"]}
+    return document_text(tables)
+
+
+def read(path: Path) -> dict[str, Mapping[str, Any]]:
+    """Returns the settings in a TOML file by task; other tables, as a whole configuration has them, are passed over.
+
+    Args:
+        path: the file; `-` is standard input.
+
+    Raises:
+        PancakesError: it cannot be read, or has no settings in it.
+    """
+    where = "standard input" if path == STDIN else str(path)
+    values, _ = tables_of(sys.stdin.read() if path == STDIN else text_of(str(path)), where)
+    found: dict[str, Mapping[str, Any]] = {}
+    for table in _TABLES:
+        entries = values.get(table, {})
+        for name, entry in entries.items() if isinstance(entries, Mapping) else ():
+            settings = entry.get("settings") if isinstance(entry, Mapping) else None
+            if isinstance(settings, Mapping):
+                if name in found:
+                    raise PancakesError(f"{where} has a task and a device of the name {name!r}: load one at a time")
+                found[name] = settings
+    if not found:
+        raise PancakesError(f"{where} has no settings in it: they stand in tables such as [task.NAME.settings]")
+    return found
+
+
+def changes_of(present: Mapping[str, Any], texts: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
+    """Returns what is to be configured so that some values change, by the outermost key.
+
+    Args:
+        present: the present settings.
+        texts: new values by the keys that lead to them; more than one key leads into a table.
+
+    Raises:
+        PancakesError: what should be a table is none.
+    """
+    import copy
+
+    changes: dict[str, Any] = {}
+    for keys, value in texts.items():
+        if len(keys) == 1:
+            changes[keys[0]] = value
+            continue
+        changes.setdefault(keys[0], copy.deepcopy(present.get(keys[0], {})))
+        table = changes
+        for depth, key in enumerate(keys[:-1], start=1):
+            table = table.setdefault(key, {})
+            if not isinstance(table, dict):
+                raise PancakesError(f"{'.'.join(keys[:depth])} is a value and has no keys in it")
+        table[keys[-1]] = value
+    return changes

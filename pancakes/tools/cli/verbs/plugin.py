@@ -1,0 +1,73 @@
+"""`pancakes plugin ...`: what is installed for agents to use."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from pancakes.errors import PluginError
+from pancakes.runtime.plugins import GROUPS, Plugins
+from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.output import show, show_text
+
+COLUMNS = ("group", "name", "class", "distribution", "version", "state", "reason")
+NAMES = tuple(group.removeprefix("pancakes.") for group in GROUPS)
+
+
+@click.group()
+def plugin() -> None:
+    """What is installed for agents to use."""
+
+
+@plugin.command("list")
+@click.option("--group", type=click.Choice(NAMES), multiple=True, help="Only plug-ins of this group. Repeatable.")
+@click.option("--broken", is_flag=True, help="Only those that cannot be used.")
+@format_option
+def list_(group: tuple[str, ...], broken: bool, format_: str) -> None:
+    """List all plug-ins of this Python environment: its name, its distribution, and whether it can be used.
+
+    All of them are imported for that. The exit code is 1 where one is broken.
+
+    \b
+    Example:
+        pancakes plugin list
+        pancakes plugin list --group drivers --format json
+    """
+    plugins = Plugins()
+    rows = [row for name in group or NAMES for row in rows_of(plugins, f"pancakes.{name}")]
+    for problem in plugins.unreadable():
+        show_text(str(problem), err=True)
+    failed = bool(plugins.unreadable()) or any(row["state"] == "broken" for row in rows)
+    show([row for row in rows if row["state"] == "broken" or not broken], COLUMNS, format_)
+    sys.exit(REFUSED if failed else OK)
+
+
+def rows_of(plugins: Plugins, group: str) -> list[dict[str, Any]]:
+    """Returns a row for each plug-in of a group; imports them.
+
+    Args:
+        plugins: all plug-ins.
+        group: the entry point group, such as `pancakes.tasks`.
+    """
+    rows = []
+    for offered in plugins.offered(group):
+        reason = ""
+        try:
+            plugins.get(group, offered.name)
+        except PluginError as error:
+            reason = str(error)
+        rows.append(
+            {
+                "group": group.removeprefix("pancakes."),
+                "name": offered.name,
+                "class": offered.place,
+                "distribution": offered.version.distribution,
+                "version": offered.version.version,
+                "state": "broken" if reason else "ok",
+                "reason": reason,
+            }
+        )
+    return rows

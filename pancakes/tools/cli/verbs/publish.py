@@ -1,0 +1,167 @@
+"""`pancakes channel pub`: publishes packets on a channel of an agent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import count
+from typing import Any, Final
+
+import click
+
+from pancakes.client import Client
+from pancakes.control import CONTROLS, Channels, Describe
+from pancakes.errors import PeerLost, Unreachable
+from pancakes.packet import NEIGHBOURS, SYSCTRL, TO_TASK, agent_of, covers, join, type_name
+from pancakes.tools.cli.asking import order
+from pancakes.tools.cli.json_bodies import BadBody, body_of
+from pancakes.tools.cli.name_types import ChannelName, a_channel
+from pancakes.tools.cli.options import Ask, FiniteRange, dry_run_option, orders_agents
+from pancakes.tools.cli.streaming import say, until_ended
+
+COLUMNS: Final = ("agent", "channel", "type", "to", "packets", "subscribers")
+RATE_HZ: Final = 1.0
+"""How often packets are published where their number is said and their rate is not."""
+
+
+@click.command()
+@a_channel
+@click.argument("kind", metavar="TYPE")
+@click.argument("body", metavar="[BODY]", default="{}")
+@click.option("--to", metavar="DEST", default="", help="Only to this service or task of the agent: SERVICE/TASK.")
+@click.option(
+    "--rate",
+    "rate_hz",
+    metavar="HZ",
+    type=FiniteRange(min=0.0, min_open=True, max=1000.0),
+    help="So many a second, until Ctrl-C or --count; without, one.",
+)
+@click.option("--count", "most", metavar="N", type=click.IntRange(min=1), help="N packets, at --rate or one a second.")
+@dry_run_option
+@orders_agents
+def pub(
+    name: ChannelName, kind: str, body: str, to: str, rate_hz: float | None, most: int | None, dry_run: bool, ask: Ask
+) -> None:
+    """Publish a packet of the type TYPE on a channel.
+
+    BODY is a JSON object with the type's fields, which are checked before anything is sent; a field that has a default
+    may be left out. A packet without a subscriber on the agent is sent all the same, and a line says so.
+    An actuator takes commands from the task that holds it, so not from here. A control packet on sysctrl, such as stop
+    or reschedule, is answered as it is to a task, and refused likewise.
+
+    \b
+    Example:
+        pancakes channel pub agent1/system motion '{"detected": true, "range_m": 0.4}'
+        pancakes channel pub agent1/system battery '{"voltage_v": 6.9, "level": 0.1}' --rate 2 --count 10
+        pancakes channel pub agent1/system pose '{"x_m": 0, "y_m": 0, "theta_rad": 0}' --to device/pose --dry-run
+    """
+    from pancakes.runtime.plugins import Plugins
+
+    Plugins().load_packets()
+    try:
+        made = body_of(kind, body)
+    except BadBody as error:
+        raise click.UsageError(str(error)) from None
+    destination = _destination(name.agent, to)
+    with until_ended(), ask.client() as client:
+        sender = Sender(client, name, made, destination)
+        if not sender.subscribers:
+            say(f"no component of {name.agent} subscribes to {kind} on {name.channel}" + (f" at {to}" if to else ""))
+        row = {**name._asdict(), "type": kind, "to": destination, "packets": 0, "subscribers": sender.subscribers}
+        if not dry_run:
+            packets = most if most is not None or rate_hz is not None else 1
+            try:
+                for _ in sender.send(packets, rate_hz or RATE_HZ):
+                    row["packets"] += 1
+            except KeyboardInterrupt:
+                sender.settle()
+        ask.show([row], COLUMNS)
+
+
+def _destination(agent: str, to: str) -> str:
+    """Returns the address that is to get the packets."""
+    if not to:
+        return agent
+    if to == NEIGHBOURS or to.startswith(TO_TASK):
+        raise click.BadParameter(
+            f"{to!r} is no service or task of {agent}: write it as SERVICE/TASK", param_hint="--to"
+        )
+    address = to if agent_of(to) == agent else join(agent, to)
+    if address.count("/") > 2 or not all(address.split("/")):
+        raise click.BadParameter(f"{to!r} names no service or task: write it as SERVICE/TASK", param_hint="--to")
+    return address
+
+
+class Sender:
+    """Publishes one packet again and again, as from the agent itself.
+
+    Args:
+        client: reaches the agent.
+        name: the channel.
+        body: the packet's body.
+        destination: an address on the agent, or the agent's own name.
+
+    Attributes:
+        subscribers: the addresses that will get it.
+
+    Raises:
+        ControlRefused: the agent has no such channel.
+        Unreachable: the agent does not answer.
+    """
+
+    def __init__(self, client: Client, name: ChannelName, body: Any, destination: str) -> None:
+        self._client = client
+        self._name = name
+        self._body = body
+        self._destination = destination
+        self.subscribers = self._look()
+        described = order(client, name.agent, Describe())
+        self._known_s = client.now()
+        self._mission_s = described["mission_s"]
+        self._speed = 0.0 if described["held"] else described["speed"]
+        self._door = next(
+            door for door in client.doors() if door.fleet == described["fleet"] and door.connected(name.agent)
+        )
+
+    def send(self, most: int | None, rate_hz: float) -> Iterator[None]:
+        """Publishes so many packets (None: without end) at a rate, and yields after each.
+
+        Raises:
+            ControlRefused: it asked for something that the agent refuses.
+            Unreachable: the agent went away.
+        """
+        began_s = self._client.now()
+        for number in count() if most is None else range(most):
+            self._client.wait(began_s + number / rate_hz, lambda: False)
+            self._send_one()
+            yield
+        self.settle()
+
+    def settle(self) -> None:
+        """Waits until the agent has got all that was sent."""
+        self._look()  # the link keeps the order, so the answer comes after all else has arrived
+
+    def _send_one(self) -> None:
+        if self._name.channel == SYSCTRL and isinstance(self._body, CONTROLS):
+            order(self._client, self._name.agent, self._body)  # it is answered, and the answer is what counts
+            return
+        stamp = self._mission_s + (self._client.now() - self._known_s) * self._speed
+        try:
+            self._door.publish(self._name.agent, self._name.channel, self._body, stamp, self._destination)
+        except PeerLost as error:
+            raise Unreachable(str(error)) from None
+
+    def _look(self) -> list[str]:
+        """Returns the addresses that would get the packets now."""
+        (found,) = order(self._client, self._name.agent, Channels(self._name.channel))
+        kind = type_name(self._body)
+        named = self._destination != self._name.agent
+        return [
+            reader["address"]
+            for reader in found["subscribers"]
+            if covers(self._destination, reader["address"])
+            and _takes(reader["types"] if named else reader["open_types"], kind)
+        ]
+
+
+def _takes(types: list[str] | None, kind: str) -> bool:
+    return types is None or kind in types

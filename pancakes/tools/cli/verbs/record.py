@@ -1,0 +1,263 @@
+"""`pancakes record ...`: recordings of what agents say, in MCAP files."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from pancakes.client import Client
+from pancakes.control import Describe, History, Start, Stop
+from pancakes.errors import ControlRefused
+from pancakes.tools.cli.asking import accepted, surveyed
+from pancakes.tools.cli.exit_codes import REFUSED
+from pancakes.tools.cli.name_types import agents
+from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, format_option, orders_agents
+from pancakes.tools.cli.output import DRY_RUN, show, show_json, show_sections, show_text
+from pancakes.tools.cli.streaming import load_packets
+
+RECORDER: Final = "log/Recorder"
+BY_ITSELF: Final = "it stopped itself"
+"""What an agent says of a task that ended unasked."""
+COLUMNS = ("agent", "done", "path")
+
+
+@click.group()
+def record() -> None:
+    """Recordings of what agents say.
+
+    Each agent records what is seen on its own channels. The files of several agents in one folder are one recording,
+    in which a task that moves can be followed. Foxglove opens them.
+    """
+
+
+@record.command()
+@agents
+@click.option("--path", metavar="FILE", default="", help="Where to, on the agent's machine; {agent} is its name.")
+@click.option("--channel", "channels", metavar="NAME", multiple=True, help="Only this channel. Repeatable.")
+@click.option("--type", "types", metavar="TYPE", multiple=True, help="Only this packet type. Repeatable.")
+@click.option("--task", metavar="ID", default="", help="Only what this task (BIRTHPLACE/NAME) reads and publishes.")
+@click.option("--limit-mib", type=FiniteRange(min=0.0), default=None, help="How large it may become.")
+@click.option("--split-mib", type=FiniteRange(min=0.0, min_open=True), help="A new file begins at this size.")
+@dry_run_option
+@orders_agents
+def start(agents: tuple[str, ...], channels: tuple[str, ...], task: str, dry_run: bool, ask: Ask, **given: Any) -> None:
+    """Begin to record on all agents, or on those that are named.
+
+    What is not said here is as the table [record] of the agent's configuration says. A file that is there already is
+    left alone: the new one gets a number.
+
+    \b
+    Example:
+        pancakes record start
+        pancakes record start agent1 --path 'runs/{agent}.mcap' --channel system --channel ctrl
+        pancakes record start --task agent1/ScanTarget
+    """
+    given |= {"channels": channels, "task": task}
+    settings = {key: value for key, value in given.items() if value not in ("", (), None)}
+    with ask.client() as client:
+        rows = []
+        there = surveyed(client, *agents)
+        _check_channels(channels, there)
+        if task and not _runs(client, task, there):
+            show_text(f"no task {task} runs there now: of it nothing is recorded before it comes", err=True)
+        for agent in [described["agent"] for described in there]:
+            accepted(client, agent, Start(RECORDER, settings, dry_run))
+            done = DRY_RUN if dry_run else "recording"
+            rows.append({"agent": agent, "done": done, "path": None if dry_run else _path(client, agent)})
+    ask.show(rows, COLUMNS)
+
+
+@record.command()
+@agents
+@dry_run_option
+@orders_agents
+def stop(agents: tuple[str, ...], dry_run: bool, ask: Ask) -> None:
+    """End the recordings of all agents, or of those that are named, and wait until the files are complete.
+
+    \b
+    Example:
+        pancakes record stop
+    """
+    with ask.client() as client:
+        rows = []
+        for agent in _names(client, agents):
+            running = accepted(client, agent, Describe(RECORDER)).result["state"] == "running"
+            if not running and not agents:
+                continue
+            path = _path(client, agent)
+            accepted(client, agent, Stop(RECORDER, dry_run=dry_run))
+            rows.append({"agent": agent, "done": DRY_RUN if dry_run else "complete", "path": path})
+    if not rows:
+        raise ControlRefused("no agent records")
+    ask.show(rows, COLUMNS)
+
+
+@record.command("list")
+@agents
+@asks_agents
+def list_(agents: tuple[str, ...], ask: Ask) -> None:
+    """List which agents record, and where to.
+
+    \b
+    Example:
+        pancakes record list
+    """
+    with ask.client() as client:
+        rows = []
+        for agent in _names(client, agents):
+            told = accepted(client, agent, Describe(RECORDER)).result
+            done, path = told["reason"] or told["state"], None
+            if told["state"] == "running":
+                done, path = "recording", _path(client, agent)
+            elif told["reason"] == BY_ITSELF and (ended := _last(client, agent, "recording_stopped")) is not None:
+                done, path = f"ended: {ended['reason']}", ended["path"]
+            rows.append({"agent": agent, "done": done, "path": path})
+    ask.show(rows, COLUMNS)
+
+
+@record.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@format_option
+def info(path: Path, format_: str) -> None:
+    """Show what is in a recording: a file with its parts, or all files of a folder.
+
+    Times are the mission's, from its beginning on; duration_s is that of the recording.
+
+    \b
+    Example:
+        pancakes record info runs/encirclement-1-virtual/recording
+    """
+    load_packets()
+    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.tools.recording.summary import Summary
+
+    reader = RecordingReader(path)
+    time = reader.mission_time()
+    summary = Summary.of(reader.entries())
+    for note in reader.notes():
+        show_text(note, err=True)
+    virtual = any(reading.about.get("clock") == "mission time" for reading in reader.readings)
+    stays = [
+        {
+            "task_id": stay.task_id,
+            "agent": stay.agent,
+            "epoch": stay.epoch,
+            "from_s": round(time.at(stay.first_ns), 3),
+            "to_s": round(time.at(stay.last_ns), 3),
+            "published": stay.published,
+        }
+        for stay in summary.stays
+    ]
+    about = {
+        "path": str(path),
+        "files": [str(file) for file in reader.files],
+        "size_mib": round(sum(file.stat().st_size for file in reader.files) / 2**20, 3),
+        "begins": "in virtual time" if virtual else _moment(summary.first_ns) if summary.packets else None,
+        "time": time.name,
+        "from_s": round(time.at(summary.first_ns), 3),
+        "to_s": round(time.at(summary.last_ns), 3),
+        "duration_s": round((summary.last_ns - summary.first_ns) / 1e9, 3),
+        "packets": summary.packets,
+        "whole": all(reading.whole for reading in reader.readings),
+    }
+    topics = [topic.row() for _, topic in sorted(summary.topics.items())]
+    if format_ == "json":
+        show_json([{**about, "tasks": stays, "topics": topics}])
+    else:
+        show_sections({str(path): about, "tasks": stays, "topics": topics})
+
+
+@record.command()
+@click.argument("paths", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", metavar="FILE", type=click.Path(path_type=Path), help="Write it there, and leave FILE alone.")
+@dry_run_option
+@format_option
+def repair(paths: tuple[Path, ...], out: Path | None, dry_run: bool, format_: str) -> None:
+    """Make files whole again whose recorder was killed: everything that had reached the disk, with an index.
+
+    \b
+    Example:
+        pancakes record repair recordings/agent1.mcap
+    """
+    from pancakes.tools.recording.mcap_records import opened
+    from pancakes.tools.recording.recorded_packet import RecordingError
+    from pancakes.tools.recording.recording_reader import FileReading, files_of, messages
+    from pancakes.tools.recording.repair import repair as mend
+
+    files = [file for given in paths for file in files_of(given)]
+    if out is not None and len(files) > 1:
+        raise click.UsageError(f"--out goes with one file, these are {len(files)}")
+    rows: list[dict[str, Any]] = []
+    failed = False
+    for path in files:
+        if dry_run:
+            reading = FileReading(path)
+            with opened(path) as file:
+                count = sum(1 for _ in messages(reading, file))
+            done = "whole already" if reading.whole else DRY_RUN
+            rows.append({"file": str(path), "done": done, "messages": count, "bytes_lost": None})
+            continue
+        try:
+            made = mend(path, out)
+        except RecordingError as error:
+            if len(files) == 1:
+                raise
+            show_text(str(error), err=True)  # the others can be mended all the same
+            failed = True
+            continue
+        done = "whole already" if made.whole else "repaired"
+        rows.append({"file": str(made.path), "done": done, "messages": made.messages, "bytes_lost": made.bytes_lost})
+    show(rows, ("file", "done", "messages", "bytes_lost"), format_)
+    if failed:
+        sys.exit(REFUSED)
+
+
+def _names(client: Client, agents: tuple[str, ...]) -> list[str]:
+    return [described["agent"] for described in surveyed(client, *agents)]
+
+
+def _check_channels(channels: tuple[str, ...], agents: list[dict[str, Any]]) -> None:
+    """Refuses channels that no agent has; of those that only some have it tells."""
+    from pancakes.tools.recording.description import CHANNEL
+
+    known = list(dict.fromkeys(name for agent in agents for name in agent["channels"]))
+    for channel in channels:
+        lacking = [agent["agent"] for agent in agents if channel not in agent["channels"]]
+        if channel == CHANNEL or not lacking:
+            continue
+        if len(lacking) == len(agents):
+            raise ControlRefused(f"no agent has a channel {channel!r}, only {', '.join(known)}")
+        show_text(f"{', '.join(lacking)}: no channel {channel!r}, so nothing of it is recorded there", err=True)
+
+
+def _runs(client: Client, task_id: str, agents: list[dict[str, Any]]) -> bool:
+    """Returns whether a task runs on any of these agents, in whatever service."""
+    for row in [row for agent in agents for row in agent["tasks"]]:
+        if row["state"] == "running" and row["task"] == task_id.partition("/")[2]:
+            told = client.request(row["agent"], Describe(f"{row['service']}/{row['task']}"))
+            if told.ok and (told.result["fence"] or {}).get("task_id") == task_id:
+                return True
+    return False
+
+
+def _path(client: Client, agent: str) -> str | None:
+    """Returns the file that an agent records into, as its log says."""
+    started = _last(client, agent, "recording_started")
+    return started["path"] if started is not None else None
+
+
+def _last(client: Client, agent: str, kind: str) -> dict[str, Any] | None:
+    """Returns the last event of a kind in an agent's log, as far back as it is remembered."""
+    found, after = None, 0
+    while records := accepted(client, agent, History(after=after)).result:
+        after = records[-1]["entry"]
+        found = next((one for one in reversed(records) if one["kind"] == kind), found)
+    return found
+
+
+def _moment(time_ns: int) -> str:
+    return datetime.fromtimestamp(time_ns / 1e9, UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,203 @@
+"""`pancakes replay`: feeds recorded packets into agents that run, or into agents in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.client import Where
+from pancakes.tools.cli.asking import surveyed
+from pancakes.tools.cli.name_types import AGENT_NAME
+from pancakes.tools.cli.options import Ask, Duration, FiniteRange, dry_run_option, orders_agents
+from pancakes.tools.cli.output import DRY_RUN, show
+from pancakes.tools.cli.streaming import load_packets, say, until_ended
+
+if TYPE_CHECKING:
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.tools.replay.selection import Live, Selection, Tally
+
+COLUMNS: Final = ("agent", "channel", "type", "source", "packets", "done")
+
+
+@click.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.option(
+    "--speed",
+    metavar="TIMES",
+    type=FiniteRange(min=0.0, min_open=True, max=1000.0),
+    default=1.0,
+    show_default=True,
+    help="So many times as fast as then, in mission time.",
+)
+@click.option(
+    "--from", "from_s", metavar="TIME", type=Duration(), help="Begin at this mission time (see pancakes record info)."
+)
+@click.option("--to", "to_s", metavar="TIME", type=Duration(), help="End at this mission time.")
+@click.option(
+    "--only",
+    metavar="GLOB",
+    multiple=True,
+    help="All packets whose AGENT/CHANNEL/TYPE or whose source fits, and no others. Repeatable.",
+)
+@click.option(
+    "--as", "as_name", metavar="AGENT", type=AGENT_NAME, default="", help="Feed everything to this agent instead."
+)
+@click.option(
+    "--config",
+    "configs",
+    metavar="AGENT.toml",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Run this agent in virtual time and feed it, instead of agents that run. Repeatable.",
+)
+@click.option(
+    "--out",
+    metavar="DIR",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="With --config: the folder that the agents' own recordings are written to.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="With --config: draws what is drawn."
+)
+@dry_run_option
+@orders_agents
+def replay(
+    path: Path,
+    speed: float,
+    from_s: float | None,
+    to_s: float | None,
+    only: tuple[str, ...],
+    as_name: str,
+    configs: tuple[Path, ...],
+    out: Path | None,
+    seed: int,
+    dry_run: bool,
+    ask: Ask,
+) -> None:
+    """Feed a recording into a fleet: each packet goes to the agent that it was seen on, at its time.
+
+    Without --only, these are the packets on system and on channels of your own: readings, and news of others. What a
+    component says that runs in the fleet is left out, as it says that itself; a null device says nothing, so that its
+    readings are fed. Packets keep their recorded source, and bear the mission time of the agent that
+    gets them. Ctrl-C ends it.
+
+    With --config the agents run in virtual time, in this process, and what they say is recorded into --out.
+
+    \b
+    Example:
+        pancakes replay recordings --dry-run
+        pancakes replay recordings/agent1.mcap --from 30s --to 1min --only 'agent1/device/*'
+        pancakes replay recordings --only 'agent1/system/*' --as agent7 --speed 2
+        pancakes replay recordings --config agent1.toml --out again
+    """
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.tools.replay.selection import Selection
+
+    if bool(configs) != bool(out):
+        raise click.UsageError("--config and --out go together: the result is recorded into --out")
+    if configs and ask.where != Where():
+        raise click.UsageError("--at and --fleet name agents that run, --config such as are to run: say one of them")
+    if to_s is not None and to_s <= (from_s or 0.0):
+        raise click.UsageError(f"--to {to_s:g}s is not after --from {from_s or 0.0:g}s")
+    plugins = Plugins()
+    load_packets(plugins)
+    reader = RecordingReader(path)
+    selection = Selection({}, only, from_s or 0.0, to_s, as_name, reader.mission_time())
+    wanted = _ReplayRequest(reader, speed, selection)
+    if out is not None:
+        _feed_virtual(wanted, configs, out, plugins, seed, dry_run, ask.format_)
+    else:
+        _feed_live(wanted, dry_run, ask)
+
+
+@dataclass(frozen=True)
+class _ReplayRequest:
+    """What the command line says of what is to be fed."""
+
+    reader: RecordingReader
+    speed: float
+    wanted: Selection
+
+    def select(self, agents: dict[str, Live]) -> tuple[Selection, Tally]:
+        """Returns what is fed into agents, and how much that is."""
+        from pancakes.errors import Unreachable
+        from pancakes.tools.replay.selection import tally_of
+
+        as_name = self.wanted.as_name
+        if as_name and as_name not in agents:
+            raise Unreachable(f"there is no agent {as_name!r}, only {', '.join(sorted(agents))}")
+        selection = replace(self.wanted, agents=agents)
+        tally = tally_of(selection, self.reader.entries())
+        for note in self.reader.notes():
+            say(note)
+        return selection, tally
+
+    def recorded_speed(self) -> float:
+        """Returns how many mission seconds a second of the recording is."""
+        speeds = {float(reading.about.get("speed", 1.0)): reading.path for reading in self.reader.readings}
+        if len(speeds) > 1:
+            told = ", ".join(f"{path} at {speed:g}" for speed, path in speeds.items())
+            say(f"the files were recorded at different speeds of the mission, the first counts: {told}")
+        return next(iter(speeds))
+
+
+def _feed_live(wanted: _ReplayRequest, dry_run: bool, ask: Ask) -> None:
+    from pancakes.tools.replay.feeding import Feeder
+    from pancakes.tools.replay.selection import Live
+
+    with until_ended(), ask.client() as client:
+        agents = {told["agent"]: Live.of(told) for told in surveyed(client)}
+        selection, tally = wanted.select(agents)
+        if dry_run:
+            ask.show(_rows(tally, tally, True), COLUMNS)
+            return
+        assert tally.first_ns is not None
+        feeder = Feeder(client, selection, say)
+        try:
+            feeder.feed(wanted.reader.entries(), tally.first_ns, wanted.speed, wanted.recorded_speed())
+        except KeyboardInterrupt:
+            say("the replay was ended")
+        feeder.settle()
+        ask.show(_rows(tally, feeder.tally, False), COLUMNS)
+
+
+def _feed_virtual(
+    wanted: _ReplayRequest, paths: tuple[Path, ...], out: Path, plugins: Plugins, seed: int, dry_run: bool, format_: str
+) -> None:
+    from pancakes.errors import PancakesError
+    from pancakes.runtime.config import load
+    from pancakes.tools.replay.virtual_replay import VirtualReplay
+
+    configs = [load(path, (), plugins) for path in paths]
+    if not dry_run:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise PancakesError(f"the output folder {out} cannot be used: {error.strerror}") from None
+    with until_ended(), VirtualReplay(configs, None if dry_run else out, plugins, seed) as fleet:
+        selection, tally = wanted.select(fleet.start())
+        if dry_run:
+            show(_rows(tally, tally, True), COLUMNS, format_)
+            return
+        assert tally.first_ns is not None
+        scale = wanted.recorded_speed() / wanted.speed
+        fleet.feed(selection, wanted.reader.entries(), tally.first_ns, scale)
+        for sentence in dict.fromkeys(fleet.refused):
+            say(sentence)
+        fed = fleet.tally
+    show(_rows(tally, fed, False), COLUMNS, format_)
+    say(f"what the agents made of it is in {out}")
+
+
+def _rows(planned: Tally, done: Tally, dry_run: bool) -> list[dict[str, Any]]:
+    rows = []
+    for topic, count in sorted(planned.packets.items()):
+        fed = count if topic.left_out else done.packets.get(topic, 0)
+        what = f"left out: {topic.left_out}" if topic.left_out else DRY_RUN if dry_run else "fed"
+        rows.append({**topic._asdict(), "packets": fed, "done": what})
+    return rows

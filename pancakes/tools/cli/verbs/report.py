@@ -1,0 +1,42 @@
+"""`pancakes report`: a recording as a page, and as pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pancakes.tools.cli.options import format_option
+from pancakes.tools.cli.output import show, show_text
+from pancakes.tools.cli.streaming import load_packets
+
+
+@click.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the report. [default: FILE-report or DIR-report, beside it]",
+)
+@click.option("--task", metavar="ID", default="", help="Tell only of this task (BIRTHPLACE/NAME).")
+@format_option
+def report(path: Path, out: Path | None, task: str, format_: str) -> None:
+    """Make a report of a recording: a file with its parts, or all files of a folder.
+
+    It tells where each robot went, which agent ran which task, how tasks moved, batteries, rates, lateness, drops,
+    traffic, and what led to the commands of actuators. The page, report.html, needs no other file. Each picture is also
+    there as PNG and SVG, in the size of a paper's column, and report.json has the figures.
+
+    \b
+    Example:
+        pancakes report runs/encirclement-1-virtual/recording
+        pancakes report recordings/agent1.mcap --out paper/figures --task agent1/ScanTarget
+    """
+    from pancakes.tools.report.making import make_report
+
+    load_packets()
+    given = path.resolve()
+    made = make_report(path, out or given.with_name(given.name.removesuffix(".mcap") + "-report"), task)
+    for note in made.notes:
+        show_text(note, err=True)
+    show([{"file": str(file), "shows": shows} for file, shows in made.files], ("file", "shows"), format_)

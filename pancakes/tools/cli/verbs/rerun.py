@@ -1,0 +1,212 @@
+"""`pancakes rerun`: runs one task of a recording through its present code, and shows what it does otherwise now."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.tools.cli.exit_codes import OK, REFUSED
+from pancakes.tools.cli.options import Duration, FiniteRange, format_option
+from pancakes.tools.cli.output import show, show_json, show_text
+from pancakes.tools.cli.streaming import load_packets, one_line, say
+from pancakes.tools.cli.verbs import param_file
+from pancakes.tools.cli.verbs.param_names import Changes, set_option
+
+if TYPE_CHECKING:
+    from pancakes.tools.replay.comparison import Difference, RunComparison, StreamKey
+    from pancakes.tools.replay.rerun import Outcome
+    from pancakes.tools.replay.script import Script
+    from pancakes.tools.replay.stays import Stay
+
+SHOWN: Final = 10
+LONGEST: Final = 100
+"""So many characters of a packet's body are shown in a line."""
+
+
+@click.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.argument("task", metavar="TASK")
+@click.option("--stay", "number", metavar="N", type=click.IntRange(min=1), help="Only the task's Nth stay, from 1.")
+@click.option("--agent", metavar="AGENT", default="", help="Only its stays on this agent.")
+@set_option("Run it with another setting. Repeatable.")
+@click.option(
+    "--tolerance",
+    metavar="SHARE",
+    type=FiniteRange(min=0.0),
+    default=1e-6,
+    show_default=True,
+    help="Numbers are equal that differ by less, as a share of themselves, or from 0.",
+)
+@click.option(
+    "--time-tolerance",
+    "time_s",
+    metavar="TIME",
+    type=Duration(),
+    default="50ms",
+    show_default=True,
+    help="Packets are compared that were published no further apart, in mission time.",
+)
+@click.option(
+    "--show", "most", metavar="N", type=click.IntRange(min=0), default=SHOWN, show_default=True,
+    help="How many differences of each stay are shown.",
+)  # fmt: skip
+@format_option
+def rerun(
+    path: Path,
+    task: str,
+    number: int | None,
+    agent: str,
+    sets: Changes,
+    tolerance: float,
+    time_s: float,
+    most: int,
+    format_: str,
+) -> None:
+    """Run a recorded task through its present code, and show where its packets differ from the recorded ones.
+
+    TASK is the task's identity for life, BIRTHPLACE/NAME, or its name where only one task bears it. It is run in
+    virtual time, alone: it gets the packets that it got then, at their times, its timers tick as they did, and what was
+    changed while it ran is changed again. Each of its stays on an agent is run by itself. Exit code 0 where all that it
+    publishes is as it was, 1 where not.
+
+    \b
+    Example:
+        pancakes rerun runs/encirclement-1-virtual/recording ScanTarget
+        pancakes rerun recordings agent1/ScanTarget --stay 1 --set radius_m=0.8
+    """
+    from pancakes.runtime.plugins import Plugins
+    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.tools.replay.comparison import Tolerance, compare
+    from pancakes.tools.replay.rerun import Rerun, class_of
+    from pancakes.tools.replay.script import read_script
+    from pancakes.tools.replay.stays import choose_stays, find_stays
+
+    plugins = Plugins()
+    load_packets(plugins)
+    reader = RecordingReader(path)
+    stays = find_stays(reader.entries())
+    for note in reader.notes():
+        say(note)
+    about = {reading.about.get("agent", ""): reading.about for reading in reader.readings}
+    rows = []
+    for stay in choose_stays(stays, task, agent, number):
+        cls = class_of(stay, plugins)
+        settings = param_file.changes_of(stay.task.settings, dict(sets))
+        told = about.get(stay.agent, {})
+        speed, virtual = float(told.get("speed", 1.0)), told.get("clock") == "mission time"
+        script = read_script(RecordingReader(path).entries(), stay, cls, speed, virtual)
+        outcome = Rerun(stay, script, cls, settings).run()
+        comparison = compare(script.outputs, outcome.outputs, stay.task.address, Tolerance(tolerance, time_s))
+        row = _row(stay, script, outcome, comparison, most)
+        rows.append(row)
+        if format_ == "table":
+            _print(stay, row, comparison, most)
+    if format_ == "json":
+        show_json(rows)
+    sys.exit(OK if all(row["agrees"] for row in rows) else REFUSED)
+
+
+def _row(stay: Stay, script: Script, outcome: Outcome, comparison: RunComparison, most: int) -> dict[str, Any]:
+    from pancakes.tools.replay.stays import FAILED
+    from pancakes.tools.replay.steps import Given
+
+    inputs = sum(isinstance(step, Given) for step in script.steps)
+    failed_then = stay.reason if stay.end == FAILED else None
+    return {
+        "task_id": stay.task_id,
+        "agent": stay.agent,
+        "address": stay.task.address,
+        "type": stay.task.type,
+        "from_s": round(stay.begins_s, 6),
+        "to_s": round(script.end_s, 6),
+        "whole": stay.whole,
+        "inputs": inputs,
+        "superseded": script.superseded,
+        "changes": len(script.steps) - inputs,
+        "agrees": comparison.agrees and _error(failed_then or "") == _error(outcome.failed),
+        "failed_then": failed_then,
+        "failed_now": outcome.failed or None,
+        "failed_now_s": outcome.failed_s if outcome.failed else None,
+        "notes": [*_notes(stay), *outcome.notes],
+        "streams": [
+            {"channel": key.channel, "type": key.type, "to": key.to, **vars(counts)}
+            for key, counts in comparison.streams.items()
+        ],
+        "differences": [_plain(difference) for difference in comparison.differences[:most]],
+        "differences_left_out": max(0, len(comparison.differences) - most),
+    }
+
+
+def _error(text: str) -> str:
+    """Returns the sentence of a failure without its place in the code, which an edit moves."""
+    return re.sub(r" \([^()]+:\d+, in \S+\)$", "", text)
+
+
+def _notes(stay: Stay) -> list[str]:
+    if stay.whole:
+        return []
+    return [
+        "the recording begins while the task ran already: what it kept outside of its state is not known, nor where"
+        " its random numbers were"
+    ]
+
+
+def _plain(difference: Difference) -> dict[str, Any]:
+    from pancakes.packet import body_to_plain
+    from pancakes.tools.replay.comparison import DIFFERENT, key_of
+
+    packet = difference.packet
+    return {
+        "kind": difference.kind,
+        "time_s": packet.stamp,
+        **key_of(packet)._asdict(),
+        "seq": packet.seq,
+        "cause": list(packet.cause) if packet.cause is not None else None,
+        "fields": [it._asdict() for it in difference.fields],
+        "body": None if difference.kind == DIFFERENT else body_to_plain(packet.body),
+    }
+
+
+def _print(stay: Stay, row: dict[str, Any], comparison: RunComparison, most: int) -> None:
+    show_text(
+        f"{stay.task_id} ({stay.task.type}) on {stay.agent}, {row['from_s']:.3f} to {row['to_s']:.3f} s:"
+        f" {row['inputs']} packets in, {sum(it['recorded'] for it in row['streams'])} out"
+    )
+    for note in row["notes"]:
+        show_text(f"note: {note}")
+    if row["streams"]:
+        show(row["streams"], list(row["streams"][0]), "table")
+    for difference in comparison.differences[:most]:
+        for line in _lines(difference):
+            show_text(line)
+    if row["differences_left_out"]:
+        show_text(f"... and {row['differences_left_out']} more (--show)")
+    if row["failed_now"]:
+        show_text(f"{row['failed_now_s']:9.3f} s  it fails now: {row['failed_now']}")
+    if row["failed_then"]:
+        show_text(f"{row['to_s']:9.3f} s  it failed then: {row['failed_then']}")
+    show_text("it agrees with the recording" if row["agrees"] else "it differs from the recording")
+
+
+def _lines(difference: Difference) -> list[str]:
+    from pancakes.packet import body_to_plain
+    from pancakes.tools.replay.comparison import DIFFERENT, key_of
+
+    packet = difference.packet
+    head = f"{packet.stamp:9.3f} s  {_named(key_of(packet))}"
+    if difference.kind != DIFFERENT:
+        return [f"{head}: {difference.kind}: {_short(body_to_plain(packet.body))}"]
+    return [f"{head}: {it.field} was {_short(it.recorded)}, is {_short(it.now)}" for it in difference.fields]
+
+
+def _named(key: StreamKey) -> str:
+    return f"{key.channel} {key.type}" + (f" to {key.to}" if key.to else "")
+
+
+def _short(value: Any) -> str:
+    text = one_line(value)
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."

@@ -1,0 +1,146 @@
+"""A JSON Schema as rows for people: what may be set, of which type, within which bounds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from pancakes.runtime.config.toml_text import key_text, value_text
+
+COLUMNS: Final = ("param", "type", "default", "bounds", "unit", "description")
+
+_REF: Final = "#/$defs/"
+_TYPES: Final = {
+    "string": "text",
+    "integer": "integer",
+    "number": "number",
+    "boolean": "true or false",
+    "array": "list",
+    "object": "table",
+    "null": "nothing",
+}
+_UNITS: Final = {
+    "per_m": "1/m",
+    "per_s": "1/s",
+    "j_per_m": "J/m",
+    "radps": "rad/s",
+    "mps": "m/s",
+    "mib": "MiB",
+    "rad": "rad",
+    "deg": "°",
+    "mah": "mAh",
+    "hz": "Hz",
+    "ms": "ms",
+    "mm": "mm",
+    "m": "m",
+    "s": "s",
+    "v": "V",
+    "w": "W",
+    "j": "J",
+}
+"""The units that names end with; longer endings first."""
+_BOUNDS: Final = (
+    ("exclusiveMinimum", "> {}"),
+    ("minimum", ">= {}"),
+    ("exclusiveMaximum", "< {}"),
+    ("maximum", "<= {}"),
+    ("multipleOf", "a multiple of {}"),
+    ("minLength", "at least {} long"),
+    ("maxLength", "at most {} long"),
+    ("minItems", "at least {} items"),
+    ("maxItems", "at most {} items"),
+    ("pattern", "matches {}"),
+)
+
+
+def rows_of(
+    schema: Mapping[str, Any], keys: tuple[str, ...] = (), definitions: Mapping[str, Any] | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yields a row for each key of an object, with those of the tables inside it after it.
+
+    A row has `param` (a key as TOML writes it; `NAME` stands for a name of one's own), `type`, `default` (None where
+    there is none), `required`, `bounds`, `unit` and `description`.
+
+    Args:
+        schema: the object's schema, as `pancakes.runtime.foundation.schema` makes it.
+        keys: the keys that lead to it.
+        definitions: what its references lead to; None: its own `$defs`.
+    """
+    definitions = schema.get("$defs", {}) if definitions is None else definitions
+    required = schema.get("required", ())
+    for name, part in schema.get("properties", {}).items():
+        path = (*keys, name)
+        yield {
+            "param": key_text(path),
+            "type": _type_of(part, definitions),
+            "default": part.get("default"),
+            "required": name in required,
+            "bounds": _bounds_of(_resolved(part, definitions)),
+            "unit": part.get("unit") or unit_of(name),
+            "description": part.get("description", ""),
+        }
+        yield from _inside(part, path, definitions)
+
+
+def unit_of(name: str) -> str:
+    """Returns the unit that the name of a quantity ends with: `radius_m` is in metres; empty where it says none."""
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(f"_{ending}") or name == ending), "")
+
+
+def _inside(part: Mapping[str, Any], path: tuple[str, ...], definitions: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for arm in _arms(_resolved(part, definitions), definitions):
+        if "properties" in arm:
+            yield from rows_of(arm, path, definitions)
+        values = arm.get("additionalProperties")
+        if isinstance(values, Mapping):
+            for inner in _arms(_resolved(values, definitions), definitions):
+                if "properties" in inner:
+                    yield from rows_of(inner, (*path, "NAME"), definitions)
+
+
+def _resolved(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Follows a reference; what stands beside it goes before what it leads to."""
+    reference = part.get("$ref")
+    if not isinstance(reference, str) or not reference.startswith(_REF):
+        return part
+    found = definitions.get(reference.removeprefix(_REF), {})
+    return {**found, **{key: value for key, value in part.items() if key != "$ref"}}
+
+
+def _arms(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    arms = part.get("anyOf") or part.get("oneOf")
+    return [_resolved(arm, definitions) for arm in arms] if arms else [part]
+
+
+def _type_of(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    words = dict.fromkeys(_word(arm, definitions) for arm in _arms(_resolved(part, definitions), definitions))
+    # What may be left out is said by its having no default; TOML has no word for it.
+    return " or ".join(word for word in words if word != "nothing" or len(words) == 1)
+
+
+def _word(part: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+    if "enum" in part:
+        return " or ".join(value_text(value) for value in part["enum"])
+    if "const" in part:
+        return value_text(part["const"])
+    kind = part.get("type")
+    if isinstance(kind, list):
+        return " or ".join(_TYPES.get(str(one), str(one)) for one in kind)
+    if kind == "array" and isinstance(part.get("items"), Mapping) and part["items"]:
+        return f"list of {_type_of(part['items'], definitions)}"
+    return _TYPES.get(str(kind), "anything")
+
+
+def _bounds_of(part: Mapping[str, Any]) -> str:
+    arms = part.get("anyOf") or [part]
+    found = []
+    for arm in arms:
+        words = [text.format(_short(arm[key])) for key, text in _BOUNDS if key in arm]
+        if words:
+            found.append(", ".join(words))
+    return " or ".join(dict.fromkeys(found))
+
+
+def _short(value: Any) -> str:
+    return re.sub(r"\.0$", "", f"{value:g}" if isinstance(value, float) else str(value))

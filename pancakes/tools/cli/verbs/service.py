@@ -1,0 +1,128 @@
+"""`pancakes service ...`: the services of agents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pancakes.control import Restart, Start, Stop
+from pancakes.errors import ControlRefused
+from pancakes.runtime.foundation.suggestion import hint_of
+from pancakes.runtime.life.restart import tries
+from pancakes.tools.cli.asking import show_done, survey
+from pancakes.tools.cli.name_types import ServiceName, a_service, agents
+from pancakes.tools.cli.options import Ask, Duration, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.tools.cli.output import show_json, show_sections
+
+COLUMNS = ("agent", "service", "type", "state", "tasks", "reason")
+TASKS = ("task", "type", "state", "rate_hz", "reason")
+STATES = ("stopped", "starting", "running", "stopping", "restarting", "failed")
+"""The words of `pancakes.runtime.life.life` for services, which is not imported for them: a command has to be quick."""
+
+
+@click.group()
+def service() -> None:
+    """Services that agents have."""
+
+
+@service.command("list")
+@agents
+@click.option("--state", type=click.Choice(STATES), help="Only those in this state.")
+@asks_agents
+def list_(agents: tuple[str, ...], state: str | None, ask: Ask) -> None:
+    """List the services of all agents, or of those that are named.
+
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+
+    \b
+    Example:
+        pancakes service list
+        pancakes service list agent1 --state failed --format json
+    """
+    found = survey(ask, *agents)
+    rows = [row for agent in found for row in agent["services"] if state in (None, row["state"])]
+    ask.show(rows, COLUMNS)
+
+
+@service.command()
+@a_service
+@asks_agents
+def info(name: ServiceName, ask: Ask) -> None:
+    """Show a service and its tasks.
+
+    \b
+    Example:
+        pancakes service info agent1/device
+    """
+    (agent,) = survey(ask, name.agent)
+    rows = {row["service"]: row for row in agent["services"]}
+    if name.service not in rows:
+        hint = hint_of(name.service, list(rows))
+        raise ControlRefused(f"{name.agent} has no service {name.service!r}{hint}")
+    tasks = [row for row in agent["tasks"] if row["service"] == name.service]
+    found: dict[str, Any] = {**rows[name.service], "tasks": tasks}
+    if ask.format_ == "json":
+        show_json([found])
+        return
+    facts = {**{key: found[key] for key in ("type", "state", "reason")}, "tries": tries(found)}
+    rows_of_tasks = [
+        {**{key: row[key] for key in TASKS}, "state": row["rest"] or row["state"], "tries": tries(row)} for row in tasks
+    ]
+    show_sections({str(name): facts, "tasks": rows_of_tasks})
+
+
+@service.command()
+@a_service
+@dry_run_option
+@orders_agents
+def start(name: ServiceName, dry_run: bool, ask: Ask) -> None:
+    """Start a service that stands still, and wait until it and its tasks run.
+
+    \b
+    Example:
+        pancakes service start agent1/client
+    """
+    _order(ask, name, "started", Start(name.target, dry_run=dry_run))
+
+
+@service.command()
+@a_service
+@click.option(
+    "--for", "for_s", metavar="TIME", type=Duration(), help="It starts again by itself after this mission time: 30s."
+)
+@dry_run_option
+@orders_agents
+def stop(name: ServiceName, for_s: float | None, dry_run: bool, ask: Ask) -> None:
+    """Stop a service and all of its tasks, and wait for that.
+
+    The Network Service of another agent can be stopped for a time only: no command could reach it to start it again.
+
+    \b
+    Example:
+        pancakes service stop agent1/client
+        pancakes service stop agent1/network --for 30s
+    """
+    _order(ask, name, "stopped", Stop(name.target, for_s, dry_run), for_s=for_s)
+
+
+@service.command()
+@a_service
+@keep_state_option("Whether its tasks go on with their state and settings, or begin as their configuration says.")
+@dry_run_option
+@orders_agents
+def restart(name: ServiceName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
+    """Stop a service and all of its tasks, start it, and wait until it runs.
+
+    \b
+    Example:
+        pancakes service restart agent1/device
+        pancakes service restart agent1/client --drop-state
+    """
+    _order(ask, name, "restarted", Restart(name.target, keep_state, dry_run))
+
+
+def _order(ask: Ask, name: ServiceName, done: str, body: Start | Stop | Restart, **others: Any) -> None:
+    """Has an agent do something with a service, and shows that it was done."""
+    with ask.client() as client:
+        show_done(ask, client, name, done, body, **others)

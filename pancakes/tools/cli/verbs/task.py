@@ -1,0 +1,217 @@
+"""`pancakes task ...`: the tasks of agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from fnmatch import fnmatchcase
+from typing import Any
+
+import click
+
+from pancakes.control import Describe, Reschedule, Restart, Start, Stop
+from pancakes.runtime.life.restart import tries
+from pancakes.tools.cli.asking import order, placed, show_done, survey
+from pancakes.tools.cli.name_types import TaskName, a_task, agents
+from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
+from pancakes.tools.cli.output import show, show_json, show_sections
+from pancakes.tools.cli.verbs.migration import adopt, forget, migrate, migrations
+from pancakes.tools.cli.verbs.param_names import Changes, set_option
+from pancakes.tools.cli.verbs.task_completion import timers
+
+COLUMNS = ("agent", "service", "task", "type", "state", "rate_hz")
+LONG = (*COLUMNS, "incarnation", "ticks", "missed", "lateness_max_s", "dropped", "reason")
+READS = ("channel", "types", "keep", "limit", "waiting", "dropped")
+STATES = ("stopped", "starting", "running", "stopping", "stuck", "restarting", "failed")
+"""The values of `pancakes.runtime.life.life.WORDS`, which is not imported for them: a command has to be quick."""
+
+
+@click.group()
+def task() -> None:
+    """Tasks that agents have; a device is a task too, and bears the device's name."""
+
+
+task.add_command(migrate)
+task.add_command(migrations)
+task.add_command(adopt)
+task.add_command(forget)
+
+
+@task.command("list")
+@agents
+@click.option("--service", metavar="NAME", default="", help="Only tasks of the service of this name.")
+@click.option("--type", "type_", metavar="PATTERN", default="*", help="Only tasks of these types: sim.*")
+@click.option("--state", type=click.Choice(STATES), help="Only tasks in this state.")
+@click.option("--long", "-l", is_flag=True, help="Also how often they began, what they missed, and why they stopped.")
+@asks_agents
+def list_(agents: tuple[str, ...], service: str, type_: str, state: str | None, long: bool, ask: Ask) -> None:
+    """List the tasks of all agents, or of those that are named.
+
+    An agent that does not answer in time is named on standard error; the exit code is 3 where none answers.
+
+    \b
+    Example:
+        pancakes task list
+        pancakes task list agent1 --format json
+        pancakes task list --service device --state running
+    """
+    rows = [
+        row
+        for found in survey(ask, *agents)
+        for row in found["tasks"]
+        if service in ("", row["service"]) and state in (None, row["state"]) and fnmatchcase(row["type"], type_)
+    ]
+    if ask.format_ == "table":  # for people, the word that says more
+        rows = [{**row, "state": row["rest"] or row["state"]} for row in rows]
+    show(rows, (*(LONG if long else COLUMNS), *(("rest",) if ask.format_ == "json" else ())), ask.format_)
+
+
+@task.command()
+@a_task
+@asks_agents
+def info(name: TaskName, ask: Ask) -> None:
+    """Show all that is known of a task: its timers, what it reads, its settings, when it is started again, and how it
+    failed the last time, with the whole traceback.
+
+    As JSON, it is the answer of its agent as it stands, with the JSON Schema of the settings.
+
+    \b
+    Example:
+        pancakes task info agent1/ScanTarget
+        pancakes task info agent1/pose --format json
+    """
+    with ask.client() as client:
+        name = placed(client, name)
+        found = order(client, name.agent, Describe(name.target))
+    if ask.format_ == "json":
+        show_json([found])
+    else:
+        show_sections(_sections(str(name), found))
+
+
+@task.command()
+@a_task
+@set_option("Start it with this setting. Repeatable.")
+@dry_run_option
+@orders_agents
+def start(name: TaskName, sets: Changes, dry_run: bool, ask: Ask) -> None:
+    """Start a task that stands still, and wait until it runs.
+
+    A value of --set that reads as TOML is taken as such (5, true, [1, 2]), anything else as a string.
+
+    \b
+    Example:
+        pancakes task start agent1/GoHome
+        pancakes task start agent1/ScanTarget --set radius_m=0.8
+    """
+    from pancakes.tools.cli.verbs.param_file import changes_of
+
+    settings = changes_of({}, dict(sets)) or None
+    _order(ask, name, "started", lambda target: Start(target, settings, dry_run))
+
+
+@task.command()
+@a_task
+@dry_run_option
+@orders_agents
+def stop(name: TaskName, dry_run: bool, ask: Ask) -> None:
+    """Stop a task once it has finished what it has in hand, and wait for that.
+
+    It stays stopped, also when its agent is started anew.
+
+    \b
+    Example:
+        pancakes task stop agent1/ScanTarget
+    """
+    _order(ask, name, "stopped", lambda target: Stop(target, dry_run=dry_run))
+
+
+@task.command()
+@a_task
+@keep_state_option("Whether it goes on with its state and settings, or begins as its configuration says.")
+@dry_run_option
+@orders_agents
+def restart(name: TaskName, keep_state: bool, dry_run: bool, ask: Ask) -> None:
+    """Stop a task, start it, and wait until it runs.
+
+    \b
+    Example:
+        pancakes task restart agent1/ScanTarget --drop-state
+    """
+    _order(ask, name, "restarted", lambda target: Restart(target, keep_state, dry_run))
+
+
+@task.command()
+@a_task
+@click.argument("rate_hz", metavar="HZ", type=FiniteRange(min=0.0))
+@click.option(
+    "--timer",
+    metavar="METHOD",
+    default="",
+    shell_complete=timers,
+    help="Which of its timers, where it has several.",
+)
+@dry_run_option
+@orders_agents
+def rate(name: TaskName, rate_hz: float, timer: str, dry_run: bool, ask: Ask) -> None:
+    """Change the rate of a time-driven task to HZ ticks a second, from its next tick on; 0 lets it rest.
+
+    \b
+    Example:
+        pancakes task rate agent1/ir 2
+        pancakes task rate agent1/Discovery 0.2 --timer announce
+    """
+    _order(ask, name, "rate changed", lambda target: Reschedule(target, rate_hz, timer, dry_run))
+
+
+def _order(ask: Ask, name: TaskName, done: str, body: Callable[[str], Start | Stop | Restart | Reschedule]) -> None:
+    """Has an agent do something with a task, given what asks for it by the task's target; shows that it was done."""
+    with ask.client() as client:
+        name = placed(client, name)
+        show_done(ask, client, name, done, body(name.target))
+
+
+def _sections(name: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """All about one task, for people."""
+    fence, failure = found["fence"], found["failure"]
+    return {
+        name: {
+            "type": found["type"],
+            "state": found["rest"] or found["state"],
+            "reason": found["reason"],
+            "tries": tries(found),
+            "starts": found["incarnation"],
+            "requires": found["requires"],
+            "on disk": found["durability"],
+            "started again": _policy(found["restart"]),
+            "epoch": None if fence is None else f"{fence['epoch']} of {fence['task_id']}",
+            "packets dropped": found["dropped"],
+        },
+        "timers": [
+            {
+                **{key: timer[key] for key in ("timer", "rate_hz", "ticks", "missed")},
+                "lateness_mean_ms": 1e3 * timer["lateness_mean_s"],
+                "lateness_max_ms": 1e3 * timer["lateness_max_s"],
+            }
+            for timer in found["timers"]
+        ],
+        "reads": [
+            {
+                **{key: row[key] for key in READS},
+                "types": "all" if row["types"] is None else row["types"],
+            }
+            for row in found["reads"]
+        ],
+        "settings": found["settings"],
+        f"last failure, at {failure['t_s']:.3f} s" if failure else "": failure["traceback"] if failure else "",
+    }
+
+
+def _policy(restart: Mapping[str, Any]) -> str:
+    """A restart policy in a line."""
+    if restart["policy"] == "temporary":
+        return "temporary"
+    again = f", then each {restart['again_s']:g} s" if restart["again_s"] else ""
+    return (
+        f"{restart['policy']}, at most {restart['at_most']} times in {restart['within_s']:g} s,"
+        f" after {restart['pause_s']:g} s to {restart['pause_max_s']:g} s{again}"
+    )

@@ -1,0 +1,228 @@
+"""`pancakes top`: watches agents and tasks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.client import Client
+from pancakes.client.looks import Looks
+from pancakes.errors import Unreachable
+from pancakes.runtime.foundation.printable import printable
+from pancakes.tools.cli.asking import surveyed
+from pancakes.tools.cli.name_types import agents as some_agents
+from pancakes.tools.cli.options import Ask, Duration, asks_agents
+from pancakes.tools.cli.output import show_drawn, show_json, show_text
+from pancakes.tools.cli.streaming import one_line, until_ended
+
+if TYPE_CHECKING:
+    from rich.console import Group
+    from rich.table import Table
+
+Row = Mapping[str, Any]
+
+AGENTS: Final = {
+    "agent": "agent",
+    "state": "state",
+    "cpu %": "processor_share",
+    "MiB": "memory_mib",
+    "late ms": "lateness_s",
+    "links": "links",
+    "missed": "missed",
+    "dropped": "dropped",
+    "battery %": "battery_level",
+}
+"""The columns of the upper table, and what is in them."""
+TASKS: Final = {
+    "task": "name",
+    "state": "state",
+    "wanted Hz": "rate_hz",
+    "Hz": "achieved_hz",
+    "late ms": "lateness_s",
+    "missed": "missed",
+    "dropped": "dropped",
+    "restarts": "restarts",
+}
+"""The columns of the lower table."""
+SORTS: Final = {"name": "", "rate": "achieved_hz", "late": "lateness_s", "missed": "missed", "dropped": "dropped"}
+"""The orders of tasks, and what goes by the largest first."""
+
+SHORTEST_LOOK_S: Final = 0.5
+"""An agent may take that long for its answer, however often it is looked."""
+SLOW: Final = 0.8
+"""A task that reaches a smaller share of the rate that is wanted of it stands out."""
+
+
+@click.command()
+@some_agents
+@click.option("--once", is_flag=True, help="Print one table and end.")
+@click.option(
+    "--every",
+    "every_s",
+    metavar="TIME",
+    type=Duration(),
+    default="1s",
+    show_default=True,
+    help="How often to look; with --once, how long to watch.",
+)
+@click.option(
+    "--sort",
+    type=click.Choice(list(SORTS)),
+    default="name",
+    show_default=True,
+    help="The order of the tasks; all but names begin with the largest.",
+)
+@asks_agents
+def top(agents: tuple[str, ...], once: bool, every_s: float, sort: str, ask: Ask) -> None:
+    """Watch all agents, or those named, and their tasks, until Ctrl-C.
+
+    Of an agent: the share of one processor that it uses, its memory, how late its tasks tick in the mean, to how many
+    other agents it has links, the ticks that never came and the packets that fell out of mailboxes since its tasks were
+    started, and its battery. Of a task: the rate that is wanted, and the one that it reaches, over up to 10 s; "-" as
+    long as too few ticks tell. Rates and lateness are in mission time.
+    JSON is a list of agents with --once, and else an agent a line at each look.
+
+    \b
+    Example:
+        pancakes top
+        pancakes top --once --every 5s --sort late
+        pancakes top agent1 --once --format json
+    """
+    with until_ended(), ask.client() as client:
+        looks = _looks(client, agents, every_s, once)
+        if ask.format_ == "json":
+            for rows in looks:
+                if once:
+                    show_json([_sorted_in(row, sort) for row in rows])
+                else:
+                    for row in rows:
+                        show_text(one_line(_sorted_in(row, sort)))
+        elif once or not sys.stdout.isatty():
+            for rows in looks:
+                show_drawn(picture(rows, sort))
+        else:
+            _live(looks, sort)
+
+
+def _looks(client: Client, agents: Sequence[str], every_s: float, once: bool) -> Iterator[list[dict[str, Any]]]:
+    """Yields what is to be shown: at each look, or once after the second."""
+    looks = Looks()
+    found = surveyed(client, *agents)
+    due_s = client.now()
+    rows = looks.look(found)
+    while True:
+        if not once:
+            yield rows
+        due_s = max(due_s + every_s, client.now())
+        client.wait(due_s, lambda: False)
+        client.look_again()
+        try:
+            # An agent that does not answer must not delay the next look at the others.
+            limit_s = client.timeout_s if once else min(client.timeout_s, max(every_s, SHORTEST_LOOK_S))
+            described = client.survey(*agents, timeout_s=limit_s).agents
+        except Unreachable:
+            described = []
+        rows = looks.look(described)
+        if once:
+            if not described:
+                raise Unreachable(f"{', '.join(row['agent'] for row in rows)} answered once, and then no more")
+            yield rows
+            return
+
+
+def _live(looks: Iterator[list[dict[str, Any]]], sort: str) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        for rows in looks:
+            live.update(picture(rows, sort, console.size.height), refresh=True)
+
+
+def picture(agents: Sequence[Row], sort: str, height: int | None = None) -> Group:
+    """Returns the two tables.
+
+    Args:
+        agents: the rows of `Looks`.
+        sort: one of `SORTS`.
+        height: how many lines there are; None: as many as it takes.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    tasks = _sorted([task for agent in agents for task in agent["tasks"]], sort)
+    shown_agents, shown_tasks = list(agents), tasks
+    if height is not None:
+        room = max(2, height - 6)  # headings and lines take 4, one is empty, and the last says what is left out
+        shown_agents = shown_agents[: max(1, room // 3, room - len(tasks))]
+        shown_tasks = tasks[: max(1, room - len(shown_agents))]
+    table = _table(AGENTS)
+    for row in shown_agents:
+        table.add_row(*(Text(printable(cell), _agent_style(row, column)) for column, cell in _cells(row, AGENTS)))
+    lower = _table(TASKS)
+    for row in shown_tasks:
+        lower.add_row(*(Text(printable(cell), _task_style(row, column)) for column, cell in _cells(row, TASKS)))
+    hidden = (len(agents) - len(shown_agents), len(tasks) - len(shown_tasks))
+    foot = ", ".join(f"{count} more {what}" for count, what in zip(hidden, ("agents", "tasks"), strict=True) if count)
+    return Group(table, Text(), lower, *([Text(f"and {foot}", "dim")] if foot else []))
+
+
+def _table(columns: Mapping[str, str]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index < 2 else "right", no_wrap=True)
+    return table
+
+
+def _cells(row: Row, columns: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for column, key in columns.items():
+        yield key, f"{row['agent']}/{row['service']}/{row['task']}" if key == "name" else _cell(column, row[key])
+
+
+def _cell(column: str, value: Any) -> str:
+    if value is None:
+        return "-"
+    if column.endswith("%"):
+        return f"{100.0 * value:.1f}"
+    if column.endswith("ms"):
+        return f"{1000.0 * value:.2f}"
+    if column.endswith("MiB"):
+        return f"{value:.0f}"
+    return f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+def _agent_style(row: Row, key: str) -> str:
+    if row["state"] != "ready":
+        return "red" if row["state"] == "no answer" else "yellow"
+    if key in ("missed", "dropped") and row[key]:
+        return "yellow"
+    low = key == "battery_level" and row[key] is not None and row[key] < 0.2
+    return "red" if low else "bold" if key == "agent" else ""
+
+
+def _task_style(row: Row, key: str) -> str:
+    if row["state"] in ("failed", "stuck"):
+        return "red"
+    if row["state"] != "running":
+        return "dim"
+    if key in ("missed", "dropped", "restarts") and row[key]:
+        return "yellow"
+    slow = key == "achieved_hz" and row[key] is not None and row[key] < SLOW * row["rate_hz"]
+    return "red" if slow else ""
+
+
+def _sorted(tasks: Sequence[Row], sort: str) -> list[Row]:
+    by = SORTS[sort]
+    by_name = sorted(tasks, key=lambda task: (task["agent"], task["service"], task["task"]))
+    return sorted(by_name, key=lambda task: -(task[by] or 0.0)) if by else by_name
+
+
+def _sorted_in(agent: Row, sort: str) -> dict[str, Any]:
+    return {**agent, "tasks": _sorted(agent["tasks"], sort)}

@@ -1,0 +1,69 @@
+"""`pancakes view`: a page that shows what a fleet does."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import click
+
+from pancakes.tools.cli.interrupts import event_at
+from pancakes.tools.cli.options import Ask, asks_agents
+from pancakes.tools.cli.output import show_json, show_text
+
+port_option = click.option(
+    "--port",
+    type=click.IntRange(1, 65535),
+    help="The page's port on this machine. [default: 7480, or a free one where that is taken]",
+)
+"""The option `--port` of every verb that shows a page."""
+
+
+@click.command()
+@click.option(
+    "--control", is_flag=True, help="Let the page move, stop and start tasks and change rates; else it only looks."
+)
+@port_option
+@click.option("--open", "open_", is_flag=True, help="Open the page in the browser as well.")
+@asks_agents
+def view(control: bool, port: int | None, open_: bool, ask: Ask) -> None:
+    """Show a fleet on a page in the browser, until Ctrl-C.
+
+    It shows the arena with its robots (or the mesh, where there are no poses), the agents with their tasks, what
+    happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
+    another machine: ssh -L 7480:127.0.0.1:7480 HOST. With --control the address that is printed has a token in it;
+    a user who has the token may change what the agents do.
+
+    \b
+    Example:
+        pancakes view
+        pancakes view --control --at 127.0.0.1:7401
+    """
+    from pancakes.tools.web.feed import Feed
+    from pancakes.tools.web.page import Shown, open_page
+    from pancakes.tools.web.watch import Watch, fleet_among
+
+    ended = event_at(signal.SIGINT, signal.SIGTERM)
+    with ask.client() as client:
+        fleet = fleet_among(client.survey().agents, ask.where.fleet)
+    began_s = time.monotonic()
+    feed = Feed(lambda: time.monotonic() - began_s)
+    watch = Watch(feed, ask.where.addresses, fleet, ask.timeout_s)
+    server = open_page(Shown(feed, watch.explain, watch.order if control else None), port)
+    try:
+        watch.start()
+        tell_address(server.address, control, ask.format_)
+        if open_:
+            click.launch(server.address)
+        ended.wait()
+    finally:
+        server.close()
+        watch.close()
+
+
+def tell_address(address: str, control: bool, format_: str = "table") -> None:
+    """Says where the page is."""
+    if format_ == "json":
+        show_json([{"address": address, "control": control}])
+    else:
+        show_text(f"the page is at {address}")

@@ -1,0 +1,283 @@
+"""`pancakes why`: what led to the commands of a recording's actuators, and how long each step took."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from heapq import heappush, heappushpop
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.errors import PancakesError
+from pancakes.tools.cli.options import Duration, format_option
+from pancakes.tools.cli.output import show, show_json, show_text
+from pancakes.tools.cli.streaming import Printer, load_packets, say
+
+if TYPE_CHECKING:
+    from pancakes.tools.recording.commands import ActuatorCommand
+    from pancakes.tools.recording.mission_time import MissionTime
+    from pancakes.tools.recording.recording_reader import RecordingReader
+    from pancakes.tools.report.reactions import Reaction, Reactions
+
+LONGEST: Final = 100
+"""So many characters of what a packet says are shown in a line."""
+MOST_ALIKE: Final = 50
+"""So many commands that fit are shown with their chains; --list shows all."""
+
+
+@click.command()
+@click.argument("path", metavar="FILE|DIR", type=click.Path(path_type=Path))
+@click.option("--agent", metavar="AGENT", default="", help="Only commands to this agent's actuators.")
+@click.option("--type", "type_", metavar="TYPE", default="", help="Only commands to this actuator, such as motors.")
+@click.option("--task", metavar="ID", default="", help="Only commands of this task (BIRTHPLACE/NAME).")
+@click.option(
+    "--at", "at_s", metavar="TIME", type=Duration(),
+    help="Of each actuator the command that was in force at this mission time: 42.5s, 2min.",
+)  # fmt: skip
+@click.option("--seq", metavar="N", type=click.IntRange(min=1), help="The command with this number, as --list has it.")
+@click.option("--slowest", metavar="N", type=click.IntRange(min=1), help="The N that took longest from their cause.")
+@click.option("--list", "list_", is_flag=True, help="All commands, each in a line, as they are read.")
+@format_option
+def why(path: Path, list_: bool, format_: str, **asked: Any) -> None:
+    """Say why the actuators of a recording were commanded, and how long that took from the reading on.
+
+    Alone it shows the kinds of chains that led to commands, with the distribution of the time from the first cause to
+    the command. With --at, --seq or --slowest it shows single commands: the chain of packets back to the sensor
+    reading, with what each said, its time on its way between agents, and the time until the next one was published,
+    in which it waited in a mailbox and was handled. Mission time is the recording's, as in its report: an agent that is
+    started again does not begin anew.
+
+    \b
+    Example:
+        pancakes why runs/encirclement-1-virtual/recording
+        pancakes why recordings --agent agent1 --at 42.5s
+        pancakes why recordings --type motors --slowest 3
+        pancakes why recordings --list --format json
+    """
+    from pancakes.tools.recording.recording_reader import RecordingReader
+
+    single = [asked[name] for name in ("at_s", "seq", "slowest") if asked[name] is not None]
+    if len(single) + list_ > 1:
+        raise click.UsageError("--at, --seq, --slowest and --list are different questions: ask one of them")
+    load_packets()
+    reader = RecordingReader(path)
+    question = _CommandQuestion(reader, **asked)
+    if list_:
+        with Printer(format_, True, _line) as printer:
+            for command in question.commands():
+                printer.show(_row(command, question.time))
+    elif not single:
+        _show_kinds(question, format_)
+    else:
+        _show_chains(question, format_)
+    for note in reader.notes():
+        say(note)
+    if not question.time.known:
+        say(f"mission_s is the {question.time.name}: its agents' missions did not begin together")
+    if not question.found.commands:
+        raise PancakesError(question.nothing())
+
+
+class _CommandQuestion:
+    """Which commands are meant, and what is found of all of them while they are read."""
+
+    def __init__(
+        self,
+        reader: RecordingReader,
+        at_s: float | None,
+        seq: int | None,
+        slowest: int | None,
+        **asked: str,
+    ) -> None:
+        from pancakes.tools.report.reactions import Reactions
+
+        self.at_s, self.seq, self.slowest = at_s, seq, slowest
+        self.found: Reactions = Reactions()
+        self.time = reader.mission_time()
+        self._reader = reader
+        self._asked = asked
+        self._others: set[str] = set()
+
+    def commands(self) -> Iterator[ActuatorCommand]:
+        """Gives the commands that are meant, oldest first."""
+        from pancakes.tools.recording.commands import CommandChains
+
+        chains = CommandChains()
+        for entry in self._reader.entries():
+            yield from self._meant(chains.add(entry))
+        yield from self._meant(chains.close())
+
+    def nothing(self) -> str:
+        """Says that there is no command, and which ones there are."""
+        if not self._others:
+            return f"{self._reader.path} has no command to an actuator"
+        return f"{self._reader.path} has no such command, only such to {', '.join(sorted(self._others))}"
+
+    def _meant(self, commands: list[ActuatorCommand]) -> Iterator[ActuatorCommand]:
+        for command in commands:
+            fence = command.packet.fence
+            task_id = fence.task_id if fence is not None else ""
+            there = {"agent": command.agent, "type_": command.packet.type, "task": task_id}
+            if all(asked in ("", there[name]) for name, asked in self._asked.items()):
+                self.found.add_command(command)
+                yield command
+            else:
+                self._others.add(f"{command.agent} {command.packet.type}" + (f" of {task_id}" if task_id else ""))
+
+
+def _show_kinds(question: _CommandQuestion, format_: str) -> None:
+    for _ in question.commands():
+        pass
+    found = question.found
+    if not found.commands:
+        return
+    kinds = [_distribution(it) for it in found.reactions()]
+    if format_ == "json":
+        counts = {"commands": found.commands, "uncaused": found.uncaused, "left_out": found.left_out}
+        show_json({**counts, "kinds": kinds})
+        return
+    alone = f"{found.uncaused:,} of them answer no packet" if found.uncaused else "each of them answers a packet"
+    show_text(f"{found.commands:,} commands; {alone} that was recorded")
+    if kinds:
+        rows = [{**it, "chain": " → ".join(it["steps"])} for it in kinds]
+        show(rows, ("count", "p50_ms", "p90_ms", "p99_ms", "max_ms", "chain"), "table")
+    if found.left_out:
+        show_text(f"{found.left_out:,} more have chains of rarer kinds")
+
+
+def _show_chains(question: _CommandQuestion, format_: str) -> None:
+    chosen, more = _choose(question)
+    rows = [
+        {**_row(it, question.time), "chain": _steps(it, question.time), "alike": _alike(question, it)} for it in chosen
+    ]
+    if format_ == "json":
+        show_json(rows)
+    else:
+        for row in rows:
+            _print(row)
+    if more:
+        say(f"{more:,} more fit: name one with --agent and --type, or see them with --list")
+    if question.found.commands and not chosen:
+        at_s = question.at_s
+        asked = f"before {at_s:g} s of mission time" if at_s is not None else f"with the number {question.seq}"
+        if question.slowest is not None:
+            asked = "that answers a packet that was recorded"
+        raise PancakesError(f"there is no such command {asked}")
+
+
+def _choose(question: _CommandQuestion) -> tuple[list[ActuatorCommand], int]:
+    """Returns the commands that are asked for, and how many more there would be."""
+    at_s, slowest = question.at_s, question.slowest
+    if slowest is not None:
+        heap: list[tuple[float, int, ActuatorCommand]] = []
+        for number, command in enumerate(question.commands()):
+            item = (command.chain.latency_s, -number, command)
+            if command.caused:
+                (heappush if len(heap) < slowest else heappushpop)(heap, item)
+        return [command for *_, command in sorted(heap, key=lambda it: (-it[0], -it[1]))], 0
+    newest: dict[tuple[str, str], ActuatorCommand] = {}
+    fitting: list[ActuatorCommand] = []
+    more = 0
+    for command in question.commands():
+        if at_s is not None and question.time.at(command.time_ns) <= at_s:
+            newest[command.agent, command.packet.type] = command
+        elif question.seq == command.packet.seq:
+            fitting = [*fitting, command][:MOST_ALIKE]
+            more += 1
+    return [command for _, command in sorted(newest.items())] + fitting, more - len(fitting)
+
+
+def _row(command: ActuatorCommand, time: MissionTime) -> dict[str, Any]:
+    packet = command.packet
+    return {
+        "mission_s": round(time.at(command.time_ns), 6),
+        "agent": command.agent,
+        "type": packet.type,
+        "source": packet.source,
+        "seq": packet.seq,
+        "task_id": packet.fence.task_id if packet.fence is not None else "",
+        "steps": len(command.chain.steps),
+        "latency_ms": _ms(command.chain.latency_s) if command.caused else None,
+        "cause": command.chain.steps[0].name if command.caused else None,
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    cause = f"{row['latency_ms']:9.3f} ms after {row['cause']}" if row["cause"] else "answers no packet"
+    return f"{row['mission_s']:9.3f} s  {row['agent']} {row['type']}  from {row['source']} #{row['seq']}  {cause}"
+
+
+def _steps(command: ActuatorCommand, time: MissionTime) -> list[dict[str, Any]]:
+    from pancakes.packet import body_to_plain
+    from pancakes.tools.recording.recorded_packet import NANOSECONDS
+
+    steps = command.chain.steps
+    return [
+        {
+            "source": step.packet.source,
+            "seq": step.packet.seq,
+            "channel": step.packet.channel,
+            "type": step.packet.type,
+            "mission_s": round(time.at(step.time_ns), 6),
+            "seen_ns": step.time_ns,
+            "at_ms": _ms((step.time_ns - steps[0].time_ns) / NANOSECONDS),
+            "travel_ms": _ms(step.travel_s) if step.sent else None,
+            "handling_ms": _ms(step.handling_s),
+            "body": body_to_plain(step.packet.body),
+        }
+        for step in steps
+    ]
+
+
+def _alike(question: _CommandQuestion, command: ActuatorCommand) -> dict[str, Any] | None:
+    reaction = question.found.alike(command.chain) if command.caused else None
+    return _distribution(reaction) if reaction is not None else None
+
+
+def _distribution(reaction: Reaction) -> dict[str, Any]:
+    shares = {f"{name}_ms": _ms(value_s) for name, value_s in reaction.latency_s.quantiles().items()}
+    largest_s = reaction.latency_s.largest
+    return {
+        "count": reaction.count,
+        **shares,
+        "max_ms": _ms(largest_s) if math.isfinite(largest_s) else None,
+        "step_means_ms": [_ms(mean) for mean in reaction.step_means_s],
+        "steps": list(reaction.steps),
+    }
+
+
+def _print(row: dict[str, Any]) -> None:
+    from pancakes.tools.recording.commands import body_text
+
+    of = f" for {row['task_id']}" if row["task_id"] else ""
+    show_text(f"{row['agent']} {row['type']} at {row['mission_s']:.3f} s, from {row['source']}{of} (#{row['seq']})")
+    if row["cause"] is None:
+        show_text("it answers no packet that was recorded: a timer led to it, or its cause is not in the recording")
+    last = len(row["chain"]) - 1
+    steps = [
+        {
+            "at ms": step["at_ms"],
+            "packet": f"{step['source']} {step['type']} #{step['seq']}",
+            "on its way ms": step["travel_ms"] if place < last else None,
+            "until the next ms": step["handling_ms"] if place < last else None,
+            "says": body_text(step["body"], LONGEST),
+        }
+        for place, step in enumerate(row["chain"])
+    ]
+    show(steps, list(steps[0]), "table")
+    if any(step["travel_ms"] is None for step in row["chain"]):
+        show_text("where nothing stands under `on its way`, it was not recorded when the packet left: it took longer")
+    alike = row["alike"]
+    if alike is not None:
+        show_text(
+            f"{row['latency_ms']:g} ms from the first cause to the command. Of {alike['count']:,} that came about like"
+            f" this: p50 {alike['p50_ms']:g}, p90 {alike['p90_ms']:g}, p99 {alike['p99_ms']:g}, longest"
+            f" {alike['max_ms']:g} ms"
+        )
+    show_text()
+
+
+def _ms(seconds: float) -> float:
+    return round(1e3 * seconds, 3)

@@ -1,0 +1,276 @@
+"""The launcher's own task: it waits for all agents, lets the mission begin, keeps its events, and ends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+from pancakes.control import Begin, Describe, Follow, History, Reply
+from pancakes.events import Event
+from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
+from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.services.log_record import line_of, record_of
+from pancakes.task import Task, Tick, every, on
+from pancakes.tools.demo.timeliness import Ticks, ticks_of
+
+ASK_S = 0.25
+"""How often, in host time, an agent that is not ready is asked again."""
+COUNTDOWN_S = 0.25
+"""How long, in host time, before the mission begins all agents are told."""
+OVERLAP_S = 1.0
+"""The log is asked for this much more than the time without the agent: its clock may be a little off."""
+RECENT = 500
+"""The number of newest events among which a repeated one is looked for."""
+LOOK_S = 1.0
+"""How often, in host time, it reads how late the ticks of a live mission are."""
+FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
+
+
+@dataclass
+class Mission:
+    """What is known of a mission while it runs; the live view reads it.
+
+    Attributes:
+        agents: the agents that take part.
+        duration_s: how long it lasts, in mission seconds.
+        news_hz: how often, in host time, the launcher hears where everything is.
+        now_s: the mission time, as the launcher's clock says it.
+        world_s: the time of the world's newest state.
+        behind_s: how far the world lies behind the clock, now and at the most.
+        running: the user's tasks that run, by agent.
+        batteries: the newest battery reading, by agent.
+        bodies: the newest true state of each body.
+        events: all events so far, as records.
+        phase: `connecting`, `running`, `over` or `interrupted`.
+        waiting_for: the agents that are not ready yet, and why.
+        ended_because: why it ended early; empty where it did not.
+        ticks: how the ticks of each task came as far as that is known, by agent (live only).
+    """
+
+    agents: tuple[str, ...]
+    duration_s: float
+    news_hz: float = 10.0
+    now_s: float = 0.0
+    world_s: float = 0.0
+    behind_s: float = 0.0
+    behind_max_s: float = 0.0
+    running: dict[str, list[str]] = field(default_factory=dict)
+    batteries: dict[str, Any] = field(default_factory=dict)
+    bodies: dict[str, Any] = field(default_factory=dict)
+    events: list[dict[str, Any]] = field(default_factory=list)
+    phase: str = "connecting"
+    waiting_for: dict[str, str] = field(default_factory=dict)
+    ended_because: str = ""
+    ticks: dict[str, list[Ticks]] = field(default_factory=dict)
+    changed: Callable[[], None] = lambda: None
+    told: Callable[[Mapping[str, Any]], None] = lambda record: None
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing that happens counts any more."""
+        return self.phase in ("over", "interrupted")
+
+
+class Conductor(Task):
+    """Conducts one mission from the launcher's agent.
+
+    It talks to the agents only by packets that any agent may send: `Describe`, `Follow`, `Begin`.
+
+    Args:
+        mission: what it fills in.
+        events: path of the events file.
+    """
+
+    def __init__(self, *args: Any, mission: Mission, events: Path, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._mission = mission
+        self._path = events
+        self._ready: dict[str, list[str]] = {}
+        self._followed: dict[str, int] = {}
+        self._lost_s: dict[str, float] = {}
+        self._file: TextIO | None = None
+
+    def on_start(self) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = self._path.open("w", encoding="utf-8")
+        self._mission.waiting_for = dict.fromkeys(self._mission.agents, "has not been reached")
+        self._ask()
+
+    def on_stop(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    # Before the mission ----------------------------------------------------------------------------------------
+
+    def _ask(self) -> None:
+        if self._mission.phase != "connecting":
+            return
+        for agent in self._mission.agents:
+            if agent not in self._ready:
+                self.publish(SYSCTRL, Describe(), to=agent)
+        self.after_host(ASK_S, self._ask)
+
+    @on(SYSCTRL, Reply)
+    def on_reply(self, packet: Packet) -> None:
+        """An agent says how far it is, or that it sends what it was asked to."""
+        agent = agent_of(packet.source)
+        reply: Reply = packet.body
+        if agent not in self._mission.agents:
+            return
+        if self._mission.phase == "running" and isinstance(reply.result, (list, tuple)):
+            self._catch_up(agent, reply.result)
+        if self._mission.phase == "running" and isinstance(reply.result, Mapping) and "tasks" in reply.result:
+            self._mission.ticks[agent] = ticks_of(agent, reply.result)
+        if self._mission.phase != "connecting":
+            return
+        if not reply.ok:
+            self._mission.waiting_for[agent] = reply.reason
+        elif isinstance(reply.result, Mapping) and "ready" in reply.result:
+            self._hear(agent, reply.result)
+        elif reply.result is None and agent in self._ready:
+            self._followed[agent] = self._followed.get(agent, 0) + 1
+            self._begin_if_all_are_ready()
+
+    def _hear(self, agent: str, description: Mapping[str, Any]) -> None:
+        missing = [other for other in self._mission.agents if other != agent and other not in description["peers"]]
+        if agent in self._ready:
+            return
+        if not description["ready"]:
+            self._mission.waiting_for[agent] = "starts its tasks"
+        elif missing:
+            self._mission.waiting_for[agent] = f"has not met {', '.join(missing)}"
+        else:
+            tasks = [task for task in description["tasks"] if task["service"] not in ("device", "network", "log")]
+            self._ready[agent] = [task["task"] for task in tasks if task["state"] == "running"]
+            self._mission.waiting_for.pop(agent, None)
+            self._follow(agent)
+        self._mission.changed()
+
+    def _follow(self, agent: str) -> None:
+        for channel, types in FOLLOWED:
+            most_hz = self._mission.news_hz if channel == SYSTEM else 0.0
+            self.publish(SYSCTRL, Follow(channel, types, most_hz=most_hz), to=agent)
+
+    def _begin_if_all_are_ready(self) -> None:
+        if any(self._followed.get(agent, 0) < len(FOLLOWED) for agent in self._mission.agents):
+            return
+        self._mission.phase = "running"
+        for agent in self._mission.agents:
+            self._mission.running[agent] = list(self._ready[agent])
+            self._keep({"t_s": 0.0, "agent": agent, "source": agent, "kind": "roster", "tasks": self._ready[agent]})
+        begin_s = self.kernel.host.now() + COUNTDOWN_S
+        for agent in (*self._mission.agents, self.agent):
+            self.publish(SYSCTRL, Begin(begin_s - self.kernel.host.now()), to=agent)
+        self.after(self._mission.duration_s, lambda: self.end(""))
+        if self.kernel.virtual is None:  # in virtual time no tick is late
+            self.after_host(LOOK_S, self._look_at_ticks)
+
+    # While it runs ---------------------------------------------------------------------------------------------
+
+    def initial_period_s(self, method: str, period_s: float) -> float:
+        # Without a viewer there is no need to look more often than there is news.
+        return super().initial_period_s(method, max(period_s, 1.0 / self._mission.news_hz))
+
+    @every(hz=10)
+    def look(self, tick: Tick) -> None:
+        """Sees how far the world lies behind the clock."""
+        mission = self._mission
+        if mission.phase != "running":
+            return
+        mission.now_s = self.now()
+        news_s = self.kernel.mission.speed / mission.news_hz  # so old the newest state may be of itself
+        mission.behind_s = max(0.0, mission.now_s - mission.world_s - news_s)
+        mission.behind_max_s = max(mission.behind_max_s, mission.behind_s)
+        mission.changed()
+        if self._file is not None:
+            self._file.flush()
+
+    def _look_at_ticks(self) -> None:
+        if self._mission.phase != "running":
+            return
+        for agent in self._mission.agents:
+            if agent not in self._lost_s:
+                self.publish(SYSCTRL, Describe(), to=agent)
+        self.after_host(LOOK_S, self._look_at_ticks)
+
+    @on(SYSTEM, "battery", keep=queue(64))
+    def on_battery(self, packet: Packet) -> None:
+        """Remembers the newest battery reading of each agent."""
+        self._mission.batteries[agent_of(packet.source)] = packet.body
+
+    @on(SYSTEM, "world_state", keep="latest")
+    def on_world(self, packet: Packet) -> None:
+        """Remembers where everything is."""
+        state = packet.body
+        self._mission.world_s = state.time_s
+        for body in state.bodies:
+            self._mission.bodies[body.name] = body
+
+    @on(LOG, None, keep=queue(8192))
+    def on_log(self, packet: Packet) -> None:
+        """Keeps what happens."""
+        agent = agent_of(packet.source)
+        if agent == self.agent:
+            self._on_own_log(packet)
+            return
+        if not self._mission.ended:
+            self._note(record_of(packet))
+
+    def _on_own_log(self, packet: Packet) -> None:
+        body = packet.body
+        if not isinstance(body, Event) or body.kind not in ("peer_up", "peer_down"):
+            return
+        peer = str(body.fields.get("peer"))
+        if body.kind == "peer_down" and peer == self._mission.agents[0]:
+            # Without its world the mission has no ground to stand on.
+            self.end(f"the agent {peer} is gone: {body.fields.get('reason', '')}")
+        elif body.kind == "peer_down" and self._mission.phase == "running":
+            self._lost_s[peer] = self.now()
+        elif peer in self._lost_s:
+            # It slept, or its link broke. Its Network Service may be a new one, which knows nothing of followers.
+            self._follow(peer)
+            self.publish(SYSCTRL, History(self.now() - self._lost_s.pop(peer) + OVERLAP_S), to=peer)
+
+    def _catch_up(self, agent: str, records: Sequence[Mapping[str, Any]]) -> None:
+        """Takes what an agent said while it could not be heard, as far as that was not heard after all."""
+        heard = [record for record in self._mission.events[-RECENT:] if record["agent"] == agent]
+        for entry in records:
+            record = {key: value for key, value in entry.items() if key != "entry"}
+            if record["agent"] == agent and record not in heard:
+                self._note(record)
+        if records:
+            self.publish(SYSCTRL, History(after=records[-1]["entry"]), to=agent)
+
+    def _note(self, record: dict[str, Any]) -> None:
+        """Keeps a record, and what follows from it."""
+        if record["kind"] == "line" and record["level"] == "debug":
+            return
+        running = self._mission.running.setdefault(record["agent"], [])
+        service = record.get("service")
+        if record["kind"] == "task_started" and service not in ("device", "network", "log"):
+            if record["task"] not in running:
+                running.append(record["task"])
+        elif record["kind"] in ("task_stopped", "task_given_up") and record.get("task") in running:
+            running.remove(record["task"])
+        self._keep(record)
+
+    def _keep(self, record: dict[str, Any]) -> None:
+        self._mission.events.append(record)
+        if self._file is not None:
+            self._file.write(line_of(record) + "\n")
+        self._mission.told(record)
+
+    def end(self, reason: str) -> None:
+        """Ends the mission; the launcher then stops all agents."""
+        mission = self._mission
+        if mission.ended:
+            return
+        mission.now_s = min(self.now(), mission.duration_s) if not math.isinf(mission.duration_s) else self.now()
+        mission.ended_because = reason
+        mission.phase = "over"
+        self.on_stop()
+        mission.changed()

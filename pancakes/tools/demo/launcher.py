@@ -1,0 +1,350 @@
+"""Runs a demo: four processes over real sockets, or the same agents in virtual time on one thread."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+from msgspec.structs import replace
+
+from pancakes.errors import PancakesError
+from pancakes.fleet import VirtualFleet
+from pancakes.mesh.net.memory import Quality
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.config import Config, parse
+from pancakes.runtime.plugins import Plugins
+from pancakes.tools.demo.conductor import Conductor, Mission
+from pancakes.tools.demo.demo import Run
+from pancakes.tools.demo.demo_plan import LAUNCHER, DemoPlan
+from pancakes.tools.demo.timeliness import late_ones
+from pancakes.tools.launch.afresh import check_alone, empty_state
+from pancakes.tools.launch.process import end_all, start_agent
+from pancakes.tools.recording.virtual_recorder import VirtualRecorder
+
+HOST = MonotonicClock()
+"""Processes live in the host's time, whatever the mission's clock does."""
+
+READY_S = 30.0
+"""How long, in host time, the agents have to become ready."""
+STOP_S = 1.2
+"""How long a process has to end after SIGTERM before it is killed."""
+LOOK_S = 0.05
+SLICE_S = 1.0
+"""The virtual time between two checks whether the mission was interrupted: some milliseconds of host time."""
+NEWS_HZ = 1.0
+"""In virtual time the launcher hears that often where everything is: a mission's minutes pass in a second."""
+RECORDING = "recording"
+"""The folder below that of the results in which the agents' recordings lie."""
+
+
+class Launcher(Agent):
+    """The launcher's own agent: a client of the mesh with one task, the conductor."""
+
+    def __init__(self, plan: DemoPlan, mission: Mission, virtual: Any = None) -> None:
+        peers = ", ".join(f'"{address}"' for address in plan.peers())
+        text = f"""
+            schema = 1
+            [agent]
+            name = "{LAUNCHER}"
+            role = "client"
+            seed = {plan.seed}
+            fleet = "{next(iter(plan.configs.values())).agent.fleet}"
+            peers = [{peers}]
+            [clock]
+            speed = {plan.speed!r}
+            hold = true
+            [service.log.settings]
+            console = false
+            [task.Conductor]
+            type = "pancakes.conductor"
+        """
+        plugins = Plugins({("pancakes.tasks", "pancakes.conductor"): Conductor})
+        arguments = {"Conductor": {"mission": mission, "events": plan.out / "events.jsonl"}}
+        super().__init__(parse(text, where="the launcher"), plugins, virtual, arguments)
+
+    def end(self, reason: str) -> None:
+        """Ends the mission before its time. Any thread."""
+        conductor = self.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
+        if isinstance(conductor, Conductor):
+            conductor.call(lambda: conductor.end(reason))
+
+
+class Processes:
+    """The agents of a live demo, each a process of its own.
+
+    They end with the launcher, whatever becomes of it.
+    """
+
+    def __init__(self, plan: DemoPlan) -> None:
+        self._plan = plan
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self) -> None:
+        """Starts them all."""
+        logs = self._plan.out / "logs"
+        logs.mkdir(parents=True, exist_ok=True)
+        for agent, path in self._plan.files.items():
+            with (logs / f"{agent}.txt").open("wb") as output:
+                self._processes[agent] = start_agent(path, self._plan.sets[agent], output)
+
+    def gone(self) -> str:
+        """Returns a sentence about an agent that has ended by itself; empty where all run."""
+        for agent, process in self._processes.items():
+            if process.poll() is not None:
+                said = (self._plan.out / "logs" / f"{agent}.txt").read_text(encoding="utf-8", errors="replace").strip()
+                last = said.splitlines()[-1] if said else "it said nothing"
+                return f"the agent {agent} ended with exit code {process.returncode}: {last}"
+        return ""
+
+    def stop(self) -> None:
+        """Stops them all: in good order where they can, by force where they do not in time."""
+        end_all(self._processes.values(), STOP_S)
+
+
+def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> dict[str, Any]:
+    """Runs the agents as processes until the mission is over, or `interrupted` is set.
+
+    Returns:
+        What is the wall's, for `timing.json`.
+
+    Raises:
+        PancakesError: the agents did not become ready, or another agent of their fleet runs.
+    """
+    processes = Processes(plan)
+    began_s = HOST.now()
+    launcher: Launcher | None = None
+    try:
+        # Its state is below `out`, and its fleet its own, unless the command line says otherwise.
+        check_alone(plan.configs.values())
+        for config in plan.configs.values():
+            empty_state(config)
+        processes.start()
+        launcher = Launcher(plan, mission)
+        launcher.start()
+        running_s = None
+        while mission.phase != "over" and not interrupted.wait(LOOK_S):
+            gone = processes.gone()
+            if gone and mission.phase == "connecting":
+                raise PancakesError(gone)
+            if gone:
+                launcher.end(gone)
+            if mission.phase == "running" and running_s is None:
+                running_s = HOST.now()
+            if mission.phase == "connecting" and HOST.now() - began_s > READY_S:
+                raise _cannot_begin(mission)
+        _settle(mission)
+        ended_s = HOST.now()
+    finally:
+        processes.stop()
+        if launcher is not None:
+            launcher.stop()
+        if plan.claim is not None:
+            plan.claim.release()
+    return {
+        "mode": "live",
+        "speed": plan.speed,
+        "start_s": (running_s or ended_s) - began_s,
+        "wall_s": ended_s - (running_s or ended_s),
+        "behind_max_s": mission.behind_max_s,
+        "behind_end_s": mission.behind_s,
+        "late_tasks": late_ones(it for agent in mission.agents for it in mission.ticks.get(agent, ())),
+    }
+
+
+def _cannot_begin(mission: Mission) -> PancakesError:
+    waiting = "; ".join(f"{agent} {why}" for agent, why in mission.waiting_for.items())
+    return PancakesError(f"the mission cannot begin after {READY_S:.0f} s: {waiting}")
+
+
+def _settle(mission: Mission) -> None:
+    """Marks a mission that was not left to its end, before its agents go: that they go is no part of it."""
+    if not mission.ended:
+        mission.phase = "interrupted"
+
+
+class Onlooker(Protocol):
+    """Watches a fleet in virtual time, and keeps it from going faster than it can be watched. It changes nothing."""
+
+    def begin(self, fleet: VirtualFleet) -> None:
+        """Takes the fleet, before anything runs."""
+
+    def slice_s(self) -> float:
+        """Returns how much virtual time may pass until the next `pace`."""
+
+    def pace(self) -> None:
+        """Looks at what happened, and waits until it is time to go on."""
+
+    def end(self) -> None:
+        """Looks no more: the agents are about to stop."""
+
+
+def run_virtual(
+    plan: DemoPlan,
+    mission: Mission,
+    interrupted: threading.Event,
+    faults: NetworkFaults | None = None,
+    onlooker: Onlooker | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Runs the same agents in virtual time, on this thread, until the mission is over or `interrupted` is set.
+
+    Agents that are to be recorded are so from outside, so that the mission is the same as without.
+
+    Args:
+        plan: the run.
+        mission: what is filled in while it runs.
+        interrupted: ends it early.
+        faults: what goes wrong with the network.
+        onlooker: watches the fleet; None: nothing does.
+        say: takes a sentence on a recording that is not as it should be.
+
+    Returns:
+        What is the wall's, for `timing.json`.
+
+    Raises:
+        PancakesError: the agents did not become ready, or cannot be recorded.
+    """
+    began_s = HOST.now()
+    mission.news_hz = NEWS_HZ
+    fleet = VirtualFleet(plan.seed, faults.quality if faults is not None else None)
+    for address in plan.buses():
+        fleet.network.exempt(address)
+    recorders: list[VirtualRecorder] = []
+    try:
+        for config in plan.configs.values():
+            record = config.record
+            agent = fleet.start(replace(config, record=None))
+            if record is not None and record.start:
+                recorders.append(VirtualRecorder(agent.kernel, record, say))
+        if onlooker is not None:
+            onlooker.begin(fleet)
+        launcher = fleet.add(LAUNCHER, lambda virtual: Launcher(plan, mission, virtual))
+        if not _run_while(fleet, lambda: mission.phase == "connecting", READY_S, interrupted, onlooker):
+            raise _cannot_begin(mission)
+        running_s = HOST.now()
+        if faults is not None:
+            faults.arrange(fleet, launcher)
+        at_most_s = plan.duration_s * 2 + READY_S
+        _run_while(fleet, lambda: mission.phase != "over", at_most_s, interrupted, onlooker)
+        if interrupted.is_set():
+            _settle(mission)
+        ended_s = HOST.now()
+    finally:
+        if onlooker is not None:
+            onlooker.end()
+        try:
+            fleet.close()
+        finally:
+            for recorder in recorders:
+                recorder.end()
+    return {
+        "mode": "virtual",
+        "start_s": running_s - began_s,
+        "wall_s": ended_s - running_s,
+        "times_real_time": mission.now_s / max(ended_s - running_s, 1e-9),
+    }
+
+
+def _run_while(
+    fleet: VirtualFleet,
+    condition: Callable[[], bool],
+    at_most_s: float,
+    interrupted: threading.Event,
+    onlooker: Onlooker | None,
+) -> bool:
+    """Runs while a condition holds, for at most some virtual time.
+
+    Returns:
+        Whether it ceased to hold, or it was interrupted.
+    """
+    until_s = fleet.now() + at_most_s
+    while fleet.now() < until_s and not interrupted.is_set():
+        slice_s = onlooker.slice_s() if onlooker is not None else SLICE_S
+        if fleet.run_while(condition, min(slice_s, until_s - fleet.now())):
+            return True
+        if onlooker is not None:
+            onlooker.pace()
+    return interrupted.is_set()
+
+
+class NetworkFaults:
+    """What goes wrong with the network of a virtual run, drawn from a seed.
+
+    Latency and jitter all the time; and now and then a link between two agents breaks and is made anew.
+
+    Args:
+        seed: draws when and where.
+        breaks: how many links break in the course of the mission.
+        latency_s: how long a packet travels.
+        jitter_s: how much longer it may travel.
+    """
+
+    def __init__(self, seed: int, breaks: int = 6, latency_s: float = 0.02, jitter_s: float = 0.02) -> None:
+        self._random = random.Random(f"faults/{seed}")
+        self._breaks = breaks
+        self.quality = Quality(latency_s=latency_s, jitter_s=jitter_s)
+
+    def arrange(self, fleet: VirtualFleet, launcher: Agent) -> None:
+        """Draws the breaks of one mission."""
+        names = [name for name in fleet.agents if name != launcher.name]
+        for _ in range(self._breaks):
+            at_s = fleet.now() + self._random.uniform(5.0, 290.0)
+            one, other = self._random.sample(names, 2)
+            fleet.dispatcher.call_at(at_s, lambda one=one, other=other: fleet.network.break_links(one, other))  # type: ignore[misc]
+
+
+def run_of(plan: DemoPlan, mission: Mission) -> Run:
+    """Returns what a mission that is over was, for its judge."""
+    return Run(plan.out, plan.seed, plan.duration_s, mission.now_s, mission.ended_because, configs_of(plan))
+
+
+def judge(plan: DemoPlan, run: Run, timing: Mapping[str, Any]) -> dict[str, Any]:
+    """Judges a run, and writes `summary.json` and `timing.json`. Returns the summary."""
+    summary = plan.demo.judge(run)
+    write_results(plan.out, summary, timing)
+    return summary
+
+
+def write_results(out: Path, summary: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
+    """Writes `summary.json` and `timing.json`."""
+    for name, content in (("summary.json", summary), ("timing.json", timing)):
+        (out / name).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def configs_of(plan: DemoPlan) -> Mapping[str, Mapping[str, Any]]:
+    """Returns the agents' configurations as plain mappings, for a demo's judge."""
+
+    def plain(config: Config) -> dict[str, Any]:
+        return {
+            "agent": msgspec.to_builtins(config.agent),
+            "devices": {name: dict(device.settings) for name, device in config.devices.items()},
+            "services": {name: dict(service.settings) for name, service in config.services.items()},
+            "tasks": msgspec.to_builtins(config.tasks),
+        }
+
+    return {agent: plain(config) for agent, config in plan.configs.items()}
+
+
+def fresh(out: Path, results: Sequence[str] = ("trajectory.csv", "paths.png")) -> None:
+    """Makes the output folder, without the state and the results of an earlier run.
+
+    Args:
+        out: the folder.
+        results: names of files in it that the run will write, besides those that each run does.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in ("state", "logs", RECORDING):
+            shutil.rmtree(out / name, ignore_errors=True)
+        for name in ("events.jsonl", "summary.json", "timing.json", *results):
+            (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise PancakesError(f"the output folder {out} cannot be used: {error.strerror}") from None

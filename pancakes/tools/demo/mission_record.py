@@ -1,0 +1,126 @@
+"""What a mission leaves behind, read back: the events that the agents told, and which agent ran a task when."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO, TypeVar
+
+from pancakes.errors import PancakesError
+from pancakes.runtime.foundation.malformed import why_malformed
+
+_T = TypeVar("_T")
+_ENDS = ("task_frozen", "task_stopped", "task_failed", "task_given_up")
+
+
+@dataclass(frozen=True, slots=True)
+class Occurrence:
+    """Something that an agent said has happened: a line of `events.jsonl`.
+
+    Attributes:
+        t_s: mission time.
+        agent: the agent that said so.
+        kind: what happened.
+        fields: the rest of the line.
+    """
+
+    t_s: float
+    agent: str
+    kind: str
+    fields: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """All that the agents told in the course of a mission.
+
+    Attributes:
+        events: the events, in the order of time.
+    """
+
+    events: list[Occurrence]
+
+    def running_at_first(self, task: str) -> list[str]:
+        """Returns the agents that ran a task already when the mission began: so the launcher's `roster` says."""
+        return [event.agent for event in self.told("roster") if task in event.fields.get("tasks", ())]
+
+    def told(self, kind: str, agent: str = "", task: str = "") -> Iterator[Occurrence]:
+        """Yields the events of a kind, of one agent and about one task where these are given."""
+        for event in self.events:
+            if event.kind == kind and agent in ("", event.agent) and task in ("", event.fields.get("task")):
+                yield event
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """An agent that ran a task for some time.
+
+    Attributes:
+        agent: the agent.
+        start_s: mission time.
+        end_s: mission time; the mission's end where the task still ran then.
+    """
+
+    agent: str
+    start_s: float
+    end_s: float
+
+
+def read_events(out_dir: Path) -> list[Occurrence]:
+    """Reads the `events.jsonl` of a mission.
+
+    Raises:
+        PancakesError: it is missing, or is not what it should be; it names the line.
+    """
+    path = out_dir / "events.jsonl"
+    events = []
+    for number, text in read_lines(path, iter):
+        try:
+            fields = json.loads(text)
+            event = Occurrence(float(fields.pop("t_s")), str(fields.pop("agent")), str(fields.pop("kind")), fields)
+            events.append(event)
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise PancakesError(f"{path}: line {number} is no event: {why_malformed(error)}") from None
+    return sorted(events, key=lambda event: event.t_s)
+
+
+def read_lines(path: Path, split: Callable[[TextIO], Iterable[_T]]) -> Iterator[tuple[int, _T]]:
+    """Yields what `split` makes of a mission's file, numbered from 1.
+
+    Raises:
+        PancakesError: it cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            yield from enumerate(split(file), start=1)
+    except OSError as error:
+        raise PancakesError(f"the mission's {path.name} cannot be read: {error.strerror}") from None
+
+
+def holders(story: Story, task: str, end_s: float) -> list[Holder]:
+    """Returns the agents that ran a task, in the order of time. A task that is frozen for a move runs no more."""
+    found = []
+    since: dict[str, float] = dict.fromkeys(story.running_at_first(task), 0.0)
+    for event in story.events:
+        if event.fields.get("task") != task:
+            continue
+        if event.kind in ("task_started", "task_resumed"):
+            since.setdefault(event.agent, event.t_s)
+        elif event.kind in _ENDS and event.agent in since:
+            found.append(Holder(event.agent, since.pop(event.agent), event.t_s))
+    found += [Holder(agent, start_s, max(start_s, end_s)) for agent, start_s in since.items()]
+    return sorted(_joined(found), key=lambda holder: holder.start_s)
+
+
+def _joined(found: list[Holder]) -> list[Holder]:
+    """Makes one of what a restart, or a move that was called off, broke in two."""
+    joined: list[Holder] = []
+    for holder in sorted(found, key=lambda holder: (holder.start_s, holder.end_s)):
+        last = joined[-1] if joined else None
+        if last is not None and last.agent == holder.agent:
+            joined[-1] = Holder(last.agent, last.start_s, max(last.end_s, holder.end_s))
+        else:
+            joined.append(holder)
+    return joined

@@ -1,0 +1,211 @@
+"""From what a person names on a command line to the agents of a fleet, or to all that is wrong with them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.runtime.config import Address, load, parse_address
+from pancakes.runtime.config.key_places import set_text
+from pancakes.runtime.config.toml_source import tables_of, text_of
+from pancakes.runtime.config.toml_text import value_text
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.runtime_dir import entries
+from pancakes.runtime.state_dir import state_dir_of
+from pancakes.tools.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
+from pancakes.tools.launch.member import Member, Policy, ProcessRestart
+from pancakes.tools.launch.overrides import overrides, whose
+from pancakes.tools.launch.ports import Claim, listening_fault
+
+_EVERYWHERE = ("0.0.0.0", "::")
+
+
+@dataclass(frozen=True, slots=True)
+class _Draft:
+    """A member before its configuration has been read.
+
+    Attributes:
+        said_at: where a fleet file says what is set, by the place that its configuration will name.
+        after: None where no fleet file says it.
+    """
+
+    name: str
+    path: Path
+    sets: tuple[str, ...] = ()
+    said_at: Mapping[str, str] = field(default_factory=dict)
+    restart: ProcessRestart = ProcessRestart()
+    after: tuple[str, ...] | None = None
+
+
+def make_fleet(
+    paths: Sequence[Path],
+    extra: Sequence[str],
+    policy: Policy | None,
+    plugins: Plugins | None,
+    *,
+    must_load: bool = False,
+) -> list[Member]:
+    """Reads a fleet; nothing is started, and what runs already is not looked at.
+
+    Args:
+        paths: configuration files of agents, fleet files, and folders: of a folder its `fleet.toml` is read, or else
+            all of its `*.toml`, by name. Environments come first, where no fleet file gives the order.
+        extra: `[AGENT:]table.key=value` from the command line.
+        policy: whether an agent is started again when it ends; None: as the fleet file says.
+        plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked.
+        must_load: whether it is a fault where one of these that a configuration names cannot be imported.
+
+    Raises:
+        ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
+    """
+    drafts, faults = _drafts(paths)
+    names = [draft.name for draft in drafts]
+    sets: dict[str, list[str]] = {draft.name: list(draft.sets) for draft in drafts}
+    for change in extra:
+        try:
+            agents, rest = whose(change, names)
+        except ConfigError as error:
+            faults += error.faults
+            continue
+        for agent in agents:
+            sets[agent].append(rest)
+    members: list[Member] = []
+    for draft in drafts:
+        changes = tuple(sets[draft.name])
+        restart = draft.restart if policy is None else replace(draft.restart, policy=policy)
+        try:
+            config = load(draft.path, changes, plugins, must_load=must_load)
+        except ConfigError as error:
+            faults += [fault._replace(where=draft.said_at.get(fault.where, fault.where)) for fault in error.faults]
+            continue
+        if config.agent.name != draft.name:
+            problem = f"is another name than {draft.name!r}, by which the launcher knows this agent"
+            faults.append(config.places.fault(("agent", "name"), problem))
+        members.append(Member(draft.name, draft.path, changes, config, restart, draft.after or ()))
+    members = _in_order(members, [draft.name for draft in drafts if draft.after is None])
+    faults += _clashes(members)
+    if faults:
+        raise ConfigError(list(dict.fromkeys(faults)))
+    return members
+
+
+def check_free(members: Sequence[Member]) -> Claim:
+    """Sees to it that no other agent has the name of a member, and no other program its port.
+
+    Returns:
+        What keeps other launchers from these ports.
+
+    Raises:
+        PancakesError: one of them is in use; the sentence says which, and by whom where that is known.
+    """
+    running = {(entry.fleet, entry.name): entry.pid for entry in entries()}
+    problems = []
+    for member in members:
+        agent = member.config.agent
+        pid = running.get((agent.fleet, agent.name))
+        address = _place(member)
+        if pid is not None:
+            problems.append(f"the agent {agent.name} of the fleet {agent.fleet} runs already (process {pid})")
+        elif address is not None and (fault := listening_fault(address.host, address.port)):
+            problems.append(f"{agent.name} cannot listen at {agent.listen}: {fault}")
+    claim = Claim.to(address.port for member in members if (address := _place(member)))
+    if problems or claim is None:
+        if claim is not None:
+            claim.release()
+        raise PancakesError("\n".join(problems) or "another launcher is about to use the ports of this fleet")
+    return claim
+
+
+def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:
+    drafts: list[_Draft] = []
+    faults: list[Fault] = []
+    for path in paths:
+        try:
+            for file in _files(path):
+                drafts.extend(_of_file(file))
+        except ConfigError as error:
+            faults += error.faults
+    for index, draft in enumerate(drafts):
+        earlier = next((other for other in drafts[:index] if other.name == draft.name), None)
+        if earlier is not None:
+            problem = f"{earlier.path!s} is an agent of the name {draft.name!r} already"
+            faults.append(Fault(str(draft.path), "[agent] name", problem))
+    return drafts, faults
+
+
+def _files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    if (path / FLEET_FILE).exists():
+        return [path / FLEET_FILE]
+    files = sorted(path.glob("*.toml"))
+    if not files:
+        raise ConfigError([Fault(str(path), "folder", "has no configuration in it: no *.toml")])
+    return files
+
+
+def _of_file(path: Path) -> Iterator[_Draft]:
+    values, _ = tables_of(text_of(str(path)), str(path))
+    if path.name != FLEET_FILE and not is_fleet(values):
+        yield _Draft(_name_in(values) or path.stem, path)
+        return
+    found = load_fleet(str(path))
+    for name, table in found.agents.items():
+        file = path.parent / (table.config or f"{name}.toml")
+        if not file.is_file():
+            raise ConfigError([found.places.fault(("agent", name, "config"), f"there is no file {file}")])
+        own, _ = tables_of(text_of(str(file)), str(file))
+        said_at: dict[str, str] = {}
+        if found.fleet.name:
+            said_at[f"agent.fleet={value_text(found.fleet.name)}"] = found.places.where("fleet", "name")
+        if _name_in(own) != name:
+            said_at[f"agent.name={value_text(name)}"] = found.places.where("agent", name)
+        said_at.update(dict.fromkeys(overrides(found.fleet.set), found.places.where("fleet", "set")))
+        said_at.update(dict.fromkeys(overrides(table.set), found.places.where("agent", name, "set")))
+        places = {set_text(text): where for text, where in said_at.items()}
+        yield _Draft(name, file, tuple(said_at), places, table.restart or found.fleet.restart, table.after)
+
+
+def _name_in(values: Mapping[str, Any]) -> str:
+    agent = values.get("agent")
+    name = agent.get("name") if isinstance(agent, dict) else None
+    return name if isinstance(name, str) else ""
+
+
+def _in_order(members: Sequence[Member], free: Sequence[str]) -> list[Member]:
+    """Lets agents of which nothing else is said come after the environments: what acts ends before its world does."""
+
+    def acts(member: Member) -> bool:
+        return member.config.agent.role != "environment"
+
+    worlds = tuple(member.name for member in members if not acts(member) and member.name in free)
+    ordered = [replace(member, after=worlds) if acts(member) and member.name in free else member for member in members]
+    return sorted(ordered, key=lambda member: acts(member) and member.name in free)
+
+
+def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
+    """What two members cannot both have."""
+    for index, member in enumerate(members):
+        for other in members[:index]:
+            places = member.config.places
+            if _same_port(_place(member), _place(other)):
+                yield places.fault(("agent", "listen"), f"{other.name} ({other.path}) listens at this port already")
+            directory, taken = state_dir_of(member.config), state_dir_of(other.config)
+            if directory is not None and taken is not None and directory.absolute() == taken.absolute():
+                key = ("agent", "state_dir")
+                yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
+
+
+def _place(member: Member) -> Address | None:
+    """The address that a member listens at; None where it does not, or at any free port."""
+    address = parse_address(member.config.agent.listen) if member.config.agent.listen else None
+    return address if address is not None and address.port else None
+
+
+def _same_port(one: Address | None, other: Address | None) -> bool:
+    if one is None or other is None or one.port != other.port:
+        return False
+    return one.host == other.host or one.host in _EVERYWHERE or other.host in _EVERYWHERE

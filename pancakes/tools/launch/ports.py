@@ -1,0 +1,144 @@
+"""The ports of a fleet: those of its files, or free ones where another program, or another fleet, has them."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from pancakes.mesh.address import Address, parse_address
+from pancakes.runtime.runtime_dir import runtime_dir
+
+
+class Claim:
+    """Keeps other launchers on this machine from some ports, also while no agent listens there yet.
+
+    Two fleets that are started at once would else both find them free. It ends with the process at the latest.
+    """
+
+    def __init__(self, locks: list[int]) -> None:
+        self._locks = locks
+
+    @classmethod
+    def to(cls, ports: Iterable[int]) -> Claim | None:
+        """Claims ports; returns None where another launcher has claimed one of them."""
+        directory = runtime_dir() / "ports"
+        claim = cls([])
+        # A launcher that cannot write there claims nothing, and may find the ports free.
+        with contextlib.suppress(OSError):
+            # One after the other: a directory made on the way would be open to others, and no agent would use it.
+            for made in (runtime_dir(), directory):
+                made.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for port in ports:
+                lock = os.open(directory / str(port), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+                claim._locks.append(lock)
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    claim.release()
+                    return None
+        return claim
+
+    def release(self) -> None:
+        """Gives the ports up. A second call does nothing."""
+        locks, self._locks = self._locks, []
+        for lock in locks:
+            os.close(lock)
+
+
+def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, list[str]]]:
+    """Sees to it that the agents of a fleet can listen, at other ports if need be.
+
+    Args:
+        files: the agents' configuration files, by agent.
+
+    Returns:
+        A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
+        claim, and what is to be set in each agent's file so that all of them use free ones.
+    """
+    tables: dict[str, Any] = {}
+    for agent, path in files.items():
+        try:
+            tables[agent] = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None, {}  # whatever is wrong with it, reading it as a configuration says so better
+    found = [_address(text) for table in tables.values() for _, text in _strings(table, ())]
+    addresses = [address for address in dict.fromkeys(found) if address is not None]
+    claim = Claim.to(dict.fromkeys(address.port for address in addresses))
+    if claim is not None:
+        if not any(listening_fault(it.host, it.port, it.scheme) for it in addresses):
+            return claim, {}
+        claim.release()
+    taken = [_take_free_port(address.host, address.scheme) for address in addresses]
+    free = {address: port for address, (_, port) in zip(addresses, taken, strict=True)}
+    for held, _ in taken:
+        held.close()
+    return None, {agent: _moved(table, free) for agent, table in tables.items()}
+
+
+def _moved(table: Any, free: Mapping[Address, int]) -> list[str]:
+    """Returns what is to be set in one agent's file so that its addresses have other ports."""
+    changes: list[str] = []
+    lists: dict[tuple[str, ...], list[str]] = {}
+    for keys, text in _strings(table, ()):
+        address = _address(text)
+        if address is None:
+            continue
+        moved = f'"{replace(address, port=free[address])}"'
+        if keys[-1] == "*":
+            lists.setdefault(keys[:-1], []).append(moved)
+        else:
+            changes.append(f"{'.'.join(keys)}={moved}")
+    changes.extend(f"{'.'.join(keys)}=[{', '.join(items)}]" for keys, items in lists.items())
+    return changes
+
+
+def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yields all strings of a table with the keys that lead to them; `*` stands for a place in a list."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _strings(inner, (*path, key))
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _strings(inner, (*path, "*"))
+    elif isinstance(value, str):
+        yield path, value
+
+
+def _address(text: str) -> Address | None:
+    """Returns the address that a text is; None where it is none of TCP or UDP."""
+    try:
+        found = parse_address(text)
+    except ValueError:
+        return None
+    return found if found.scheme in ("tcp", "udp") else None
+
+
+def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:
+    """Returns why no program could listen there now, as a phrase; empty where one could."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, _kind(scheme)) as probe:
+        if scheme == "tcp":  # over UDP this would let two programs have one port
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            return (error.strerror or str(error)).lower()
+        return ""
+
+
+def _kind(scheme: str) -> socket.SocketKind:
+    return socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
+
+
+def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
+    """Takes a free port; the socket keeps it until it is closed, so that no two calls return the same."""
+    held = socket.socket(type=_kind(scheme))
+    held.bind((host, 0))
+    return held, held.getsockname()[1]

@@ -1,0 +1,202 @@
+"""The metrics of an agent: some are counted as things happen, the others are read at each request."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from typing import Any, Final
+
+from prometheus_client import CollectorRegistry, Counter, GCCollector, Histogram, PlatformCollector, ProcessCollector
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from pancakes.events import Event
+from pancakes.packet import join
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.mailbox import Runnable
+from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.life.life import State
+from pancakes.runtime.services.network import NetworkService
+from pancakes.service import Service
+
+BUCKETS_S: Final = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+
+
+TIMER: Final = "agent service task timer"
+MAILBOX: Final = "agent service task channel"
+FAMILIES: Final[Sequence[tuple[str, Any, str, str]]] = (
+    ("task_rate_hertz", GaugeMetricFamily, "The rate that was asked for.", TIMER),
+    ("task_ticks", CounterMetricFamily, "Ticks so far.", TIMER),
+    ("task_missed_ticks", CounterMetricFamily, "Ticks that were left out.", TIMER),
+    ("mailbox_waiting_packets", GaugeMetricFamily, "Packets that wait.", MAILBOX),
+    ("mailbox_handled_packets", CounterMetricFamily, "Packets taken out.", MAILBOX),
+    ("mailbox_dropped_packets", CounterMetricFamily, "Packets that a reader wanted and lost.", MAILBOX),
+    ("task_running", GaugeMetricFamily, "Whether a task runs.", "agent service task"),
+    ("task_starts", CounterMetricFamily, "How often a task was started.", "agent service task"),
+    ("link_round_trip_seconds", GaugeMetricFamily, "Round trip of a link, smoothed.", "agent peer"),
+    ("link_sent_packets", CounterMetricFamily, "Packets sent.", "agent peer"),
+    ("link_received_packets", CounterMetricFamily, "Packets received.", "agent peer"),
+    ("link_sent_bytes", CounterMetricFamily, "Bytes sent.", "agent peer"),
+    ("link_received_bytes", CounterMetricFamily, "Bytes received.", "agent peer"),
+    ("link_waiting_packets", GaugeMetricFamily, "Packets that wait for a peer.", "agent peer"),
+    ("link_dropped_packets", CounterMetricFamily, "Packets that a slow peer missed.", "agent peer channel"),
+    ("undelivered_packets", CounterMetricFamily, "Packets that no subscriber took.", "agent"),
+    ("dead_letters", CounterMetricFamily, "Packets whose handler failed.", "agent"),
+    ("mission_seconds", GaugeMetricFamily, "The agent's mission clock.", "agent"),
+    ("battery_level_ratio", GaugeMetricFamily, "What is left of the battery.", "agent"),
+)
+"""What is read at each request: its name, its kind, what it is, and its labels."""
+
+_Value = tuple[str, list[str], float]
+"""The name of a metric, the values of its labels, and its own value."""
+
+
+class AgentMetrics(Collector):
+    """All metrics of one agent.
+
+    Args:
+        kernel: the agent's kernel.
+
+    Attributes:
+        registry: what Prometheus' exposition reads.
+        battery_level: what the agent's battery last said, from 0 to 1; None before that.
+    """
+
+    def __init__(self, kernel: Kernel) -> None:
+        self._kernel = kernel
+        self.battery_level: float | None = None
+        self.registry = CollectorRegistry()
+        # First, because it forgets what the others shall no longer tell.
+        self.registry.register(self)
+        self._lateness = Histogram(
+            "pancakes_task_lateness_seconds",
+            "How late ticks of time-driven tasks were, in mission time.",
+            ["agent", "service", "task", "timer"],
+            buckets=BUCKETS_S,
+            registry=self.registry,
+        )
+        self._late: dict[TaskTimer, Any] = {}
+        self._migrations = Counter(
+            "pancakes_migrations", "Moves of tasks away from this agent.", ["agent", "outcome"], registry=self.registry
+        )
+        self._arrivals = Counter(
+            "pancakes_task_arrivals", "Tasks that came from other agents.", ["agent"], registry=self.registry
+        )
+        self._failures = Counter(
+            "pancakes_task_failures",
+            "Tasks that ended by an error.",
+            ["agent", "service", "task", "then"],
+            registry=self.registry,
+        )
+        self._requests = Counter(
+            "pancakes_control_changes",
+            "Changes that were asked for by control packets.",
+            ["agent", "kind"],
+            registry=self.registry,
+        )
+        ProcessCollector(registry=self.registry)
+        PlatformCollector(registry=self.registry)
+        GCCollector(registry=self.registry)
+
+    # As it happens ---------------------------------------------------------------------------------------------
+
+    def ticked(self, timer: TaskTimer, lateness_s: float) -> None:
+        """Counts a tick. In the task's turn: the labels are looked up once."""
+        child = self._late.get(timer)
+        if child is None:
+            child = self._late[timer] = self._lateness.labels(*_place(timer.component), timer.method)
+        child.observe(lateness_s)
+
+    def happened(self, source: str, event: Event) -> None:
+        """Counts what an event of this agent tells of; `source` is the address that told it."""
+        agent, fields = self._kernel.agent, event.fields
+        if event.kind == "migration" and not fields.get("dry_run"):
+            self._migrations.labels(agent, fields["outcome"]).inc()
+        elif event.kind == "task_arrived":
+            self._arrivals.labels(agent).inc()
+        elif event.kind == "task_failed":
+            service = (*source.split("/"), "")[1]  # a service tells it of its own tasks
+            self._failures.labels(agent, service, fields["task"], fields["then"]).inc()
+        elif event.kind in ("asked", "rate_changed", "settings_changed"):
+            self._requests.labels(agent, str(fields.get("what", event.kind))).inc()
+
+    # When it is asked for --------------------------------------------------------------------------------------
+
+    def collect(self) -> Iterator[Metric]:
+        """Reads the rest. In the thread of the HTTP server."""
+        components = self._kernel.registry.components()
+        self._forget(components)
+        families = {
+            name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
+        }
+        parts = (self._timers(components), self._mailboxes(components), self._tasks(components))
+        for name, where, value in chain(*parts, self._links(), self._agent()):
+            families[name].add_metric(where, value)
+        yield from families.values()
+
+    def describe(self) -> Iterator[Metric]:
+        """Tells nothing beforehand: what there is, depends on the agent."""
+        return iter(())
+
+    def _forget(self, components: list[Component]) -> None:
+        """Forgets the ticks of tasks that have ended: names that come and go must not fill the memory."""
+        alive = {timer for component in components for timer in list(component.timers.values())}
+        known = {timer: (*_place(timer.component), timer.method) for timer in list(self._late)}
+        kept = {where for timer, where in known.items() if timer in alive}
+        for timer, where in known.items():
+            if timer not in alive:
+                self._late.pop(timer, None)
+                if where not in kept:
+                    self._lateness.remove(*where)
+
+    def _timers(self, components: list[Component]) -> Iterator[_Value]:
+        for component in components:
+            for timer in list(component.timers.values()):
+                where = [*_place(component), timer.method]
+                yield "task_rate_hertz", where, timer.rate_hz
+                yield "task_ticks", where, timer.ticks
+                yield "task_missed_ticks", where, timer.missed_total
+
+    def _mailboxes(self, components: list[Component]) -> Iterator[_Value]:
+        for component in components:
+            for channel, box in list(component.actor_inbox.queues.items()):
+                where = [*_place(component), channel]
+                yield "mailbox_waiting_packets", where, len(box)
+                yield "mailbox_handled_packets", where, box.handled
+                yield "mailbox_dropped_packets", where, box.dropped()
+
+    def _tasks(self, components: list[Component]) -> Iterator[_Value]:
+        for service in [component for component in components if isinstance(component, Service)]:
+            for slot in list(service.slots.values()):
+                where = [service.agent, service.name, slot.name]
+                yield "task_running", where, slot.life.state is State.RUNNING
+                yield "task_starts", where, slot.life.incarnation
+
+    def _links(self) -> Iterator[_Value]:
+        network = self._kernel.registry.get(join(self._kernel.agent, "network"))
+        for peer in network.links() if isinstance(network, NetworkService) else ():
+            where = [self._kernel.agent, peer["name"]]
+            if peer["rtt_s"] is not None:
+                yield "link_round_trip_seconds", where, peer["rtt_s"]
+            yield "link_sent_packets", where, peer["packets_out"]
+            yield "link_received_packets", where, peer["packets_in"]
+            yield "link_sent_bytes", where, peer["bytes_out"]
+            yield "link_received_bytes", where, peer["bytes_in"]
+            yield "link_waiting_packets", where, sum(peer["waiting"].values())
+            for channel, count in peer["dropped"].items():
+                yield "link_dropped_packets", [*where, channel], count
+
+    def _agent(self) -> Iterator[_Value]:
+        kernel = self._kernel
+        yield "undelivered_packets", [kernel.agent], kernel.stream.undelivered
+        yield "dead_letters", [kernel.agent], kernel.letters.count
+        yield "mission_seconds", [kernel.agent], kernel.mission.now()
+        if self.battery_level is not None:
+            yield "battery_level_ratio", [kernel.agent], self.battery_level
+
+
+def _place(component: Runnable) -> tuple[str, str, str]:
+    """Returns agent, service and task of a component; of a service the task is empty."""
+    agent, service, task = (*component.address.split("/"), "", "")[:3]
+    return agent, service, task

@@ -1,0 +1,71 @@
+"""Reads the records of an MCAP file, also of one that was cut off or damaged."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from mcap.exceptions import McapError
+from mcap.records import Chunk, McapRecord
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from pancakes.runtime.runtime_dir import is_locked
+from pancakes.tools.recording.recorded_packet import RecordingError
+
+READ_ERRORS: Final = (McapError, ValueError, KeyError, OverflowError, OSError, struct.error)
+"""What reading a file raises that was cut off, torn, or never a recording."""
+
+
+@dataclass
+class Damage:
+    """What lies between records that can be read, and cannot be read itself.
+
+    Attributes:
+        chunks: how many chunks.
+        size_bytes: how large they are.
+    """
+
+    chunks: int = 0
+    size_bytes: int = 0
+
+
+def records_of(file: BinaryIO, damage: Damage) -> Iterator[McapRecord]:
+    """Gives the records of a file, those in chunks as well. A chunk that is damaged is left out and counted.
+
+    Raises:
+        READ_ERRORS: here it ends, whole or not.
+    """
+    for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        try:
+            inside = breakup_chunk(record, validate_crc=True)
+        except Exception:  # whatever a decompressor raises; the next chunk can be read all the same
+            damage.chunks += 1
+            damage.size_bytes += len(record.data)
+        else:
+            yield from inside
+
+
+def opened(path: Path) -> BinaryIO:
+    """Opens a file of a recording.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
+
+
+def is_being_written(file: BinaryIO) -> bool:
+    """Returns whether a recorder has this file open: it locks what it writes, for as long as it lives."""
+    with suppress(OSError):  # this file system knows no locks
+        return is_locked(file)
+    return False

@@ -1,0 +1,177 @@
+"""Reads recordings, whole or cut off."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+
+from pancakes.errors import RemoteProtocolError
+from pancakes.tools.recording.mcap_records import READ_ERRORS, Damage, is_being_written, opened, records_of
+from pancakes.tools.recording.message import packet_from_data
+from pancakes.tools.recording.mission_time import MissionTime
+from pancakes.tools.recording.parts import SUFFIX, first_name, part_number, parts_of
+from pancakes.tools.recording.recorded_packet import RecordedPacket, RecordingError
+from pancakes.tools.recording.schemas import SCHEMAS
+from pancakes.tools.recording.writer import METADATA
+
+
+@dataclass
+class FileReading:
+    """What was found while a file was read; complete once its entries have been taken.
+
+    Attributes:
+        path: the file.
+        about: what the recorder wrote about the recording.
+        cut: why it could not be read to its end; empty where it could.
+        damage: what could not be read before that.
+        strange: sentences on messages that are no packets any more, such as of a type that has changed, and how often
+            each holds.
+    """
+
+    path: Path
+    about: dict[str, str] = field(default_factory=dict)
+    cut: str = ""
+    damage: Damage = field(default_factory=Damage)
+    strange: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def whole(self) -> bool:
+        """Whether all of it could be read."""
+        return not self.cut and not self.damage.chunks
+
+
+class RecordingReader:
+    """A recording: one file, or all of a directory (`*.mcap`), such as the parts of one that was split.
+
+    Args:
+        path: the file, to which belong the parts that it was split into, or the directory.
+
+    Attributes:
+        readings: what was found so far, by file.
+
+    Raises:
+        RecordingError: there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.files = files_of(path)
+        self.readings = [FileReading(file) for file in self.files]
+
+    def entries(self) -> Iterator[RecordedPacket]:
+        """Gives all packets, in the order in which they were recorded, over all files.
+
+        Raises:
+            RecordingError: a file is no recording at all.
+        """
+        parts = [_entries(reading) for reading in self.readings]
+        yield from heapq.merge(*parts, key=lambda entry: entry.time_ns)
+
+    def mission_time(self) -> MissionTime:
+        """Returns what turns this recording's time into mission time; reads the beginning of each file.
+
+        Raises:
+            RecordingError: a file is no recording at all.
+        """
+        again = [FileReading(file) for file in self.files]
+        return MissionTime.of((reading.about, _entries(reading)) for reading in again)
+
+    def notes(self) -> Sequence[str]:
+        """Returns sentences on all that could not be read so far."""
+        notes = [f"{reading.path} is cut off: {reading.cut}" for reading in self.readings if reading.cut]
+        notes += [
+            f"{reading.path} is damaged: {reading.damage.chunks} of its chunks cannot be read"
+            for reading in self.readings
+            if reading.damage.chunks
+        ]
+        virtual = [reading.path for reading in self.readings if reading.about.get("clock") == "mission time"]
+        live = [reading.path for reading in self.readings if reading.about.get("clock") == "time of day"]
+        if virtual and live:
+            notes.append(f"{virtual[0]} is in virtual time and {live[0]} is not: their times do not go together")
+        return notes + [
+            f"{reading.path}: {text}" + (f" ({count} times)" if count > 1 else "")
+            for reading in self.readings
+            for text, count in reading.strange.items()
+        ]
+
+
+def files_of(path: Path) -> list[Path]:
+    """Returns the files of a recording, in their order.
+
+    Raises:
+        RecordingError: there is none, or nothing may be looked up there.
+    """
+    try:
+        is_folder = path.is_dir()
+        # Of a file, the first part may be gone: `at_limit = "drop_oldest"` drops it.
+        files = [file for file in path.glob(f"*{SUFFIX}") if file.is_file()] if is_folder else parts_of(path)
+    except OSError as error:
+        raise RecordingError(f"the recording {path} cannot be read: {error.strerror or error}") from None
+    if not files:
+        raise RecordingError(f"{path} holds no recording (*{SUFFIX})" if is_folder else f"there is no recording {path}")
+    return sorted(files, key=lambda file: (first_name(file), part_number(file)))
+
+
+def _entries(reading: FileReading) -> Iterator[RecordedPacket]:
+    with opened(reading.path) as file:
+        for schema, channel, message in messages(reading, file):
+            if not schema.startswith(SCHEMAS):
+                continue  # what a viewer shows
+            try:
+                _, agent, name, kind = channel.topic.split("/")
+            except ValueError:
+                text = f"its topic {channel.topic!r} does not read /AGENT/CHANNEL/TYPE"
+                reading.strange[text] = reading.strange.get(text, 0) + 1
+                continue
+            try:
+                packet = packet_from_data(name, kind, message.data)
+            except RemoteProtocolError as error:
+                reading.strange[str(error)] = reading.strange.get(str(error), 0) + 1
+                continue
+            yield RecordedPacket(message.log_time, agent, packet)
+
+
+def messages(reading: FileReading, file: BinaryIO) -> Iterator[tuple[str, Channel, Message]]:
+    """Gives all messages of a file as far as it is whole, each with the name of its schema and its channel.
+
+    Raises:
+        RecordingError: it is no recording at all.
+    """
+    channels: dict[int, Channel] = {}
+    schemas: dict[int, str] = {}
+    begun = False
+    try:
+        for record in records_of(file, reading.damage):
+            begun = True
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                reading.about.update(record.metadata)
+            elif isinstance(record, Message):
+                channel = channels.get(record.channel_id)
+                if channel is None and reading.damage.chunks:
+                    continue  # what it was is told in a chunk that is damaged
+                if channel is None:
+                    raise KeyError(f"it does not say what its channel {record.channel_id} is")
+                yield schemas[channel.schema_id], channel, record
+    except READ_ERRORS as error:
+        if not begun and not _was_begun(file):
+            raise RecordingError(f"{reading.path} is no recording: it does not begin as an MCAP file does") from None
+        if is_being_written(file):
+            reading.cut = "it is being recorded"
+        else:
+            reading.cut = (str(error) or "its end is missing") if begun else "it holds nothing yet"
+
+
+def _was_begun(file: BinaryIO) -> bool:
+    """Returns whether a recorder may have been killed the moment after it made the file."""
+    file.seek(0)
+    return MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC)))

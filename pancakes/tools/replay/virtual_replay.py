@@ -1,0 +1,120 @@
+"""Feeds recorded packets into agents in virtual time, and records what they make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from msgspec.structs import replace
+
+from pancakes.errors import ConfigError, Fault, MailboxFull, PancakesError
+from pancakes.fleet import VirtualFleet
+from pancakes.packet import join
+from pancakes.runtime.config import Config
+from pancakes.runtime.config.tables import RecordConfig
+from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.root import Root
+from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
+from pancakes.tools.recording.virtual_recorder import VirtualRecorder
+from pancakes.tools.replay.selection import Live, Selection, Tally
+
+READY_S: Final = 30.0
+"""How long, in virtual time, agents may take until they are ready."""
+AFTER_S: Final = 1.0
+"""How long they go on after the last packet, in virtual time: what it leads to belongs to the result."""
+
+
+class VirtualReplay:
+    """Agents in virtual time that are fed with a recording.
+
+    Args:
+        configs: their configurations.
+        out: the folder that what they say is recorded into, `AGENT.mcap` for each; None: it is not recorded.
+        plugins: where their classes are found.
+        seed: draws the order of the actors, and the random numbers of agents that name no seed themselves.
+
+    Attributes:
+        tally: what was fed so far.
+        refused: sentences on packets for which no mailbox had room, and on packets that could not be recorded.
+
+    Raises:
+        ConfigError: two of them have the same name.
+    """
+
+    def __init__(self, configs: Sequence[Config], out: Path | None, plugins: Plugins, seed: int = 0) -> None:
+        self._fleet = VirtualFleet(seed, plugins=plugins)
+        self._configs: dict[str, Config] = {}
+        self._records: dict[str, RecordConfig] = {}
+        self._recorders: list[VirtualRecorder] = []
+        for config in configs:
+            name = config.agent.name
+            if name in self._configs:
+                raise ConfigError([Fault("--config", "[agent] name", f"two of the agents are called {name!r}")])
+            self._configs[name] = _virtual(config, seed)
+            if out is not None:
+                record = config.record or RecordConfig()
+                self._records[name] = replace(record, path=str(out / f"{name}.mcap"))
+        self.tally = Tally()
+        self.refused: list[str] = []
+
+    def __enter__(self) -> VirtualReplay:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        try:
+            self._fleet.close()
+        finally:
+            for recorder in self._recorders:
+                recorder.end()
+
+    def start(self) -> dict[str, Live]:
+        """Starts the agents, and returns what they say of themselves.
+
+        Raises:
+            PancakesError: one does not become ready, or cannot be started or recorded.
+        """
+        agents = []
+        for name, config in self._configs.items():
+            agent = self._fleet.start(config)
+            agents.append(agent)
+            if name in self._records:
+                self._recorders.append(VirtualRecorder(agent.kernel, self._records[name], self.refused.append))
+        if not self._fleet.run_while(lambda: not all(agent.ready.is_set() for agent in agents), READY_S):
+            late = ", ".join(agent.name for agent in agents if not agent.ready.is_set())
+            raise PancakesError(f"{late} did not become ready within {READY_S:g} s of virtual time")
+        roots = [agent.kernel.registry.get(join(agent.name, "kernel")) for agent in agents]
+        return {root.agent: Live.of(root.describe()) for root in roots if isinstance(root, Root)}
+
+    def feed(self, selection: Selection, entries: Iterable[RecordedPacket], first_ns: int, scale: float) -> None:
+        """Feeds all packets, and lets the agents work on for a moment.
+
+        Args:
+            selection: which packets are fed, and into which agent.
+            entries: the recording, in the order of time.
+            first_ns: when the first packet was seen that is fed; it goes in at once.
+            scale: seconds of virtual time for each of the recording.
+        """
+        begin_s = self._fleet.now()
+        for fed in selection.of(entries):
+            if fed.topic.left_out:
+                continue
+            due_s = begin_s + (fed.time_ns - first_ns) / NANOSECONDS * scale
+            self._fleet.run_until(max(due_s, self._fleet.now()))
+            kernel = self._fleet.agents[fed.topic.agent].kernel
+            try:
+                kernel.stream.inject(replace(fed.packet, stamp=kernel.mission.now()))
+            except MailboxFull as error:
+                self.refused.append(str(error))
+                continue
+            self.tally.add(fed)
+        self._fleet.run_for(AFTER_S)
+
+
+def _virtual(config: Config, seed: int) -> Config:
+    """Returns a configuration for virtual time: it is recorded from outside, and its mission begins at once."""
+    agent = replace(config.agent, seed=seed) if config.agent.seed is None else config.agent
+    log = config.services["log"]
+    services = {**config.services, "log": replace(log, settings={**log.settings, "console": False})}
+    clock = replace(config.clock, hold=False, speed=1.0)
+    return replace(config, agent=agent, record=None, clock=clock, services=services)

@@ -1,0 +1,132 @@
+"""What a watch fills and what pages read: one model of a fleet, its history, and frames for pages."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pancakes.runtime.foundation import codecs
+from pancakes.tools.web.fleet_model import FleetModel
+from pancakes.tools.web.history import FrameHistory
+
+FRAMES_HZ: Final = 10.0
+"""How often, each second, pages get news and the history gets a frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cursor:
+    """How far a page has seen.
+
+    Attributes:
+        version: the board's version.
+        event: the number of the last event.
+    """
+
+    version: int
+    event: int
+
+
+class Feed:
+    """What is known of a fleet, for any number of pages. All methods may be called from any thread.
+
+    Args:
+        now: returns the present on the timeline, in seconds. The timeline goes on as a person who watches sees it.
+
+    Attributes:
+        model: what is known; under the lock only.
+        lock: guards the model.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self.now = now
+        self._present = now
+        self._gap_s = 0.0
+        self.lock = threading.Lock()
+        self.model = FleetModel()
+        self._history = FrameHistory()
+        self._recorded = 0
+        self._recorded_s = -1.0
+        self._waiting = ""
+        self._over = ""
+
+    def wait_for(self, reason: str) -> None:
+        """Says why there is nothing to be seen; empty: there is."""
+        with self.lock:
+            self._waiting = reason
+
+    def end(self, sentence: str) -> None:
+        """Says that nothing more will happen, and how it went: from now on there is only the timeline."""
+        with self.lock:
+            if not self._over:
+                end_s = self.now()
+                self.now = lambda: end_s
+            self._over = sentence
+
+    def go_on(self) -> None:
+        """Says that something happens again after the end: the timeline goes on from there."""
+        with self.lock:
+            if self._over:
+                self._gap_s = self._present() - self.now()
+                self.now = lambda: self._present() - self._gap_s
+                self._over = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether it was said that nothing more will happen."""
+        return bool(self._over)
+
+    def record(self) -> None:
+        """Keeps the present in the history, where it is time to. To be called at least `FRAMES_HZ` times a second."""
+        t = self.now()
+        if t - self._recorded_s < 0.999 / FRAMES_HZ:
+            return
+        with self.lock:
+            self._recorded_s = t
+            board = self.model.board
+            whole = self._history.due(t)
+            frame = self._frame(t, None if whole else self._recorded)
+            self._recorded = board.version
+            self._history.add(t, frame)
+
+    def chunk(self, t: float) -> bytes:
+        """Returns the piece of the history that holds `t`, see `FrameHistory.at`."""
+        with self.lock:
+            return self._history.at(t)
+
+    def frame(self, seen: Cursor | None) -> tuple[bytes, Cursor]:
+        """Returns what a page has not seen as JSON, and how far it has then seen.
+
+        Args:
+            seen: how far it has; None: nothing yet, so that it gets everything.
+        """
+        with self.lock:
+            t = self.now()
+            model = self.model
+            cursor = Cursor(model.board.version, model.happenings.count)
+            frame = self._frame(t, seen.version if seen is not None else None)
+            events = model.happenings.since(seen.event if seen is not None else 0)
+            if events:
+                frame["events"] = events
+            if seen is not None and events and events[0]["n"] > seen.event + 1:
+                frame["lost_events"] = events[0]["n"] - seen.event - 1
+            frame["from"] = round(self._history.begin_s(), 3)
+            if self._waiting:
+                frame["waiting"] = self._waiting
+            if self._over:
+                frame["over"] = self._over
+            return codecs.encode_json(frame), cursor
+
+    def _frame(self, t: float, version: int | None) -> dict[str, Any]:
+        model = self.model
+        frame: dict[str, Any] = {"t": round(t, 3), "m": round(model.mission_s(t), 2)}
+        if version is None:
+            frame["all"] = True
+            frame["trails"] = {name: list(points) for name, points in model.trails.items()}
+            frame["set"] = model.board.all()
+        else:
+            changed = model.board.since(version)
+            if changed:
+                frame["set"] = changed
+        return frame

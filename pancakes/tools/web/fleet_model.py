@@ -1,0 +1,324 @@
+"""What a page shows of a fleet: packets and descriptions go in, named plain values come out. Pure.
+
+The values of the board, by name (AGENT, TASK ... stand for names; all are what JSON knows):
+
+| name | value |
+|---|---|
+| `fleet` | `{name, speed, held}` |
+| `arena` | `[width_m, height_m]`, round the origin |
+| `body/NAME` | `[x_m, y_m, theta_rad, driven_by]` |
+| `shape/NAME` | `{kind, radius_m, range_m?}`; kind: `robot`, `sensor`, `mover` |
+| `ring/AGENT/TYPE` | `{bearings_rad, max_m}` of a range sensor |
+| `rays/AGENT/TYPE` | `[range_m, ...]` |
+| `motion/AGENT` | `[detected, bearing_rad, range_m]` |
+| `battery/AGENT` | `[voltage_v, level]` |
+| `agent/AGENT` | what its card is headed with |
+| `service/AGENT/SERVICE` | `[state, reason]` |
+| `task/AGENT/SERVICE/TASK` | a mapping, see `_task` |
+| `circle/AGENT/TASK` | `[x_m, y_m, radius_m]`: a task with `centre_m` in its state or settings, and `radius_m` |
+| `commands/AGENT` | the types of its actuators of which a command can be explained |
+| `link/A/B` | the round trip in milliseconds, of two agents A < B; -1 while it is not known |
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, TypeGuard
+
+from pancakes.bodies.devices.types import Battery, Infrared, Motion, Pose, Sonar
+from pancakes.bodies.sim.models import robot_model
+from pancakes.bodies.sim.state import WorldState
+from pancakes.packet import LOG, Packet
+from pancakes.runtime.foundation.arrays import without_arrays
+from pancakes.runtime.services.log_record import record_of
+from pancakes.tools.web.board import Board
+from pancakes.tools.web.event_log import EventLog
+
+TRAIL: Final = 400
+"""The most points of a trail."""
+TRAIL_STEPS: Final = 200
+"""The points of a trail are at least the arena's width divided by this apart."""
+TRAIL_STEP_M: Final = 0.02
+"""The same where there is no arena."""
+RUNNING: Final = "running"
+_ENDS: Final = {"task_stopped": "stopped", "task_failed": "failed", "task_given_up": "failed"}
+
+Point = tuple[float, float]
+
+
+class FleetModel:
+    """Keeps what is known of one fleet. Times `t` are seconds on the page's timeline.
+
+    Attributes:
+        board: the present, see the module's text.
+        happenings: what the agents' logs said.
+        trails: where bodies were, oldest first.
+    """
+
+    def __init__(self, fleet: str = "") -> None:
+        self.board = Board()
+        self.happenings = EventLog()
+        self.trails: dict[str, deque[Point]] = {}
+        self._fleet = fleet
+        self._step_m = TRAIL_STEP_M
+        self._anchor = (0.0, 0.0, 0.0)  # a moment of the timeline, the mission time then, and how fast that goes
+        self._leader = ""
+        self._truth = False
+
+    def mission_s(self, t: float) -> float:
+        """Returns the mission time at a moment of the timeline, as far as is known."""
+        at_s, mission_s, speed = self._anchor
+        return max(0.0, mission_s + (t - at_s) * speed)
+
+    # What was followed -----------------------------------------------------------------------------------------
+
+    def hear(self, agent: str, packet: Packet, t: float) -> None:
+        """Takes a packet that an agent published on `system` or `log`."""
+        if packet.channel == LOG:
+            self.tell(record_of(packet), t)
+            return
+        body = packet.body
+        match body:
+            case WorldState():
+                self._world(agent, body, t)
+            case Pose() if not self._truth and packet.source.startswith(f"{agent}/device/"):
+                self._body(agent, "robot", body.x_m, body.y_m, body.theta_rad, "")
+            case Infrared() | Sonar():
+                ring = {"bearings_rad": [round(it, 3) for it in body.bearings_rad], "max_m": round(body.max_range_m, 3)}
+                self.board.set(f"ring/{agent}/{packet.type}", ring)
+                self.board.set(f"rays/{agent}/{packet.type}", [round(it, 3) for it in body.ranges_m])
+            case Motion():
+                self.board.set(f"motion/{agent}", [body.detected, _rounded(body.bearing_rad), _rounded(body.range_m)])
+            case Battery():
+                self.board.set(f"battery/{agent}", [round(body.voltage_v, 2), round(body.level, 3)])
+
+    def tell(self, record: Mapping[str, Any], t: float) -> None:
+        """Takes a record of an agent's log that was written now."""
+        if self.happenings.add(record, t):
+            self._follow_task(record)
+
+    def recall(self, records: Iterable[Mapping[str, Any]], t: float) -> None:
+        """Takes records of an agent's log that were written before `t`."""
+        _, _, speed = self._anchor
+        for record in records:
+            before_s = (self.mission_s(t) - float(record["t_s"])) / speed if speed else 0.0
+            self.happenings.add(record, t - max(0.0, before_s))
+
+    def _world(self, agent: str, state: WorldState, t: float) -> None:
+        self._truth = True
+        self._leader = agent
+        self._anchor = (t, state.time_s, self._anchor[2])
+        for body in state.bodies:
+            self._body(body.name, body.kind, body.x_m, body.y_m, body.theta_rad, body.driven_by)
+
+    def _body(self, name: str, kind: str, x_m: float, y_m: float, theta_rad: float, driven_by: str) -> None:
+        board = self.board
+        board.set(f"body/{name}", [round(x_m, 4), round(y_m, 4), round(theta_rad, 3), driven_by])
+        if board.get(f"shape/{name}") is None:
+            board.set(f"shape/{name}", {"kind": kind})
+        if kind == "sensor":
+            return
+        trail = self.trails.setdefault(name, deque(maxlen=TRAIL))
+        point = (round(x_m, 3), round(y_m, 3))
+        if not trail or math.dist(trail[-1], point) >= self._step_m:
+            trail.append(point)
+
+    def _follow_task(self, record: Mapping[str, Any]) -> None:
+        """Shows at once what an event says of a task; the next description says all of it."""
+        kind, task, source = record["kind"], record.get("task"), str(record["source"]).split("/")
+        if not isinstance(task, str) or len(source) < 2:
+            return
+        agent, service = source[0], source[1]
+        key = f"task/{agent}/{service}/{task}"
+        known = self.board.get(key)
+        if known is not None and "rest" in known:  # why it rested until now
+            known = {name: value for name, value in known.items() if name != "rest"}
+        if kind in ("task_started", "task_resumed"):
+            row = known or {"type": record.get("type", "")}
+            self.board.set(key, {**row, "state": RUNNING})
+        elif kind == "task_handed_over":
+            self._forget_task(agent, service, task)
+        elif kind in _ENDS and known is not None:
+            self.board.set(key, {**known, "state": _ENDS[kind]})
+            self.board.set(f"circle/{agent}/{task}", None)
+        elif kind == "rate_changed" and known is not None and isinstance(record.get("rate_hz"), float | int):
+            # What was reached before says nothing about the new rate.
+            self.board.set(key, {**known, "rate_hz": _short(record["rate_hz"]), "achieved_hz": None})
+
+    def _forget_task(self, agent: str, service: str, task: str) -> None:
+        self.board.set(f"task/{agent}/{service}/{task}", None)
+        self.board.set(f"circle/{agent}/{task}", None)
+
+    def commanded(self, agent: str, types: Sequence[str]) -> None:
+        """Shows which actuators of an agent were commanded, so that the page offers to explain them."""
+        self.board.set(f"commands/{agent}", list(types))
+
+    # What was asked --------------------------------------------------------------------------------------------
+
+    def describe(self, rows: Sequence[Mapping[str, Any]], described: Sequence[Mapping[str, Any]], t: float) -> None:
+        """Takes what agents say of themselves.
+
+        Args:
+            rows: what became of them since the last look (`pancakes.client.looks`).
+            described: the results of `Describe` of those that answered.
+            t: when.
+        """
+        answers = {it["agent"]: it for it in described}
+        for row in rows:
+            self._agent(row, answers.get(row["agent"]))
+        for description in described:
+            self._links(description)
+            self._clock(description, t)
+
+    def detail(self, agent: str, description: Mapping[str, Any]) -> None:
+        """Takes what is known about one task: the result of `Describe` of it, with its state."""
+        service, task = description["service"], description["task"]
+        settings = without_arrays(description.get("settings") or {})
+        # Of a task that does not run, `state` is the word for that.
+        state = without_arrays(description["state"]) if isinstance(description["state"], Mapping) else {}
+        if "arena" in settings:
+            self._arena(settings)
+        key = f"task/{agent}/{service}/{task}"
+        known = self.board.get(key)
+        if known is None or known["state"] != RUNNING:
+            return
+        self.board.set(key, {**known, "requires": list(description.get("requires", ()))})
+        centre, radius_m = state.get("centre_m") or settings.get("centre_m"), settings.get("radius_m")
+        circle = None
+        if _is_point(centre) and isinstance(radius_m, float | int):
+            circle = [round(centre[0], 3), round(centre[1], 3), round(radius_m, 3)]
+        self.board.set(f"circle/{agent}/{task}", circle)
+
+    def running(self) -> list[tuple[str, str, str]]:
+        """Returns the agent, service and name of each task that runs and that a user has made, or that is a world's."""
+        found = []
+        for key in self.board.keys("task/"):
+            _, agent, service, task = key.split("/", 3)
+            row = self.board.get(key)
+            if row is None or row["state"] != RUNNING or "device" in row:
+                continue
+            if service not in ("device", "network", "log"):
+                found.append((agent, service, task))
+        return found
+
+    def _agent(self, row: Mapping[str, Any], answer: Mapping[str, Any] | None) -> None:
+        agent = row["agent"]
+        if answer is None:
+            known = self.board.get(f"agent/{agent}") or {"agent": agent, "role": row["role"]}
+            self.board.set(f"agent/{agent}", {**known, "state": row["state"]})
+            return
+        self.board.set(
+            f"agent/{agent}",
+            {
+                "agent": agent,
+                "role": row["role"],
+                "state": row["state"],
+                "processor": _short(row["processor_share"], 2),
+                "memory_mib": _short(row["memory_mib"]),
+                "late_ms": _ms(row["lateness_s"]),
+                "missed": row["missed"],
+                "dropped": row["dropped"],
+                "links": row["links"],
+                "dead_letters": answer["dead_letters"],
+                "undelivered": answer["undelivered"],
+                "devices": list(answer["devices"]),
+                "listen": answer["listen"],
+            },
+        )
+        level = answer["battery_level"]
+        if level is not None and self.board.get(f"battery/{agent}") is None:
+            self.board.set(f"battery/{agent}", [None, round(level, 3)])
+        for service in answer["services"]:
+            self.board.set(f"service/{agent}/{service['service']}", [service["state"], service["reason"]])
+        there = {f"task/{agent}/{task['service']}/{task['task']}" for task in row["tasks"]}
+        for key in self.board.keys(f"task/{agent}/"):
+            if key not in there:
+                _, _, service_name, name = key.split("/", 3)
+                self._forget_task(agent, service_name, name)
+        described = {(task["service"], task["task"]): task for task in answer["tasks"]}
+        for task in row["tasks"]:
+            self._task(agent, task, described.get((task["service"], task["task"]), {}))
+
+    def _task(self, agent: str, task: Mapping[str, Any], described: Mapping[str, Any]) -> None:
+        key = f"task/{agent}/{task['service']}/{task['task']}"
+        known = self.board.get(key) or {}
+        row = {
+            "type": task["type"],
+            "state": task["state"],
+            "rate_hz": _short(task["rate_hz"]),
+            "achieved_hz": _short(task["achieved_hz"]),
+            "late_ms": _ms(task["lateness_s"]),
+            "missed": task["missed"],
+            "dropped": task["dropped"],
+            "restarts": task["restarts"],
+        }
+        for name in ("reason", "rest"):
+            if described.get(name) and task["state"] != RUNNING:
+                row[name] = described[name]
+        if "requires" in known:
+            row["requires"] = known["requires"]
+        self.board.set(key, row)
+        if task["state"] != RUNNING:
+            self.board.set(f"circle/{agent}/{task['task']}", None)
+
+    def _links(self, description: Mapping[str, Any]) -> None:
+        agent = description["agent"]
+        there = set()
+        for peer in description["mesh"]["peers"]:
+            if peer["role"] == "client":
+                continue
+            one, other = sorted((agent, peer["name"]))
+            key = f"link/{one}/{other}"
+            there.add(key)
+            # Both ends measure it; that of the lower name counts, so that it does not go to and fro.
+            if agent == one or self.board.get(key) is None:
+                self.board.set(key, _short(1000.0 * peer["rtt_s"], 2) if peer["rtt_s"] is not None else -1)
+        for key in self.board.keys("link/"):
+            if agent in key.split("/")[1:] and key not in there:
+                self.board.set(key, None)
+
+    def _clock(self, description: Mapping[str, Any], t: float) -> None:
+        speed = 0.0 if description["held"] else float(description["speed"])
+        if not self._leader or (description["role"] == "environment" and not self._truth):
+            self._leader = description["agent"]
+        if description["agent"] != self._leader:
+            return
+        at_s, mission_s, _ = self._anchor
+        if not self._truth:
+            at_s, mission_s = t, description["mission_s"]
+        self._anchor = (at_s, mission_s, speed)
+        fleet = {"name": description["fleet"], "speed": float(description["speed"]), "held": description["held"]}
+        self.board.set("fleet", fleet)
+
+    def _arena(self, settings: Mapping[str, Any]) -> None:
+        arena = settings["arena"]
+        if not isinstance(arena, Mapping) or not {"width_m", "height_m"} <= set(arena):
+            return
+        self.board.set("arena", [arena["width_m"], arena["height_m"]])
+        self._step_m = max(0.01, arena["width_m"] / TRAIL_STEPS)
+        for name, robot in dict(settings.get("robots") or {}).items():
+            self.board.set(f"shape/{name}", {"kind": "robot", "radius_m": robot_model(robot["model"]).radius_m})
+        for name, sensor in dict(settings.get("sensors") or {}).items():
+            shape = {"kind": "sensor", "radius_m": sensor["radius_m"], "range_m": sensor["motion"]["range_m"]}
+            self.board.set(f"shape/{name}", shape)
+        for name, mover in dict(settings.get("movers") or {}).items():
+            self.board.set(f"shape/{name}", {"kind": "mover", "radius_m": mover["radius_m"]})
+
+
+def _is_point(value: Any) -> TypeGuard[Sequence[float]]:
+    return isinstance(value, list | tuple) and len(value) == 2 and all(isinstance(it, float | int) for it in value)
+
+
+def _rounded(value: float | None) -> float | None:
+    return round(value, 3) if value is not None else None
+
+
+def _short(value: float | None, digits: int = 3) -> float | None:
+    """Returns a figure as it is shown: it need not be sent again because of a digit that the page does not show."""
+    return float(f"{value:.{digits}g}") if value is not None else None
+
+
+def _ms(seconds: float | None) -> float | None:
+    return round(1000.0 * seconds, 1) if seconds is not None else None

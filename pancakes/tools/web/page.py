@@ -1,0 +1,28 @@
+"""Opens a page: the rest of the program needs no more than this."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pancakes.errors import needing_extra
+from pancakes.tools.web.shown import Shown
+
+if TYPE_CHECKING:
+    from pancakes.tools.web.page_server import PageServer
+
+
+def open_page(shown: Shown, port: int | None) -> PageServer:
+    """Serves a page on the loopback interface until it is closed.
+
+    Args:
+        shown: what it shows.
+        port: the port; None: the usual one, or a free one where that is taken.
+
+    Raises:
+        PancakesError: the port is taken, or the library is missing.
+    """
+    with needing_extra("there is no page"):
+        from pancakes.tools.web.page_server import PageServer
+    server = PageServer(shown)
+    server.start(port)
+    return server

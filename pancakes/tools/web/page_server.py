@@ -1,0 +1,344 @@
+"""Serves the page on the loopback interface: files over HTTP, news over a WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import logging
+import secrets
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Annotated, Any, Final
+
+import msgspec
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from pancakes.control import Reply
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, describe
+from pancakes.packet import Cause
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.arrays import as_list
+from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
+from pancakes.tools.loopback import names_loopback
+from pancakes.tools.web.connection import PageConnection
+from pancakes.tools.web.feed import FRAMES_HZ, Cursor
+from pancakes.tools.web.files import static_files
+from pancakes.tools.web.http import refused, response
+from pancakes.tools.web.page_orders import order_from
+from pancakes.tools.web.shown import Shown
+
+ADDRESS: Final = "127.0.0.1"
+PORT: Final = 7480
+"""The port of the page where no other is named and this one is free."""
+SOCKET: Final = "/news"
+MOST_PAGES: Final = 32
+"""The most pages that may be open."""
+KEPT_PAGES: Final = 8
+"""The places beyond these for pages that show the token."""
+MOST_ASIDE: Final = 32
+"""The most pages that may be about to show it; one more takes the place of the first."""
+TOKEN_S: Final = 2.0
+"""How long a page may take to show the token where it is let in for that alone."""
+MOST_ASKED: Final = 16
+"""The most questions of one page at a time."""
+LONGEST_MESSAGE: Final = 16 * 1024
+ORDER_S: Final = 30.0
+"""How long an agent may take for what it is asked for: a task may be busy before it moves."""
+CLOSE_S: Final = 2.0
+FULL: Final = f"full: {MOST_PAGES} pages are open already, close one"
+
+_LOG: Final = logging.getLogger("pancakes.tools.web.page")
+"""What the library says of requests that are none: nothing that a terminal should show."""
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False
+
+
+class PageServer:
+    """Shows a fleet to any number of pages, in a thread of its own.
+
+    A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
+    and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
+    a foreign site that a browser shows at the same time can neither look nor ask. What changes something needs the
+    token as well, which is in the address that a person was given.
+
+    Args:
+        shown: what is shown.
+
+    Attributes:
+        token: what a page has to know that wants to change something; empty where none may.
+        port: the port, once it has started.
+        skipped: how many frames pages were too slow for.
+    """
+
+    def __init__(self, shown: Shown) -> None:
+        self._shown = shown
+        self._files = static_files()
+        self._pages: set[ServerConnection] = set()
+        self._aside: dict[ServerConnection, asyncio.Future[str | bytes]] = {}
+        self._loop = asyncio.new_event_loop()
+        self._stop: asyncio.Event | None = None
+        self._begun = threading.Event()
+        self._fault: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="page-server", daemon=True)
+        self.token = secrets.token_urlsafe(24) if shown.order is not None else ""
+        self.port = 0
+        self.skipped = 0
+
+    @property
+    def address(self) -> str:
+        """The address of the page, for people."""
+        return f"http://{ADDRESS}:{self.port}/" + (f"#token={self.token}" if self.token else "")
+
+    def start(self, port: int | None = 0) -> None:
+        """Begins to listen; see `open_page` for the port.
+
+        Raises:
+            PancakesError: the port is taken.
+        """
+        self._ports = (PORT, 0) if port is None else (port,)
+        self._thread.start()
+        self._begun.wait()
+        if self._fault is not None:
+            self._thread.join()
+            raise PancakesError(f"the page cannot be at port {port}: {self._fault.strerror}: name another with --port")
+
+    def show(self, shown: Shown) -> None:
+        """Shows something else from now on, to all pages. Any thread."""
+        self._shown = shown
+
+    def close(self) -> None:
+        """Ends all connections. Not from its own thread."""
+        stop = self._stop
+        if stop is not None:
+            self._loop.call_soon_threadsafe(stop.set)
+        self._thread.join()
+
+    # In its thread from here on --------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._stop = asyncio.Event()
+        try:
+            server = await self._listen()
+        except OSError as error:
+            self._fault = error
+            self._begun.set()
+            return
+        self.port = next(iter(server.sockets)).getsockname()[1]
+        self._begun.set()
+        try:
+            await self._stop.wait()
+        finally:
+            server.close(close_connections=True)
+            await asyncio.wait({asyncio.ensure_future(server.wait_closed())}, timeout=CLOSE_S)
+
+    async def _listen(self) -> Server:
+        for port in self._ports[:-1]:
+            try:
+                return await self._listen_at(port)
+            except OSError:
+                continue
+        return await self._listen_at(self._ports[-1])
+
+    async def _listen_at(self, port: int) -> Server:
+        return await serve(
+            self._page,
+            ADDRESS,
+            port,
+            process_request=self._request,
+            compression=None,
+            max_size=LONGEST_MESSAGE,
+            max_queue=MOST_ASKED,
+            close_timeout=CLOSE_S / 2,
+            server_header=None,
+            create_connection=PageConnection,
+            logger=_LOG,
+        )
+
+    # HTTP ------------------------------------------------------------------------------------------------------
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answers a request for a file, or lets a WebSocket be opened (None)."""
+        # Under another name than one of the loopback interface it is a name server that led the browser here.
+        host = request.headers.get_all("Host")
+        if not names_loopback(host):
+            return refused(HTTPStatus.MISDIRECTED_REQUEST, "this page is only there under http://127.0.0.1")
+        path = request.path.partition("?")[0]
+        if path == SOCKET:
+            if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
+                return refused(HTTPStatus.FORBIDDEN, "only this server's own page may open this")
+            return None
+        file = self._files.get(path)
+        if file is None:
+            return refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+        return response(HTTPStatus.OK, file.type, file.data)
+
+    # The WebSocket ---------------------------------------------------------------------------------------------
+
+    async def _page(self, connection: ServerConnection) -> None:
+        page = _Page()
+        if len(self._pages) >= MOST_PAGES and not await self._let_in(connection, page):
+            await connection.close(1013, FULL)
+            return
+        self._pages.add(connection)
+        answering = asyncio.ensure_future(self._answer_all(connection, page))
+        try:
+            await self._show(connection)
+        except ConnectionClosed:
+            pass
+        except Exception as error:  # else the library would print a traceback
+            await connection.close(1011, f"a defect in Pancakes: {type(error).__name__}")
+        finally:
+            self._pages.discard(connection)
+            answering.cancel()
+
+    async def _let_in(self, connection: ServerConnection, page: _Page) -> bool:
+        """Returns whether a page gets one of the places that are kept: its first message must show the token."""
+        if not self.token:
+            return False
+        while len(self._aside) >= MOST_ASIDE:
+            self._aside.pop(next(iter(self._aside))).cancel()
+        self._aside[connection] = first = asyncio.ensure_future(connection.recv())
+        try:
+            await asyncio.wait({first}, timeout=TOKEN_S)
+            if not first.done() or first.cancelled():
+                return False
+            await connection.send(await self._answer(page, first.result()), text=True)
+        except ConnectionClosed:
+            return False
+        finally:
+            self._aside.pop(connection, None)
+            first.cancel()
+        return page.trusted and len(self._pages) < MOST_PAGES + KEPT_PAGES
+
+    async def _show(self, connection: ServerConnection) -> None:
+        """Sends news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
+        period_s = 1.0 / FRAMES_HZ
+        shown: Shown | None = None
+        seen: Cursor | None = None
+        due_s = self._loop.time()
+        while True:
+            if shown is not self._shown:
+                shown, seen = self._shown, None
+            data, seen = shown.feed.frame(seen)
+            await connection.send(data, text=True)
+            now_s = self._loop.time()
+            late = int((now_s - due_s) / period_s)
+            self.skipped += late
+            due_s += period_s * (late + 1)
+            await asyncio.sleep(due_s - now_s)
+
+    async def _answer_all(self, connection: ServerConnection, page: _Page) -> None:
+        """Answers what a page asks for, several things at a time."""
+        room = asyncio.Semaphore(MOST_ASKED)
+        asked: set[asyncio.Task[None]] = set()
+
+        async def answer(message: str | bytes) -> None:
+            try:
+                with contextlib.suppress(ConnectionClosed):
+                    await connection.send(await self._answer(page, message), text=True)
+            finally:
+                room.release()
+
+        try:
+            async for message in connection:
+                await room.acquire()
+                task = asyncio.ensure_future(answer(message))
+                asked.add(task)
+                task.add_done_callback(asked.discard)
+        finally:
+            for task in list(asked):
+                task.cancel()
+
+    async def _answer(self, page: _Page, message: str | bytes) -> bytes:
+        """Returns the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
+        number = None
+        try:
+            asked = _ASKED(message)
+            number = codecs.convert(asked.pop("id", None), _Number)
+            result = await self._do(page, asked.pop("ask", None), asked)
+            reply = result if isinstance(result, Reply) else Reply(True, "", result)
+            return _ENCODE({"answer": number, "ok": reply.ok, "reason": reply.reason, "result": reply.result})
+        except PancakesError as error:
+            reason = str(error)
+        except MALFORMED as error:
+            reason = f"a message of the page is malformed: {why_malformed(error)}"
+        except Exception as error:  # else it would end as a traceback on the terminal
+            reason = f"a defect in Pancakes: {describe(error)}"
+        return _ENCODE({"answer": number, "ok": False, "reason": reason, "result": None})
+
+    async def _do(self, page: _Page, what: Any, asked: dict[str, Any]) -> Any:
+        shown = self._shown
+        if what == "hello":
+            given = str(asked.get("token", ""))
+            page.trusted = bool(self.token) and hmac.compare_digest(given.encode(), self.token.encode())
+            return {"control": page.trusted and shown.order is not None, "title": shown.title}
+        if what == "chunk":
+            return msgspec.Raw(shown.feed.chunk(_moment_of(asked)))
+        if what == "explain":
+            return await self._loop.run_in_executor(None, shown.explain, *_command_of(asked))
+        if what == "order":
+            if shown.order is None:
+                raise ControlRefused("this page may only look: start it with --control to change something")
+            if not page.trusted:
+                raise ControlRefused("this page may only look: open it under the address that was printed")
+            order = order_from(asked)
+            asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
+            try:
+                return await asyncio.wait_for(asked_for, ORDER_S + CLOSE_S)
+            except TimeoutError:
+                raise NoAnswer(f"{order.agent} did not answer in time") from None
+        raise ControlRefused(f"a page cannot ask for {str(what)[:40]!r}")
+
+
+_Number = Annotated[int, msgspec.Meta(ge=0, le=2**53)] | None
+"""The number under which a page asks."""
+
+
+def _moment_of(asked: dict[str, Any]) -> float:
+    """Returns the moment on the timeline that a page asks for; 0 where it is none, such as a number of 400 digits."""
+    try:
+        return codecs.convert(asked.get("t"), float)
+    except msgspec.ValidationError:
+        return 0.0
+
+
+def _command_of(asked: dict[str, Any]) -> tuple[str, str, float | None, Cause | None, int]:
+    """Returns which command a page asks about, see `Explaining.explain`.
+
+    Raises:
+        msgspec.ValidationError: it says so in another way.
+    """
+    it = codecs.convert(asked, _ExplainRequest)
+    return it.agent, it.type, it.t, it.command, it.step
+
+
+_ENCODE: Final = codecs.json_encoder(as_list)
+_ASKED: Final[Callable[[bytes | str], dict[str, Any]]] = codecs.json_decoder(dict[str, Any])
+
+
+class _ExplainRequest(msgspec.Struct):
+    """What a page says of the command that it asks about."""
+
+    agent: str
+    type: str = ""
+    t: float | None = None
+    command: Cause | None = None
+    step: int = 0
+
+
+class _Page:
+    """What is known of one page.
+
+    Attributes:
+        trusted: whether it has shown the token.
+    """
+
+    trusted = False

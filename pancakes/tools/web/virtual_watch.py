@@ -1,0 +1,167 @@
+"""Watches a fleet in virtual time from outside: it sends no packets to the agents, so the run stays the same."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from pancakes.client.looks import Looks
+from pancakes.fleet import VirtualFleet
+from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
+from pancakes.runtime.agent import Agent
+from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.services.root import Root
+from pancakes.service import Service
+from pancakes.tools.recording.commands import ActuatorCommand, CommandChains
+from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
+from pancakes.tools.web.causes import Explaining
+from pancakes.tools.web.feed import Feed
+from pancakes.tools.web.watch import DETAIL_S, FOLLOWED, POSES
+
+HOST = MonotonicClock()
+"""Processes live in the host's time, whatever the mission's clock does."""
+
+LOOK_S: Final = 1.0
+"""How often, in mission time, it reads the descriptions of the agents."""
+SLICE_S: Final = 0.05
+"""How often, in the viewer's time, it waits for the viewer's clock."""
+
+
+class VirtualWatch:
+    """Fills a feed with what a fleet in virtual time does, and keeps it from going faster than can be watched.
+
+    What agents publish is tapped where they publish it, and what they are is read between two turns. Its methods are
+    called in the thread in which the fleet runs, unless they say otherwise.
+
+    Args:
+        speed: mission seconds for each second of the viewer.
+        stopping: ends the waiting.
+    """
+
+    def __init__(self, speed: float, stopping: threading.Event) -> None:
+        self.speed = speed
+        self.feed = Feed(self._now)
+        self._stopping = stopping
+        self._fleet: VirtualFleet | None = None
+        self._time_s = 0.0
+        self._began_s = HOST.now()
+        self._over = False
+        self._looks = Looks()
+        self._looked_s = -LOOK_S
+        self._detailed_s: dict[tuple[str, str, str], float] = {}
+        self._stale: set[tuple[str, str, str]] = set()
+        self._chains = CommandChains()
+        self._explaining = Explaining()
+
+    def begin(self, fleet: VirtualFleet) -> None:
+        """Takes the agents of a fleet that are there; to be called before anything runs."""
+        self._fleet = fleet
+        for agent in fleet.agents.values():
+            self._tap(agent)
+
+    def slice_s(self) -> float:
+        """Returns how much virtual time may pass until the next `pace`."""
+        return SLICE_S * self.speed
+
+    def pace(self) -> None:
+        """Shows what has happened, and waits until its time has come."""
+        assert self._fleet is not None
+        self._time_s = self._fleet.now()
+        self._look()
+        self.feed.record()
+        self._stopping.wait(max(0.0, self._began_s + self._now() - HOST.now()))
+
+    def end(self) -> None:
+        """Looks no more: that agents stop once a mission is over is no part of it."""
+        self._over = True
+        with self.feed.lock:
+            self._explain(self._chains.close())
+
+    def explain(
+        self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
+    ) -> dict[str, Any] | None:
+        """Returns why an agent's actuator was commanded, see `Explaining.explain`. Any thread."""
+        with self.feed.lock:
+            return self._explaining.explain(agent, type_, t, command, step)
+
+    def _now(self) -> float:
+        return self._time_s / self.speed
+
+    def _tap(self, agent: Agent) -> None:
+        name, stream = agent.name, agent.kernel.stream
+
+        def trace(packet: Packet) -> None:
+            if packet.channel not in (LOG, SYSCTRL):
+                self._explain(
+                    self._chains.add(RecordedPacket(int(agent.kernel.host.now() * NANOSECONDS), name, packet))
+                )
+
+        def leaves(packet: Packet) -> None:
+            if not self._over:
+                with self.feed.lock:
+                    trace(packet)
+
+        def hear(packet: Packet) -> None:
+            if self._over:
+                return
+            own = agent_of(packet.source) == name
+            t = agent.kernel.host.now() / self.speed
+            with self.feed.lock:
+                trace(packet)
+                if own and (packet.channel == LOG or packet.type in FOLLOWED + POSES):
+                    self.feed.model.hear(name, packet, t)
+                    if packet.type == "event":
+                        self._notice(packet)
+
+        for channel in (LOG, SYSTEM, CTRL):
+            stream.tap(channel, hear)
+        # When it leaves, a packet is not on any channel here.
+        stream.tap_outgoing(leaves)
+
+    def _explain(self, commands: Iterable[ActuatorCommand]) -> None:
+        new = self._explaining.add((it.time_ns / NANOSECONDS / self.speed, it) for it in commands)
+        for agent in new:
+            self.feed.model.commanded(agent, self._explaining.actuators(agent))
+
+    def _notice(self, packet: Packet) -> None:
+        agent, service, task = (*packet.source.split("/"), "", "")[:3]
+        self._stale.add((agent, service, task or str(packet.body.fields.get("task", ""))))
+
+    def _look(self) -> None:
+        assert self._fleet is not None
+        if self._time_s - self._looked_s < LOOK_S:
+            return
+        self._looked_s = self._time_s
+        described = []
+        for agent in self._fleet.agents.values():
+            root = agent.kernel.registry.get(f"{agent.name}/kernel")
+            if isinstance(root, Root) and agent.config.agent.role != "client":
+                description = root.describe()
+                # As fast as mission time goes for the viewer.
+                described.append({**description, "speed": description["speed"] * self.speed})
+        with self.feed.lock:
+            self.feed.model.describe(self._looks.look(described), described, self._now())
+            running = self.feed.model.running()
+        for key in running:
+            if key in self._stale or self._time_s - self._detailed_s.get(key, -DETAIL_S) >= DETAIL_S:
+                self._detailed_s[key] = self._time_s
+                self._detail(*key)
+        self._stale.clear()
+
+    def _detail(self, agent: str, service: str, task: str) -> None:
+        assert self._fleet is not None
+        registry = self._fleet.agents[agent].kernel.registry
+        owner: Component | None = registry.get(f"{agent}/{service}")
+        if not isinstance(owner, Service) or task not in owner.slots:
+            return
+        slot = owner.slots[task]
+        description: Mapping[str, Any] = owner.describe_in_detail(slot)
+        if slot.task is not None:
+            # What a task keeps in its state may be anything; what cannot be written down is not shown.
+            with contextlib.suppress(Exception):
+                description = {**description, "state": slot.task.carry().state}
+        with self.feed.lock:
+            self.feed.model.detail(agent, description)

@@ -1,0 +1,362 @@
+"""Watches a fleet of processes, as a client of its mesh: a thread of its own, so that no other thread waits."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from pancakes.client import Client
+from pancakes.client.door import Door
+from pancakes.client.following import Following
+from pancakes.client.looks import Looks
+from pancakes.control import Describe, History, Reply, Traces
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
+from pancakes.packet import LOG, SYSTEM, Cause
+from pancakes.tools.web.causes import Explaining
+from pancakes.tools.web.feed import FRAMES_HZ, Feed
+from pancakes.tools.web.fleet_traces import FleetTraces
+
+TURN_S: Final = 0.04
+"""How often it takes the packets that have arrived."""
+LOOK_S: Final = 1.0
+"""How often agents are asked to describe themselves."""
+SILENT_S: Final = 2.5
+"""An agent that has not answered for so long is shown as silent."""
+DETAIL_S: Final = 10.0
+"""How often a task is asked for its settings and state; after an event about it at the next `LOOK_S`."""
+RETRY_S: Final = 0.5
+"""How long to wait before agents are looked for again where there are none."""
+RECALL_S: Final = 600.0
+"""How far back, in mission time, a newly met agent is asked for its log."""
+MOST_ANSWERS: Final = 20
+"""The most replies with earlier log records that one agent is asked for."""
+ENDED_S: Final = 1.0
+"""After so long without any agent the fleet is shown as ended."""
+ENDED: Final = "the fleet has ended: none of its agents can be reached. The timeline is still there"
+FOLLOWED: Final = ("battery", "ir", "motion", "sonar", "world_state")
+POSES: Final = ("pose",)
+
+
+@dataclass
+class _PendingRequest:
+    """A request on its way to an agent."""
+
+    door: Door
+    number: int
+    until_s: float
+    agent: str
+    about: str
+    answer: Future[Reply] | None = None
+    packets: tuple[Cause, ...] = ()
+
+
+@dataclass
+class _MetAgent:
+    """What is known of an agent that is connected."""
+
+    asked_s: float = -1e9
+    answered_s: float = -1e9
+    traced_s: float = -1e9
+    recalled: int = 0
+    detailed_s: dict[str, float] = field(default_factory=dict)
+    stale: set[str] = field(default_factory=set)
+
+
+def fleet_among(described: Iterable[Mapping[str, Any]], fleet: str = "") -> str:
+    """Returns the fleet that is meant, of those that agents are of which described themselves.
+
+    Args:
+        described: the results of `Describe`.
+        fleet: its name; empty: the only one.
+
+    Raises:
+        ControlRefused: there are several.
+        Unreachable: there is none of that name.
+    """
+    there = sorted({row["fleet"] for row in described})
+    if not fleet and len(there) > 1:
+        raise ControlRefused(f"there are several fleets, {', '.join(there)}: name one with --fleet")
+    if fleet and fleet not in there:
+        raise Unreachable(f"there is no agent of the fleet {fleet!r}, only of {', '.join(there)}")
+    return fleet or there[0]
+
+
+class Watch:
+    """Fills a feed with what a fleet does, from `start` to `close`.
+
+    Args:
+        feed: what to fill.
+        at: addresses to begin with; none: the agents of this machine.
+        fleet: the fleet; empty: the only one that there is.
+        timeout_s: the time limit for what is asked at the beginning.
+        over: whether it is time to end by itself.
+    """
+
+    def __init__(
+        self,
+        feed: Feed,
+        at: Sequence[str] = (),
+        fleet: str = "",
+        timeout_s: float = 3.0,
+        over: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._feed = feed
+        self._at = tuple(at)
+        self._fleet = fleet
+        self._timeout_s = timeout_s
+        self._over = over
+        self._stopping = threading.Event()
+        self._orders: deque[tuple[str, Any, float, Future[Reply]]] = deque()
+        self._thread = threading.Thread(target=self._run, name="page-watch", daemon=True)
+        self._asked: list[_PendingRequest] = []
+        self._met: dict[str, _MetAgent] = {}
+        self._looks = Looks()
+        self._silent: set[str] = set()
+        self._traces = FleetTraces()
+        self._explaining = Explaining()
+        self._seen_s: float | None = None
+        self._closed = False
+
+    def start(self) -> None:
+        """Begins; agents that are not there yet are waited for."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leaves the fleet. Not from its own thread."""
+        self._stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def order(self, agent: str, body: Any, timeout_s: float) -> Future[Reply]:
+        """Asks an agent for something. Any thread.
+
+        Args:
+            agent: its name.
+            body: a control packet's body.
+            timeout_s: when to give up.
+
+        Returns:
+            Its reply; or the PancakesError that says why there is none.
+        """
+        answer: Future[Reply] = Future()
+        if self._closed:
+            answer.set_exception(Unreachable("the mission is over: no agent can be asked any more"))
+            return answer
+        self._orders.append((agent, body, timeout_s, answer))
+        return answer
+
+    def explain(
+        self, agent: str, type_: str = "", t: float | None = None, command: Cause | None = None, step: int = 0
+    ) -> dict[str, Any] | None:
+        """Returns why an agent's actuator was commanded, see `Explaining.explain`; and `left_out`. Any thread."""
+        with self._feed.lock:
+            found = self._explaining.explain(agent, type_, t, command, step)
+            return {**found, "left_out": self._traces.left_out(agent)} if found is not None else None
+
+    # In its thread from here on --------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._stopping.is_set() and not self._over():
+            try:
+                with Client(self._at, self._timeout_s) as client:
+                    self._watch(client)
+            except PancakesError as error:
+                self._feed.wait_for(str(error))
+                self._refuse_all(str(error))
+                self._stopping.wait(RETRY_S)
+            except Exception as error:
+                self._feed.wait_for(f"a defect in Pancakes or in a plug-in: {type(error).__name__}: {error}")
+                raise
+        self._closed = True
+        self._refuse_all("no agent can be asked any more")
+
+    def _watch(self, client: Client) -> None:
+        found = client.survey().agents
+        self._fleet = fleet_among(found, self._fleet)
+        truth = any(row["role"] == "environment" and row["fleet"] == self._fleet for row in found)
+        with ExitStack() as stack:
+            log = stack.enter_context(
+                Following(client, LOG, ("event", "line"), fleet=self._fleet, followed_anew=self._recall_again)
+            )
+            system = stack.enter_context(
+                Following(client, SYSTEM, FOLLOWED if truth else FOLLOWED + POSES, fleet=self._fleet, most_hz=FRAMES_HZ)
+            )
+            self._feed.wait_for("")
+            while not self._stopping.wait(TURN_S) and not self._over():
+                self._hear(client, log)
+                self._hear(client, system)
+                self._tend(client)
+                self._look_who_is_there(client)
+                self._feed.record()
+            for door in client.doors():
+                for hello in door.agents():
+                    if hello.name in self._met:
+                        door.request(hello.name, Traces(most=0))
+
+    def _hear(self, client: Client, following: Following) -> None:
+        heard = []
+        now_s = client.now()
+        while (it := following.next(now_s)) is not None:
+            heard.append(it)
+        if not heard:
+            return
+        now = self._feed.now()
+        with self._feed.lock:
+            for it in heard:
+                self._feed.model.hear(it.agent, it.packet, now - (now_s - it.at_s))
+        if following.channel == LOG:
+            for it in heard:
+                self._notice(it.agent, it.packet)
+
+    def _notice(self, agent: str, packet: Any) -> None:
+        """A task of which something is said may be in another state; a line says nothing of the kind."""
+        met = self._met.get(agent)
+        if met is None or packet.type != "event":
+            return
+        _, _, target = packet.source.partition("/")
+        task = packet.body.fields.get("task")
+        met.stale.add(f"{target}/{task}" if task and "/" not in target else target)
+
+    def _recall_again(self, agent: str) -> None:
+        met = self._met.get(agent)
+        if met is not None:
+            met.recalled = 0
+
+    def _tend(self, client: Client) -> None:
+        """Asks what is due, and takes what was answered."""
+        now_s = client.now()
+        doors = [door for door in client.doors() if door.fleet == self._fleet]
+        for door in doors:
+            for hello in door.agents():
+                met = self._met.setdefault(hello.name, _MetAgent())
+                if now_s - met.asked_s >= LOOK_S:
+                    met.asked_s = now_s
+                    self._ask(door, hello.name, Describe(), "look", now_s + SILENT_S)
+                    self._ask_details(door, hello.name, met, now_s)
+            self._ask_traces(door, now_s)
+        self._take_orders(doors, now_s)
+        self._take_answers(now_s)
+        self._take_commands()
+
+    def _look_who_is_there(self, client: Client) -> None:
+        """Says that the fleet has ended where it has: until an agent comes back."""
+        now_s = client.now()
+        doors = [door for door in client.doors() if door.fleet == self._fleet]
+        if any(door.agents() or door.asleep() for door in doors):
+            self._seen_s = now_s
+            if self._feed.over:
+                self._feed.go_on()
+        elif self._seen_s is not None and now_s - self._seen_s >= ENDED_S and not self._feed.over:
+            self._feed.end(ENDED)
+
+    # Why actuators are commanded ---------------------------------------------------------------------------------
+
+    def _ask_traces(self, door: Door, now_s: float) -> None:
+        for hello in door.agents():
+            met = self._met[hello.name]
+            if now_s - met.traced_s >= self._traces.pause_s(hello.name):
+                met.traced_s = now_s
+                question = self._traces.question(hello.name)
+                self._ask(door, hello.name, question, "traces", now_s + SILENT_S).packets = question.packets
+
+    def _take_commands(self) -> None:
+        settled = self._traces.settled(self._feed.now())
+        if not settled:
+            return
+        with self._feed.lock:
+            for agent in self._explaining.add(settled):
+                self._feed.model.commanded(agent, self._explaining.actuators(agent))
+
+    def _ask_details(self, door: Door, agent: str, met: _MetAgent, now_s: float) -> None:
+        with self._feed.lock:
+            running = [f"{service}/{task}" for name, service, task in self._feed.model.running() if name == agent]
+        for target in running:
+            if target in met.stale or now_s - met.detailed_s.get(target, -1e9) >= DETAIL_S:
+                met.detailed_s[target] = now_s
+                self._ask(door, agent, Describe(target, state=True), "detail", now_s + SILENT_S)
+        met.stale.clear()
+
+    def _ask(self, door: Door, agent: str, body: Any, about: str, until_s: float) -> _PendingRequest:
+        asked = _PendingRequest(door, door.request(agent, body), until_s, agent, about)
+        self._asked.append(asked)
+        return asked
+
+    def _take_orders(self, doors: Sequence[Door], now_s: float) -> None:
+        while self._orders:
+            agent, body, timeout_s, answer = self._orders.popleft()
+            door = next((door for door in doors if door.connected(agent)), None)
+            if door is None:
+                answer.set_exception(Unreachable(f"{agent} cannot be reached"))
+                continue
+            self._ask(door, agent, body, "order", now_s + timeout_s).answer = answer
+
+    def _take_answers(self, now_s: float) -> None:
+        left, answered = [], []
+        for asked in self._asked:
+            answer = asked.door.answer(asked.number)
+            if answer is None and now_s < asked.until_s:
+                left.append(asked)
+                continue
+            asked.door.forget(asked.number)
+            if asked.answer is not None:
+                self._settle(asked, answer)
+            elif isinstance(answer, Reply) and answer.ok:
+                answered.append((asked, answer.result))
+        self._asked = left
+        self._take_looks([(asked, result) for asked, result in answered if asked.about == "look"], now_s)
+        now = self._feed.now()
+        for asked, result in answered:
+            with self._feed.lock:
+                if asked.about == "detail":
+                    self._feed.model.detail(asked.agent, result)
+                elif asked.about == "recall":
+                    self._feed.model.recall(result, now)
+                elif asked.about == "traces":
+                    self._traces.take(asked.agent, asked.packets, result, now)
+            if asked.about == "recall" and result:
+                self._recall(asked.door, asked.agent, result[-1]["entry"], now_s)
+
+    def _settle(self, asked: _PendingRequest, answer: Reply | str | None) -> None:
+        assert asked.answer is not None
+        if isinstance(answer, Reply):
+            asked.answer.set_result(answer)
+        else:
+            asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {answer or 'nothing came in time'}"))
+
+    def _take_looks(self, answers: Sequence[tuple[_PendingRequest, Mapping[str, Any]]], now_s: float) -> None:
+        described = [result for _, result in answers]
+        for it in described:
+            self._met[it["agent"]].answered_s = now_s
+        silent = {name for name, met in self._met.items() if now_s - met.answered_s >= SILENT_S}
+        if not described and silent == self._silent:
+            return
+        for name in silent - self._silent:
+            self._traces.forget(name)
+        self._silent = silent
+        shown = silent.union(it["agent"] for it in described)
+        rows = [row for row in self._looks.look(described) if row["agent"] in shown]
+        with self._feed.lock:
+            self._feed.model.describe(rows, described, self._feed.now())
+        for asked, _ in answers:
+            if not self._met[asked.agent].recalled:
+                self._recall(asked.door, asked.agent, 0, now_s)
+
+    def _recall(self, door: Door, agent: str, after: int, now_s: float) -> None:
+        met = self._met[agent]
+        met.recalled += 1
+        if met.recalled <= MOST_ANSWERS:
+            self._ask(door, agent, History(RECALL_S, after), "recall", now_s + SILENT_S)
+
+    def _refuse_all(self, reason: str) -> None:
+        for asked in self._asked:
+            if asked.answer is not None:
+                asked.answer.set_exception(NoAnswer(f"{asked.agent} did not answer: {reason}"))
+        self._asked = []
+        while self._orders:
+            *_, answer = self._orders.popleft()
+            answer.set_exception(Unreachable(reason))
