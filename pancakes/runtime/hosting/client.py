@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, ClassVar, Final, assert_never
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes import control
 from pancakes.errors import ControlRefused
@@ -42,6 +43,8 @@ from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import RESTS
 from pancakes.runtime.life.request import Request
@@ -205,6 +208,7 @@ class ClientService(Service):
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
+            self.show(slot)
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -226,6 +230,7 @@ class ClientService(Service):
         slot = super().open_slot(spec)
         self.places.bind(spec.name)
         self._note(self.places.at[spec.name])
+        self.show(slot)
         return slot
 
     def _carry_out(self, place: Place, effect: hosting_effect.HostingEffect, slot: Slot | None) -> None:
@@ -328,7 +333,7 @@ class ClientService(Service):
     def changed(self, slot: Slot, carried: Carried) -> None:
         # It outlives a failure of the task the moment after.
         if slot.task is not None:
-            self._checkpointing.save(slot, slot.task, carried)
+            self._checkpointing.save(slot, carried)
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.places.at[slot.name].standing.record
@@ -354,7 +359,7 @@ class ClientService(Service):
                 slot = self.slots.get(message.task.name)
                 if slot is not None and slot.task is not None and slot.task is message.task:
                     if isinstance(message, Looked):
-                        self._checkpointing.looked(slot, slot.task, message)
+                        self._checkpointing.looked(slot, message)
                     else:
                         self.feed(slot, hosting_event.StoodStill(message.offer, message.carried, message.reason))
             case RecordWritten():
@@ -447,17 +452,15 @@ class ClientService(Service):
     def refuse_start(self, slot: Slot) -> str:
         return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
 
-    def has(self, name: str) -> bool:
-        # What was given away and stands in doubt has no slot any more, nor has what came here and was lost.
-        return super().has(name) or self._decisions.concern(name)
+    def entry_of(self, slot: Slot) -> TaskEntry:
+        entry, place = super().entry_of(slot), self.places.at.get(slot.name)
+        if place is None or slot.life.state not in RESTS:
+            return entry
+        return replace(entry, rest=rest_of(place.standing.record))
 
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
-        told = super().describe_task(slot)
-        if slot.life.state in RESTS:
-            told["rest"] = rest_of(self.places.at[slot.name].standing.record)
-        return told
-
-    def refuse_stop(self) -> str:
-        for task_id in self.state.under_way(self.name):
-            return f"{self.address} must not stop while {task_id} is being handed over"
+    @classmethod
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+        state: HostState = arguments["state"]
+        for task_id in state.under_way(name):
+            return f"{join(kernel.agent, name)} must not stop while {task_id} is being handed over"
         return ""

@@ -16,10 +16,10 @@ from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.task_letters import TaskLetters
 from pancakes.runtime.kernel.letters import ATTEMPTS
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.task_messages import Give, LetterGiven, LetterOutcome, Look
-from pancakes.task import Task
 
 
 class Deliveries:
@@ -80,7 +80,6 @@ class Deliveries:
         letters = place.letters if place is not None else None
         if place is None or letters is None:
             return  # the task was given away meanwhile
-        assert isinstance(task, Task)
         packet = letters.looked_at(task, letter)
         if told.outcome is LetterOutcome.FAILED:
             # It is not acknowledged, so it comes again when the task has been restarted.
@@ -93,7 +92,7 @@ class Deliveries:
         elif told.outcome is LetterOutcome.TAKEN:
             self._took(place, letters, task, letter, packet)
 
-    def _took(self, place: Place, letters: TaskLetters, task: Task, letter: Letter, packet: Packet | None) -> None:
+    def _took(self, place: Place, letters: TaskLetters, task: Reference, letter: Letter, packet: Packet | None) -> None:
         slot = place.slot
         if slot is None or slot.task is not task:
             return  # the actor that took it has ended; its sender, which has not been told so, sends it again

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
 from pancakes.control import Hold
@@ -17,6 +18,7 @@ from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.registry import DeviceEntry
+from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.supervision.slot import Slot
@@ -364,9 +366,7 @@ class DeviceService(Service):
         device: DeviceSpec | None = slot.spec.arguments.get("device")
         return device.cls if device is not None else super().author_of(slot)
 
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
+    def entry_of(self, slot: Slot) -> TaskEntry:
+        entry = super().entry_of(slot)
         device: DeviceSpec | None = slot.spec.arguments.get("device")
-        if device is None:  # a task of the configuration
-            return super().describe_task(slot)
-        holder = self.kernel.registry.holder(slot.name)
-        return {**super().describe_task(slot), "device": device.cls.type, **({"holder": holder} if holder else {})}
+        return replace(entry, device=device.cls.type) if device is not None else entry  # a task of the configuration

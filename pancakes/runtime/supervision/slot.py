@@ -7,10 +7,11 @@ import msgspec
 from pancakes.control import Command
 from pancakes.packet import Fence
 from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.life import Life
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.task_messages import Carried
-from pancakes.task import Task, TaskSpec
+from pancakes.task import TaskSpec
 
 
 class Failure(msgspec.Struct, frozen=True):
@@ -49,7 +50,7 @@ class Slot(msgspec.Struct):
     address: str
     life: Life
     mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
-    task: Task | None = None
+    task: Reference | None = None
     carried: Carried | None = None
     fresh: bool = False
     fence: Fence | None = None
