@@ -156,16 +156,9 @@ class Service(Component):
         """Forgets what a task carried: it begins as the configuration says."""
         slot.carried = None
 
-    def entry_of(self, slot: Slot) -> TaskEntry:
-        """Returns what others on this agent may know of a task."""
-        spec, task_id = slot.spec, slot.fence.task_id if slot.fence is not None else ""
-        known_as = spec.type or spec.cls.__name__
-        requires = spec.cls.requires
-        return TaskEntry(self.name, slot.name, slot.address, known_as, requires, task_id, slot.life, slot.mailbox)
-
     def describe_task(self, slot: Slot) -> dict[str, Any]:
         """Returns what is to be known about a task, as plain values."""
-        return describe_task(self.kernel, self.entry_of(slot))
+        return describe_task(self.kernel, TaskEntry.of(self.name, slot))
 
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         """Returns all that is to be known about a task, its settings among it, as plain values."""
@@ -354,7 +347,7 @@ class Service(Component):
         self.keeper.feed(slot, event)
 
     def show(self, slot: Slot) -> None:
-        self.kernel.tasks.enter(self.entry_of(slot))
+        self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
 
     def ask_leave(self, slot: Slot, again: bool) -> None:
         """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""

@@ -83,6 +83,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
         restart: what happens when it ends by itself.
         durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
         rule: when it moves to another agent by itself.
+        device: of the task of a device its type; else empty.
         arguments: what else its class wants, for tasks that a service makes of its own classes.
     """
 
@@ -96,6 +97,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
     restart: RestartSpec = RestartSpec()
     durability: str = "lazy"
     rule: MigrationRule | None = None
+    device: str = ""
     arguments: Mapping[str, Any] = _NONE
 
 

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, ClassVar, Final, assert_never
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes import control
 from pancakes.errors import ControlRefused
@@ -208,7 +207,8 @@ class ClientService(Service):
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
-            self.show(slot)
+            slot.rest = rest_of(place.standing.record) if life.state in RESTS else ""
+            self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -229,7 +229,9 @@ class ClientService(Service):
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)
         self.places.bind(spec.name)
-        self._note(self.places.at[spec.name])
+        place = self.places.at[spec.name]
+        self._note(place)
+        slot.rest = rest_of(place.standing.record)
         self.show(slot)
         return slot
 
@@ -451,12 +453,6 @@ class ClientService(Service):
 
     def refuse_start(self, slot: Slot) -> str:
         return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
-
-    def entry_of(self, slot: Slot) -> TaskEntry:
-        entry, place = super().entry_of(slot), self.places.at.get(slot.name)
-        if place is None or slot.life.state not in RESTS:
-            return entry
-        return replace(entry, rest=rest_of(place.standing.record))
 
     @classmethod
     def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:

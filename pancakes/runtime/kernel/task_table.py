@@ -4,12 +4,28 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
+from pancakes.packet import Fence
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.life.life import Life
+
+
+class Slotted(Protocol):
+    """What a service keeps of a task, as far as others may know it."""
+
+    name: str
+    address: str
+    life: Life
+    mailbox: Mailbox
+    fence: Fence | None
+    rest: str
+
+    @property
+    def spec(self) -> Any:
+        """The task as data, a `pancakes.task.TaskSpec`."""
 
 
 class TaskEntry(msgspec.Struct, frozen=True):
@@ -36,8 +52,25 @@ class TaskEntry(msgspec.Struct, frozen=True):
     task_id: str
     life: Life
     mailbox: Mailbox
-    rest: str = ""
-    device: str = ""
+    rest: str
+    device: str
+
+    @classmethod
+    def of(cls, service: str, slot: Slotted) -> TaskEntry:
+        """Returns the entry of a task of a service."""
+        spec = slot.spec
+        return cls(
+            service,
+            slot.name,
+            slot.address,
+            spec.type or spec.cls.__name__,
+            spec.cls.requires,
+            slot.fence.task_id if slot.fence is not None else "",
+            slot.life,
+            slot.mailbox,
+            slot.rest,
+            spec.device,
+        )
 
 
 class SettingsNote(msgspec.Struct, frozen=True):

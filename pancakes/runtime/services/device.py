@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
 from pancakes.control import Hold
@@ -18,7 +17,6 @@ from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.registry import DeviceEntry
-from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.supervision.slot import Slot
@@ -350,6 +348,7 @@ class DeviceService(Service):
                 settings=device.settings,
                 rate_hz=device.rate_hz,
                 restart=device.restart,
+                device=device.cls.type,
                 arguments={"device": device, "shared": self._shared, "fences": self._fences},
             )
             for device in self._devices
@@ -365,8 +364,3 @@ class DeviceService(Service):
     def author_of(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")
         return device.cls if device is not None else super().author_of(slot)
-
-    def entry_of(self, slot: Slot) -> TaskEntry:
-        entry = super().entry_of(slot)
-        device: DeviceSpec | None = slot.spec.arguments.get("device")
-        return replace(entry, device=device.cls.type) if device is not None else entry  # a task of the configuration

@@ -39,6 +39,7 @@ class Slot(msgspec.Struct):
         life: how far the task is.
         task: its actor; None: none runs.
         carried: what its next actor begins with; None: what the configuration says.
+        rest: of a task that can move and does not run: why, in a word.
         fresh: whether its next actor begins as the configuration says, whatever it carried.
         failure: how it failed the last time; None: it has not.
         changing: the requests for a change that its actor has not answered yet.
@@ -52,6 +53,7 @@ class Slot(msgspec.Struct):
     mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
     task: Reference | None = None
     carried: Carried | None = None
+    rest: str = ""
     fresh: bool = False
     fence: Fence | None = None
     failure: Failure | None = None
