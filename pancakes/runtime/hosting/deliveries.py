@@ -5,9 +5,8 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.core import handle
-from pancakes.mesh.migration.effect import Deliver, Forward, Send
+from pancakes.mesh.migration.effect import Deliver, Forward
 from pancakes.mesh.migration.event import Arrived, PacketId
-from pancakes.mesh.migration.messages import Moved
 from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import Packet
@@ -44,13 +43,12 @@ class Deliveries:
             return
         standing = place.standing
         # Asked past the queue of events: it changes nothing, and what is being written now is no reason to wait.
-        for effect in handle(host.agent, standing.record, standing.volatile, Arrived(letter.sender)):
+        for effect in handle(host.agent, standing.record, standing.volatile, Arrived()):
             match effect:
                 case Deliver():
                     self._deliver(place, letter, came.packet)
-                case Send(message=Moved() as moved):
-                    self._say(letter.sender, ForwardTo(letter.task_id, moved.peer, moved.epoch.n))
                 case Forward():
+                    self._say(letter.sender, ForwardTo(letter.task_id, effect.peer, effect.epoch.n))
                     further = onward(letter)
                     if further is not None:
                         self._say(effect.peer, further)

@@ -59,9 +59,15 @@ class SharedThings:
     def get(self, key: str, make: Callable[[], Any]) -> Any:
         """Returns the thing under `key`, making it first where it is not there."""
         with self._lock:
-            if key not in self._things:
-                self._things[key] = make()
-            return self._things[key]
+            thing = self._things.get(key)
+        if thing is not None:
+            return thing
+        made = make()
+        with self._lock:
+            thing = self._things.setdefault(key, made)
+        if thing is not made:  # another driver has made one meanwhile
+            made.close()
+        return thing
 
     def close(self) -> None:
         """Closes all of them."""
