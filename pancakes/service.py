@@ -156,14 +156,10 @@ class Service(Component):
         """Forgets what a task carried: it begins as the configuration says."""
         slot.carried = None
 
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
-        """Returns what is to be known about a task, as plain values."""
-        return describe_task(self.kernel, TaskEntry.of(self.name, slot))
-
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         """Returns all that is to be known about a task, its settings among it, as plain values."""
         described = describe_in_detail(self.kernel, slot, self.settings_class(slot), self.carried_of(slot))
-        return {**self.describe_task(slot), **described}
+        return {**describe_task(self.kernel, TaskEntry.of(self.name, slot)), **described}
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         """Gives a task that has not started yet what it carried before the service was stopped.
@@ -369,8 +365,7 @@ class Service(Component):
                 rate_hz=slot.spec.rate_hz,
                 fence=slot.fence,
                 owner=self,
-                # Its service knows whether a successor reads what its subscriptions bring.
-                keeps_subscriptions=True,
+                keeps_subscriptions=True,  # this service knows whether a successor will read what they bring
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
@@ -484,7 +479,7 @@ class Service(Component):
                 raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}")
             command(self, slot, body, request)
         elif isinstance(body, Describe):
-            self.reply(request, result=[self.describe_task(other) for other in self.slots.values()])
+            self.reply(request, result=[describe_task(self.kernel, task) for task in self.kernel.tasks.of(self.name)])
         else:
             raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}")
 
