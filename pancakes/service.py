@@ -14,6 +14,8 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.reference import Reference
+from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import CLOSES, Life, State
 from pancakes.runtime.life.life_effect import Answer, Tell
@@ -32,11 +34,7 @@ from pancakes.runtime.supervision.task_description import describe_in_detail, de
 from pancakes.runtime.supervision.task_messages import Carried, Changed, TaskBegan, TaskEnded
 from pancakes.runtime.supervision.task_news import tell_of_task
 from pancakes.settings import SettingsError, make_settings
-from pancakes.task import Nothing, Task, TaskSpec
-
-
-def _stays(component: Component, error: BaseException | None) -> None:
-    """The subscriptions of a task stay where it ends: its service knows whether a successor reads what comes."""
+from pancakes.task import Nothing, TaskSpec
 
 
 class Service(Component):
@@ -85,7 +83,7 @@ class Service(Component):
         *,
         settings: Mapping[str, Any] | None = None,
         tasks: Sequence[TaskSpec] = (),
-        owner: Component | None = None,
+        owner: Reference | None = None,
         kept: Mapping[str, Carried] | None = MappingProxyType({}),
     ) -> None:
         super().__init__(kernel, address, mailbox)
@@ -127,13 +125,16 @@ class Service(Component):
                 reason = registry.taken(device.name, slot.address)
         return reason
 
-    def refuse_stop(self) -> str:
-        """Says why the service must not be stopped now; empty: it may. Called in the root's actor."""
-        return ""
+    @classmethod
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+        """Says why the service must not be stopped now; empty: it may. Called in the root's actor.
 
-    def has(self, name: str) -> bool:
-        """Returns whether the service has a task of this name, at rest or not. Any thread."""
-        return name in self.slots
+        Args:
+            kernel: the kernel, whose tables say what runs.
+            name: the name of the service.
+            arguments: what its class wants besides what every service gets; the tables that it shares are among it.
+        """
+        return ""
 
     def arguments_of(self, slot: Slot) -> Mapping[str, Any]:
         """Returns what a task's class wants besides what every task gets."""
@@ -155,14 +156,10 @@ class Service(Component):
         """Forgets what a task carried: it begins as the configuration says."""
         slot.carried = None
 
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
-        """Returns what is to be known about a task, as plain values."""
-        return describe_task(self.kernel, self.address, slot)
-
     def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
         """Returns all that is to be known about a task, its settings among it, as plain values."""
         described = describe_in_detail(self.kernel, slot, self.settings_class(slot), self.carried_of(slot))
-        return {**self.describe_task(slot), **described}
+        return {**describe_task(self.kernel, TaskEntry.of(self.name, slot)), **described}
 
     def take_up(self, slot: Slot, kept: Mapping[str, Carried] | None) -> None:
         """Gives a task that has not started yet what it carried before the service was stopped.
@@ -217,6 +214,7 @@ class Service(Component):
             raise ControlRefused(f"{self.address} already has a task {spec.name}")
         address = join(self.agent, self.name, spec.name)
         slot = self.slots[spec.name] = Slot(spec.name, spec, address, Life(address, Restarts(spec.restart)))
+        self.show(slot)
         return slot
 
     def _start(self, slot: Slot) -> None:
@@ -252,6 +250,7 @@ class Service(Component):
 
     def end_actor(self, error: BaseException | None) -> None:
         super().end_actor(error)
+        self.kernel.tasks.strike_out(self.name)
         if self._owner is None:
             return
         kept: Mapping[str, Carried] = {}
@@ -343,6 +342,9 @@ class Service(Component):
         """Feeds an event to the life of a task, and carries out what follows."""
         self.keeper.feed(slot, event)
 
+    def show(self, slot: Slot) -> None:
+        self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
+
     def ask_leave(self, slot: Slot, again: bool) -> None:
         """Sees whether a task may start, and feeds `Admitted` or `LeaveRefused`."""
         if slot.fresh:
@@ -355,7 +357,7 @@ class Service(Component):
     def spawn(self, slot: Slot) -> None:
         carried = slot.carried or Carried(slot.spec.settings, {})
         try:
-            task = self.kernel.spawn(
+            slot.task = self.kernel.spawn(
                 slot.spec.cls,
                 slot.address,
                 mailbox=slot.mailbox,
@@ -363,14 +365,12 @@ class Service(Component):
                 rate_hz=slot.spec.rate_hz,
                 fence=slot.fence,
                 owner=self,
-                exited=_stays,
+                keeps_subscriptions=True,  # this service knows whether a successor will read what they bring
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
             self._fail(slot, error, hopeless=isinstance(error, SettingsError))
             return
-        assert isinstance(task, Task)
-        slot.task = task
 
     def halt(self, slot: Slot) -> None:
         if slot.task is not None:
@@ -479,7 +479,7 @@ class Service(Component):
                 raise ControlRefused(f"{slot.address} cannot be asked for {asked_for}")
             command(self, slot, body, request)
         elif isinstance(body, Describe):
-            self.reply(request, result=[self.describe_task(other) for other in self.slots.values()])
+            self.reply(request, result=[describe_task(self.kernel, task) for task in self.kernel.tasks.of(self.name)])
         else:
             raise ControlRefused(f"{self.address} is a service and cannot be asked for {asked_for}")
 

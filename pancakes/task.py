@@ -32,6 +32,8 @@ from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import Tick, checked_period, every, on, period_of
 from pancakes.runtime.kernel.keep import queue, reliable
 from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.reference import Reference
+from pancakes.runtime.kernel.task_table import SettingsNote
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.restart import RestartSpec
 from pancakes.runtime.supervision.saved_types import check_saved
@@ -81,6 +83,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
         restart: what happens when it ends by itself.
         durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
         rule: when it moves to another agent by itself.
+        device: of the task of a device its type; else empty.
         arguments: what else its class wants, for tasks that a service makes of its own classes.
     """
 
@@ -94,6 +97,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
     restart: RestartSpec = RestartSpec()
     durability: str = "lazy"
     rule: MigrationRule | None = None
+    device: str = ""
     arguments: Mapping[str, Any] = _NONE
 
 
@@ -112,7 +116,6 @@ class Task(Component):
     Settings: ClassVar[type] = Nothing
     State: ClassVar[type] = Nothing
 
-    settings: Any
     state: Any
 
     def __init_subclass__(cls, **others: Any) -> None:
@@ -129,7 +132,7 @@ class Task(Component):
         carried: Carried | None = None,
         rate_hz: float | None = None,
         fence: Fence | None = None,
-        owner: Component | None = None,
+        owner: Reference | None = None,
         tells_each_turn: bool = False,
     ) -> None:
         super().__init__(kernel, address, mailbox)
@@ -146,7 +149,15 @@ class Task(Component):
         self.__carried_state = copy.deepcopy(carried.state) if carried.state else {}
         self.__carried = carried
         self.__began_s = (0.0, 0.0)
-        self.__settings_written: tuple[Any, Mapping[str, Any]] = (None, {})
+
+    @property
+    def settings(self) -> Any:
+        return self.__settings
+
+    @settings.setter
+    def settings(self, settings: Any) -> None:
+        self.__settings = settings
+        self.kernel.tasks.note_settings(self.address, SettingsNote(settings))
 
     def on_settings(self) -> None:
         """Called in the actor after the settings were changed while it runs."""
@@ -215,29 +226,13 @@ class Task(Component):
             self.__heard.heard(),
         )
 
-    def still_carries(self, settings: Mapping[str, Any], periods_s: Mapping[str, float]) -> bool:
-        """Returns whether, of what it carries, surely nothing but its duplicate filter has changed.
-
-        Any thread, once it runs: of a task without state this is to be seen without a turn of its own.
-
-        Args:
-            settings: the settings that an earlier `carry` returned, the very object.
-            periods_s: the periods that it returned.
-        """
-        written = self.__settings_written
-        return (
-            self.State is Nothing
-            and written[0] is self.settings
-            and written[1] is settings
-            and all(timer.period_s == periods_s.get(name) for name, timer in self.timers.items())
-        )
-
     def __plain_settings(self) -> Mapping[str, Any]:
         # They are replaced as a whole where they are changed: so they are written down once, and not each second.
-        settings, plain = self.__settings_written
-        if settings is not self.settings:
-            settings, plain = self.settings, plain_settings(self.settings)
-            self.__settings_written = (settings, plain)
+        note = self.kernel.tasks.settings_of(self.address)
+        if note is not None and note.plain is not None and note.settings is self.__settings:
+            return note.plain
+        plain = plain_settings(self.__settings)
+        self.kernel.tasks.note_settings(self.address, SettingsNote(self.__settings, plain))
         return plain
 
     def take_letter(self, stream: str, seq: int, first: int, packet: Packet | None) -> bool:
@@ -359,6 +354,7 @@ class Task(Component):
             except Exception as failure:  # what a task keeps in its state may be anything
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
         super().end_actor(error)
+        self.kernel.tasks.note_settings(self.address, None)
         if self.__owner is not None and not self.__tell(TaskEnded(self, error, last)):
             # Its service has ended before.
             self.kernel.stream.unsubscribe(self.address)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from pancakes.mesh.net.transport import Connection, Transport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
 from pancakes.mesh.wire.link import Link, LinkTimes, Over
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.runtime.clock import Clock
@@ -17,7 +17,7 @@ Told = Callable[[Hello | str], None]
 """Takes what the agent said about itself, or the reason why nothing is known. In the transport's thread, once."""
 
 
-class Greeting:
+class Greeting(ConnectionHandler):
     """Connects to an address, listens to the hello that every agent begins with, and goes.
 
     Args:

@@ -37,12 +37,12 @@ from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.dispatch import defer
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.services.log import LogService
@@ -189,6 +189,7 @@ class Agent:
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
         self.kernel.mission_packets_sent = self.mesh.mission_packets_sent
+        self.kernel.links = self.mesh.links
         for channel in config.channels:
             self.kernel.stream.open(channel)
         shared: dict[type[Service], dict[str, Any]] = {
@@ -227,11 +228,11 @@ class Agent:
             specs=self._specs,
             identity=self._identity,
             migrations=self.ledgers.plain,
+            services_in_doubt=self.records.services_in_doubt,
             ready=self._become_ready,
             shutdown=self._shut_down,
             exited=self._root_ended,
         )
-        assert isinstance(root, Root)
         self._root = root
 
     def _spawn_courier(self) -> None:
@@ -244,7 +245,7 @@ class Agent:
             exited=self._courier_ended,
         )
 
-    def _courier_ended(self, courier: Component, error: BaseException | None) -> None:
+    def _courier_ended(self, courier: Courier, error: BaseException | None) -> None:
         self.kernel.stream.unsubscribe(courier.address)
         if error is not None and not self.stopping.is_set():
             # What it carried is not lost with it.
@@ -252,36 +253,24 @@ class Agent:
             self.kernel.log("error", text, traceback_of(error))
             self._spawn_courier()
 
-    def _root_ended(self, root: Component, error: BaseException | None) -> None:
+    def _root_ended(self, root: Root, error: BaseException | None) -> None:
         """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
         self.kernel.stream.unsubscribe(root.address)
         if error is None and self.kernel.stopping:
             self._closed.set()
         if self._closed.is_set():
             return
-        assert isinstance(root, Root)
         why = f"has failed: {describe(error)}" if error is not None else "was stopped"
         reason = f"{root.address}, which starts and watches the services, {why}"
         root.refuse_all(f"{self.name} ends: {reason}")
         self.kernel.stopping = True
-        self._close_next([service for service in self.kernel.registry.components() if isinstance(service, Service)])
+        self.kernel.spawn(
+            Closer,
+            join(self.name, "closer"),
+            services=[join(self.name, spec.name) for spec in self._specs],
+            exited=lambda closer, failure: self._closed.set(),
+        )
         self._stop_for(reason)
-
-    def _close_next(self, services: list[Service]) -> None:
-        """Stops services, the last first, each once the one before has ended. In any thread."""
-        if not services:
-            self._closed.set()
-            return
-        service = services.pop()
-        gone_on = threading.Lock()
-
-        def go_on() -> None:
-            if gone_on.acquire(blocking=False):
-                self._close_next(services)
-
-        service.exited = lambda component, error: go_on()
-        if not tell(service, Close()):  # it ended before it could be told
-            go_on()
 
     def _become_ready(self) -> None:
         # Only now does the Log Service listen to what was found wrong before.
@@ -435,9 +424,10 @@ class Agent:
             self._clients.discard(name)
         else:
             self._say(lambda: self.kernel.say(Event("peer_down", {"peer": name, "reason": reason})))
-        for component in self.kernel.registry.components():
-            if isinstance(component, (NetworkService, ClientService)):
-                tell(component, PeerDown(name))
+        for spec in self._specs:
+            service = self.kernel.registry.get(join(self.name, spec.name))
+            if service is not None and issubclass(spec.cls, (NetworkService, ClientService)):
+                tell(service, PeerDown(name))
 
     # Composition -----------------------------------------------------------------------------------------------
 

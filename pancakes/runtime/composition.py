@@ -14,7 +14,7 @@ from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.services.device import DeviceService, DeviceSpec
 from pancakes.runtime.services.log import LogService
 from pancakes.runtime.services.network import NetworkService
-from pancakes.runtime.supervision.service_spec import ServiceSpec
+from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.service import Service
 from pancakes.task import TaskSpec
 

@@ -131,7 +131,8 @@ import sys
 from pancakes.service import Service
 
 class Exits(Service):
-    def refuse_stop(self):
+    @classmethod
+    def refuse_stop(cls, kernel, name, arguments):
         sys.exit(3)
 """
 

@@ -2,7 +2,6 @@
 
 import pytest
 
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.registry import DeviceEntry, Registry
 
 CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
@@ -10,7 +9,7 @@ CIRCLE, HOME, REMOTE = "a/client/Circle", "a/client/Home", "b/device/wheels"
 
 @pytest.fixture
 def registry():
-    made: Registry[Component] = Registry()
+    made = Registry()
     made.add_device(DeviceEntry("wheels", "motors", actuator=True))
     made.add_device(DeviceEntry("arm", "arm", actuator=True))
     made.add_device(DeviceEntry("eye", "ir"))

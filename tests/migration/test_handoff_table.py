@@ -63,7 +63,6 @@ from pancakes.mesh.migration.messages import (
     Abort,
     Activated,
     Commit,
-    Moved,
     Nak,
     Prepared,
     Reserve,
@@ -250,9 +249,8 @@ class TestSource:
         assert isinstance(warn, Warn) and "agent2 has lost its disk" in warn.text
 
     def test_released_says_where_the_task_is_and_forwards(self) -> None:
-        assert at_source(RELEASED, REST, Arrived("agent3")) == [
-            Send("agent3", Moved(SCAN, "agent2", OFFER)),
-            Forward("agent2"),
+        assert at_source(RELEASED, REST, Arrived()) == [
+            Forward("agent2", OFFER),
         ]
 
     @pytest.mark.parametrize("record", [RELEASED, TAKEN_BACK], ids=["released", "taken back"])

@@ -130,10 +130,10 @@ class TestLifeOnOneAgent:
         assert at_source(record, RUNNING, checkpoint) == []
 
     def test_a_packet_for_a_task_goes_to_it_or_waits_with_its_sender(self) -> None:
-        assert at_source(OWNER, RUNNING, Arrived("agent3")) == [Deliver()]
+        assert at_source(OWNER, RUNNING, Arrived()) == [Deliver()]
         for record, volatile in ((OWNER, FREEZING), (OWNER, REST), (FROZEN, REST), (COMMITTED, REST), (PREPARED, REST)):
-            assert at_source(record, volatile, Arrived("agent3")) == []
-        assert at_destination(DROPPED, Arrived("agent3"))[-1] == Forward("agent1")
+            assert at_source(record, volatile, Arrived()) == []
+        assert at_destination(DROPPED, Arrived()) == [Forward("agent1", DROPPED.seen)]
 
     def test_adoption_by_force_mints_a_new_epoch(self) -> None:
         epoch = Epoch(2, "agent1")

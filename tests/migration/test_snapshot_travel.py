@@ -83,7 +83,6 @@ def test_every_message_travels_as_a_packet() -> None:
         Reserve(SCAN, OFFER, request),
         *cut(Transfer(SCAN, OFFER, b"snapshot")),
         messages.Nak(SCAN, OFFER, "no"),
-        messages.Moved(SCAN, "agent2", OFFER),
         *(
             kind(SCAN, OFFER)
             for kind in (

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration.event import FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired, WriteAgain
-from pancakes.mesh.migration.messages import Commit, Moved, Prepared, Reserve, Transfer
+from pancakes.mesh.migration.messages import Commit, Prepared, Reserve, Transfer
 from pancakes.mesh.migration.record import Phase, Record, Wanted
 from pancakes.runtime.hosting import hosting_effect as effect
 from pancakes.runtime.hosting import hosting_event as event
@@ -337,7 +337,7 @@ class Rim:
     def send(self, world: World, one: handoff_effect.Send, events: deque[Any], luck: Luck) -> World:
         message = one.message
         kind = _SENT.get(type(message))
-        if kind is None or isinstance(message, Moved):
+        if kind is None:
             return world
         given = world.disk.phase in (Phase.COMMITTED, Phase.RELEASED) or world.spent.decisions
         if kind == "commit" and not given:

@@ -16,7 +16,7 @@ from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.tcp import TcpTransport
-from pancakes.mesh.net.transport import Connection, Transport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
@@ -150,7 +150,7 @@ class MemoryRig(TransportRig):
         pass
 
 
-class BarePeer:
+class BarePeer(ConnectionHandler):
     """A peer that is nothing but a link: it keeps a link up, and writes down what the other side does.
 
     Args:
@@ -211,7 +211,7 @@ class BarePeer:
                     self.connection.close(action.reason)
 
 
-class Ear:
+class Ear(ConnectionHandler):
     """A handler that writes down what it is told."""
 
     def __init__(self, rig: TransportRig) -> None:

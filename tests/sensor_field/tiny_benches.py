@@ -18,7 +18,7 @@ from typing import Any
 
 from pancakes_sensor_field.drivers import SerialNodes, TcpNodes, TinyMotion, TinyTemperature, UdpNodes
 
-from pancakes.mesh.net.transport import Connection
+from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.testing import AgentInTest, FleetInTest, threaded_agent
 
 NODES = {"shed": 7, "gate": 9}
@@ -118,7 +118,7 @@ class UdpBench(Bench):
         raise AssertionError("a UDP port cannot be unplugged: nobody would notice")
 
 
-class VirtualBench(Bench):
+class VirtualBench(Bench, ConnectionHandler):
     """A simulated line in virtual time."""
 
     ADDRESS = "tcp://127.0.0.1:4001"

@@ -81,4 +81,4 @@ def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):
     assert a.ask(Unfollow("system"), to="b").ok
     fleet.run_for(20.0)
     assert loads(a) == [0.1]
-    assert b.component("network").followers("system") == []
+    assert b.kernel.stream.followers("system") == []

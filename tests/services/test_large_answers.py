@@ -29,10 +29,10 @@ class Map(Task):
 
 
 class Chatty(Service):
-    """Says more about itself than fits a frame."""
+    """Says more about why it does not start its tasks than fits a frame."""
 
-    def describe_task(self, slot):
-        return {**super().describe_task(slot), "legend": "x" * 300_000}
+    def admit(self, slot):
+        return "x" * 300_000
 
 
 @pytest.fixture

@@ -21,14 +21,9 @@ class Timer:
         self.period_s, self.ticks, self.missed_total, self.lateness_sum_s = period_s, 0, 0, 0.0
 
 
-class Actor:
-    def __init__(self, *timers):
-        self.timers = dict(enumerate(timers))
-
-
-def look(meter: LoadMeter, now_s: float, *actors: Any) -> MeasuredLoad:
+def look(meter: LoadMeter, now_s: float, *timers: Any) -> MeasuredLoad:
     """Returns the load since the look before, of which there was one."""
-    load = meter.look(now_s, actors)
+    load = meter.look(now_s, timers)
     assert load is not None
     return load
 
@@ -46,22 +41,22 @@ def test_lateness_counts_in_periods_and_a_missed_tick_as_one():
     fast, slow = Timer(0.01), Timer(1.0)
     meter = LoadMeter(lambda: 0.0, lambda: 0.0)
     fast.ticks, fast.lateness_sum_s = 1000, 500.0  # before the first look: of no interest
-    actor: Any = Actor(fast, slow)
-    meter.look(0.0, [actor])
+    timers: Any = [fast, slow]
+    meter.look(0.0, timers)
     fast.ticks, fast.lateness_sum_s = 1008, 500.02
-    assert look(meter, 1.0, actor).lateness_share == pytest.approx(2 / 8)
+    assert look(meter, 1.0, *timers).lateness_share == pytest.approx(2 / 8)
     fast.ticks, fast.missed_total = 1009, 1
     slow.ticks = 2
-    assert look(meter, 2.0, actor).lateness_share == pytest.approx(1 / 4)
-    assert look(meter, 3.0, actor).lateness_share == 0.0
+    assert look(meter, 2.0, *timers).lateness_share == pytest.approx(1 / 4)
+    assert look(meter, 3.0, *timers).lateness_share == 0.0
 
 
 def test_a_timer_that_rests_is_never_late():
     resting = Timer(float("inf"))
     meter = LoadMeter(lambda: 0.0, lambda: 0.0)
-    actor: Any = Actor(resting)
-    meter.look(0.0, [actor])
-    assert look(meter, 1.0, actor).lateness_share == 0.0
+    timers: Any = [resting]
+    meter.look(0.0, timers)
+    assert look(meter, 1.0, *timers).lateness_share == 0.0
 
 
 def test_the_operating_system_tells_both_figures():

@@ -1,7 +1,7 @@
 """What a plug-in gets wrong in the root's own turns costs a refusal, or ends the agent in order; all are answered."""
 
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -10,6 +10,7 @@ from pancakes.bodies.devices.types import Load
 from pancakes.control import Describe, Reply, Restart, Start, Stop
 from pancakes.events import Event
 from pancakes.runtime.hosting.client import ClientService
+from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, every
@@ -30,7 +31,8 @@ class Count(Task):
 class RefusesBadly(Service):
     """Its `refuse_stop` is wrong."""
 
-    def refuse_stop(self):
+    @classmethod
+    def refuse_stop(cls, kernel, name, arguments):
         raise KeyError("battery")
 
 
@@ -55,9 +57,15 @@ class FailsBadly(ClientService):
 class Exits(Service):
     """It ends the actor that asks it whether it may stop, the root, just when that is asked for something else."""
 
-    def refuse_stop(self):
-        self.publish("sysctrl", Describe())
+    running: ClassVar[Component]
+
+    @classmethod
+    def refuse_stop(cls, kernel, name, arguments):
+        Exits.running.publish("sysctrl", Describe())
         sys.exit(3)
+
+    def on_start(self):
+        Exits.running = self
 
     @on("sysctrl", Reply, addressed=True)
     def on_answer(self, packet):

@@ -328,9 +328,9 @@ def noting(done, what, function):
 
 def test_an_agent_describes_itself_in_several_turns(fleet):
     agent = fleet.start("a", tasks={"Count": Count})
-    root, client, mesh = agent.component("kernel"), agent.component("client"), agent.agent.mesh
+    root, stream, mesh = agent.component("kernel"), agent.kernel.stream, agent.agent.mesh
     done: list[str] = []
-    client.describe_task = noting(done, "tasks", client.describe_task)
+    stream.channels = noting(done, "tasks", stream.channels)
     mesh.neighbours = noting(done, "identity", mesh.neighbours)
     root.reply = noting(done, "reply", root.reply)
     root.after_turn = lambda: done.append("end")

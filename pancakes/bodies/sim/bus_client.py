@@ -8,7 +8,7 @@ from threading import Lock
 
 from pancakes.bodies.sim.bus import Attach, RawReading, Refused, Replied, ReplyReader, Request, encode
 from pancakes.errors import RemoteProtocolError
-from pancakes.mesh.net.transport import Connection, Scheduled, Transport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_RETRY_S = 0.1
 _LONGEST_RETRY_S = 1.0
@@ -136,7 +136,7 @@ class BusClient:
             self._transport.dial(self._address, _DialedConnection(self))
 
 
-class _DialedConnection:
+class _DialedConnection(ConnectionHandler):
     """One attempt at a connection, and the connection if it stands."""
 
     def __init__(self, client: BusClient) -> None:

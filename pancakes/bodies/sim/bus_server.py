@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from pancakes.bodies.sim.bus import Reply, Request, RequestReader, encode
 from pancakes.errors import RemoteProtocolError
-from pancakes.mesh.net.transport import Connection, Transport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
 
 Serve = Callable[[Request], Reply | None]
 Call = Callable[[Callable[[], None]], None]
@@ -45,7 +45,7 @@ class BusServer:
             client.close("the world has ended")
 
 
-class _BusConnection:
+class _BusConnection(ConnectionHandler):
     """One agent's devices, at the end of a connection. Lives in the transport's thread."""
 
     def __init__(self, server: BusServer) -> None:

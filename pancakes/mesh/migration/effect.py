@@ -89,9 +89,15 @@ class Deliver(msgspec.Struct, frozen=True):
 
 
 class Forward(msgspec.Struct, frozen=True):
-    """Send the packet that has arrived on to `peer`."""
+    """Send the packet that has arrived on to where its task went, and tell its sender so.
+
+    Attributes:
+        peer: the agent to which the task was handed over.
+        epoch: the highest epoch that this agent knows of; a later one is fresher news.
+    """
 
     peer: str
+    epoch: Epoch
 
 
 class After(msgspec.Struct, frozen=True):

@@ -73,13 +73,7 @@ class Checkpoint(msgspec.Struct, frozen=True):
 
 
 class Arrived(msgspec.Struct, frozen=True):
-    """A packet addressed to the task has come to this agent.
-
-    Attributes:
-        sender: the agent that it comes from.
-    """
-
-    sender: str
+    """A packet addressed to the task has come to this agent."""
 
 
 class AdoptionAsked(msgspec.Struct, frozen=True):

@@ -177,21 +177,6 @@ class Unknown(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
-@packet_type("migration.moved")
-class Moved(msgspec.Struct, frozen=True):
-    """Tells the sender of a packet for a task where that task went.
-
-    Attributes:
-        peer: the agent to which it was handed over.
-        epoch: the highest epoch that the sender knows of; a later one is fresher news.
-    """
-
-    task_id: TaskId
-    peer: str
-    epoch: Epoch
-    journal: str = ""
-
-
 class Transfer(msgspec.Struct, frozen=True):
     """A whole snapshot on its way. It travels as `Piece`s and is put together again by an `Assembly`.
 
@@ -204,12 +189,10 @@ class Transfer(msgspec.Struct, frozen=True):
     snapshot: bytes
 
 
-Message = (
-    Solicit | Bid | Refuse | Reserve | Reserved | Piece | Nak | Prepared | Commit | Activated | Abort | Unknown | Moved
-)
+Message = Solicit | Bid | Refuse | Reserve | Reserved | Piece | Nak | Prepared | Commit | Activated | Abort | Unknown
 """What travels."""
 
-HandOffMessage = Reserve | Reserved | Transfer | Nak | Prepared | Commit | Activated | Abort | Unknown | Moved
+HandOffMessage = Reserve | Reserved | Transfer | Nak | Prepared | Commit | Activated | Abort | Unknown
 """What the hand-off's core sends and receives; each has a `task_id`."""
 
 _M = TypeVar("_M", bound=Message)

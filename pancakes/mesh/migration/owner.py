@@ -13,7 +13,6 @@ from pancakes.mesh.migration.effect import (
     Forward,
     Persist,
     Remember,
-    Send,
     StartTask,
 )
 from pancakes.mesh.migration.event import (
@@ -26,7 +25,6 @@ from pancakes.mesh.migration.event import (
     RunAsked,
     WriteAgain,
 )
-from pancakes.mesh.migration.messages import Moved
 from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
 from pancakes.mesh.migration.volatile import Volatile
 
@@ -94,7 +92,7 @@ def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
     if record.phase is Phase.OWNER and volatile.running and not volatile.freezing:
         return [Deliver()]
     if record.phase in (Phase.RELEASED, Phase.ABSENT) and record.peer:
-        return [Send(event.sender, Moved(record.task_id, record.peer, record.seen)), Forward(record.peer)]
+        return [Forward(record.peer, record.seen)]
     # Stopped or undecided: the sender keeps the packet, for want of an acknowledgement, and sends it again.
     return []
 

@@ -376,9 +376,8 @@ class _End(Connection):
 
     def _left(self, count: int) -> None:
         self._unsent -= count
-        drained = getattr(self._handler, "drained", None)
-        if self._unsent == 0 and not self._closing and drained is not None:
-            drained()
+        if self._unsent == 0 and not self._closing and self._handler is not None:
+            self._handler.drained()
 
     def _finish(self, reason: str) -> None:
         if self.closed:

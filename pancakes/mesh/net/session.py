@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 import msgspec
 
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
-from pancakes.mesh.net.transport import Connection
+from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Link
 from pancakes.mesh.wire.link_messages import Hello
@@ -56,7 +56,7 @@ class Train(msgspec.Struct, gc=False):
         return self.run
 
 
-class Unwanted:
+class Unwanted(ConnectionHandler):
     """The handler of a connection to an agent that takes none: it only begins, or ends."""
 
     def opened(self, connection: Connection) -> None:
@@ -83,7 +83,7 @@ class Owner(Protocol):
         """Its connection is gone."""
 
 
-class Session:
+class Session(ConnectionHandler):
     """One connection and its link.
 
     Args:

@@ -274,7 +274,6 @@ class _TcpConnection(Connection, _Socket):
         self._transport = transport
         self._sock = sock
         self._handler = handler
-        self._drained: Callable[[], None] | None = getattr(handler, "drained", None)
         self._lock = threading.Lock()
         self._waiting: deque[memoryview] = deque()
         self._unsent = 0
@@ -406,5 +405,5 @@ class _TcpConnection(Connection, _Socket):
         self._watch()
         if self._closing:
             self._half_close()
-        elif self._drained is not None:
-            self._drained()
+        else:
+            self._handler.drained()

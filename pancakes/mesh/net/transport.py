@@ -55,13 +55,12 @@ class ConnectionHandler(Protocol):
         """The connection is gone; called last, once. Also called where it never came to stand."""
         ...
 
-
-class PacedHandler(ConnectionHandler, Protocol):
-    """A handler that waits for room. A transport calls `drained` on every handler that has it."""
-
     def drained(self) -> None:
-        """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent."""
-        ...
+        """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent.
+
+        Most handlers need not know.
+        """
+        return
 
 
 class Scheduled(Protocol):

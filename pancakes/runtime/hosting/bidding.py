@@ -38,9 +38,9 @@ from pancakes.runtime.hosting.bidding_messages import (
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import IDLE, LoadMeter
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.task import Task
 
@@ -68,12 +68,12 @@ class TaskMigrator(Task):
         self._state = state
         self._ledgers = ledgers
         self._times = Times()
-        self._negotiations: dict[TaskId, tuple[Negotiation, Component]] = {}
+        self._negotiations: dict[TaskId, tuple[Negotiation, Reference]] = {}
         self._meter = LoadMeter()
 
     def on_start(self) -> None:
         if self.kernel.virtual is None:
-            self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+            self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())
             self.after_host(FIRST_LOOK_S, self._measure)
         else:
             # In virtual time nothing of the wall may enter.
@@ -153,7 +153,7 @@ class TaskMigrator(Task):
             self._account(moved.service, moved.task_id, moved.ledger.moved(moved.epoch), moved.note, "")
         tell(moved.service, Accounted(moved.task_id))
 
-    def _account(self, service: Component, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
+    def _account(self, service: Reference, task_id: TaskId, ledger: Ledger, note: str, why_not: str) -> None:
         """Keeps the account of a move that is over, publishes it, and tells the service.
 
         Args:
@@ -168,12 +168,12 @@ class TaskMigrator(Task):
         self._ledgers.add(ledger, note, self.now())
         self._tell(service, task_id, ledger, why_not)
 
-    def _tell(self, service: Component, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
+    def _tell(self, service: Reference, task_id: TaskId, ledger: Ledger, why_not: str) -> None:
         plain = msgspec.to_builtins(ledger)
         self.event("migration", task=task_id.name, **plain)
         tell(service, MoveOver(task_id, why_not, plain))
 
-    def _service_began(self, service: Component) -> None:
+    def _service_began(self, service: Reference) -> None:
         for task_id, (_, owner) in list(self._negotiations.items()):
             if owner is not service and owner.name == service.name:
                 self._finish(task_id, f"{owner.address} was started anew")
@@ -261,7 +261,7 @@ class TaskMigrator(Task):
             self.event("migration_bid", task=request.task_id.name, source_agent=peer, cost=cost, terms=terms)
 
     def _measure(self) -> None:
-        self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.registry.components())
+        self._state.measured = self._meter.look(self.kernel.host.now(), self.kernel.task_timers.all())
         self.after_host(LOOK_S, self._measure)
 
     # Talking ---------------------------------------------------------------------------------------------------

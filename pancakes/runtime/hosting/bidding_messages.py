@@ -9,7 +9,7 @@ import msgspec
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
 from pancakes.mesh.migration.record import TaskId
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.reference import Reference
 
 # What a service tells the Task Migrator.
 
@@ -25,7 +25,7 @@ class Negotiate(msgspec.Struct, frozen=True):
         dry_run: whether nothing is to be moved.
     """
 
-    service: Component
+    service: Reference
     request: Solicit
     asked_by: str
     to: str
@@ -43,7 +43,7 @@ class AttemptOver(msgspec.Struct, frozen=True):
         ledger: the account, for where the migrator does not know of the negotiation: the other bids are forgotten.
     """
 
-    service: Component
+    service: Reference
     task_id: TaskId
     peer: str
     reason: str
@@ -62,7 +62,7 @@ class HasMoved(msgspec.Struct, frozen=True):
         note: what had come between, in that case.
     """
 
-    service: Component
+    service: Reference
     task_id: TaskId
     peer: str
     epoch: str
@@ -80,7 +80,7 @@ class BrokenOff(msgspec.Struct, frozen=True):
         reason: why.
     """
 
-    service: Component
+    service: Reference
     task_id: TaskId
     ledger: Ledger
     reason: str
@@ -93,7 +93,7 @@ class ServiceBegan(msgspec.Struct, frozen=True):
         service: the service.
     """
 
-    service: Component
+    service: Reference
 
 
 # What the Task Migrator tells a service.

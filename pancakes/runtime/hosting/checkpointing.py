@@ -17,7 +17,6 @@ from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried, Look, Looked
-from pancakes.task import Task
 
 CHECKPOINT_S: Final = 1.0
 """How often, in host time, a task whose state has changed is written down (`durability = "lazy"`)."""
@@ -61,7 +60,9 @@ class Checkpointing:
                 continue
             # Its duplicate filter cannot have changed either: a letter that it is given leaves it owing an answer.
             place = places.at[slot.name]
-            if place.owes or place.written is None or not place.written.surely_holds(slot.task):
+            written, kernel = place.written, self._host.kernel
+            note, timers = kernel.tasks.settings_of(slot.address), kernel.task_timers.of(slot.address)
+            if place.owes or written is None or not written.surely_holds(note, timers):
                 tell(slot.task, Look())
 
     def look_at_late(self) -> None:
@@ -72,14 +73,14 @@ class Checkpointing:
             if slot is not None and (slot.spec.durability == "each" or place.owes):
                 self._look_at([slot.name])
 
-    def looked(self, slot: Slot, task: Task, looked: Looked) -> None:
+    def looked(self, slot: Slot, looked: Looked) -> None:
         """A task says what it carries."""
         if looked.carried is None:
             self._host.log("error", f"the state of {slot.address} cannot be written down: {looked.reason}")
         else:
-            self.save(slot, task, looked.carried)
+            self.save(slot, looked.carried)
 
-    def save(self, slot: Slot, task: Task, carried: Carried) -> None:
+    def save(self, slot: Slot, carried: Carried) -> None:
         """Writes down a running task, if anything has changed."""
         if slot.life.state is not State.RUNNING:
             return
@@ -97,7 +98,7 @@ class Checkpointing:
         except (PancakesError, TypeError, OverflowError, MemoryError) as error:
             self._host.log("error", f"the state of {slot.address} cannot be written down: {error}")
             return
-        place.written = last_checkpoint(task, carried, plain)
+        place.written = last_checkpoint(slot.spec.cls, carried, plain)
         consumed = place.letters.consumed(carried.heard) if place.letters is not None else ()
         record = standing.record
         self._host.feed_place(place, Checkpoint(record.epoch, record.incarnation, snapshot, consumed))

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Final
+from collections.abc import Sequence
+from typing import Final
 
 import msgspec
 
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.arrays import saved_array
+from pancakes.runtime.kernel.task_table import SettingsNote
+from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.task import Nothing, Task
 
@@ -18,26 +20,37 @@ class LastCheckpoint(msgspec.Struct, frozen=True):
 
     Attributes:
         plain: what it carried, encoded; see `plain_of`.
-        made_of: of a task without state its settings and its periods, the very objects; None: it has state.
+        carried: of a task without state what it carried; None: it has state.
     """
 
     plain: bytes
-    made_of: tuple[Mapping[str, Any], Mapping[str, float]] | None
+    carried: Carried | None
 
-    def surely_holds(self, task: Task) -> bool:
-        """Returns whether a task's own has surely not changed, without a turn of its: most have no state at all."""
-        return self.made_of is not None and task.still_carries(*self.made_of)
+    def surely_holds(self, note: SettingsNote | None, timers: Sequence[TaskTimer]) -> bool:
+        """Returns whether what a task carries has surely not changed, without a turn of its: most have no state at all.
+
+        Args:
+            note: its settings, as it has entered them.
+            timers: its timers.
+        """
+        carried = self.carried
+        return (
+            carried is not None
+            and note is not None
+            and note.plain is carried.settings
+            and all(timer.period_s == carried.periods_s.get(timer.method) for timer in timers)
+        )
 
 
-def last_checkpoint(task: Task, carried: Carried, plain: bytes) -> LastCheckpoint:
+def last_checkpoint(cls: type[Task], carried: Carried, plain: bytes) -> LastCheckpoint:
     """Returns what is remembered of a checkpoint.
 
     Args:
-        task: the task.
+        cls: the task's class.
         carried: what it carries.
         plain: the same, encoded.
     """
-    return LastCheckpoint(plain, (carried.settings, carried.periods_s) if type(task).State is Nothing else None)
+    return LastCheckpoint(plain, carried if cls.State is Nothing else None)
 
 
 def plain_of(carried: Carried) -> bytes:

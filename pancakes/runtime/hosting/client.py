@@ -42,6 +42,8 @@ from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import RESTS
 from pancakes.runtime.life.request import Request
@@ -205,6 +207,8 @@ class ClientService(Service):
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
+            slot.rest = rest_of(place.standing.record) if life.state in RESTS else ""
+            self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -225,7 +229,10 @@ class ClientService(Service):
     def open_slot(self, spec: TaskSpec) -> Slot:
         slot = super().open_slot(spec)
         self.places.bind(spec.name)
-        self._note(self.places.at[spec.name])
+        place = self.places.at[spec.name]
+        self._note(place)
+        slot.rest = rest_of(place.standing.record)
+        self.show(slot)
         return slot
 
     def _carry_out(self, place: Place, effect: hosting_effect.HostingEffect, slot: Slot | None) -> None:
@@ -328,7 +335,7 @@ class ClientService(Service):
     def changed(self, slot: Slot, carried: Carried) -> None:
         # It outlives a failure of the task the moment after.
         if slot.task is not None:
-            self._checkpointing.save(slot, slot.task, carried)
+            self._checkpointing.save(slot, carried)
 
     def carried_of(self, slot: Slot) -> Carried:
         record = self.places.at[slot.name].standing.record
@@ -354,7 +361,7 @@ class ClientService(Service):
                 slot = self.slots.get(message.task.name)
                 if slot is not None and slot.task is not None and slot.task is message.task:
                     if isinstance(message, Looked):
-                        self._checkpointing.looked(slot, slot.task, message)
+                        self._checkpointing.looked(slot, message)
                     else:
                         self.feed(slot, hosting_event.StoodStill(message.offer, message.carried, message.reason))
             case RecordWritten():
@@ -447,17 +454,9 @@ class ClientService(Service):
     def refuse_start(self, slot: Slot) -> str:
         return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
 
-    def has(self, name: str) -> bool:
-        # What was given away and stands in doubt has no slot any more, nor has what came here and was lost.
-        return super().has(name) or self._decisions.concern(name)
-
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
-        told = super().describe_task(slot)
-        if slot.life.state in RESTS:
-            told["rest"] = rest_of(self.places.at[slot.name].standing.record)
-        return told
-
-    def refuse_stop(self) -> str:
-        for task_id in self.state.under_way(self.name):
-            return f"{self.address} must not stop while {task_id} is being handed over"
+    @classmethod
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+        state: HostState = arguments["state"]
+        for task_id in state.under_way(name):
+            return f"{join(kernel.agent, name)} must not stop while {task_id} is being handed over"
         return ""

@@ -16,6 +16,7 @@ from pancakes.runtime.hosting.shared_outbox import SharedOutbox, receiver_of
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 
 KEEP: Final = queue(4096)
@@ -149,7 +150,7 @@ class Courier(Component):
             self._look_later()
         self._send()
 
-    def _service_of(self, task_id: TaskId) -> Component | None:
+    def _service_of(self, task_id: TaskId) -> Reference | None:
         """Returns the service here that has a record of a task, where it runs. Any thread."""
         service = self._records.service_of(task_id)
         return self.kernel.registry.get(join(self.agent, service)) if service else None

@@ -30,10 +30,6 @@ class Decisions:
         self._records = records
         self._mover = mover
 
-    def concern(self, name: str) -> bool:
-        """Returns whether there is something to decide about a task of this name. Any thread."""
-        return bool(adoption.in_doubt(self._known(name)) or self._lost(name))
-
     def _known(self, name: str) -> list[Record]:
         return [place.standing.record for place in self._host.places.named(name)]
 

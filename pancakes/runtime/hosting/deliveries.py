@@ -5,9 +5,8 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.core import handle
-from pancakes.mesh.migration.effect import Deliver, Forward, Send
+from pancakes.mesh.migration.effect import Deliver, Forward
 from pancakes.mesh.migration.event import Arrived, PacketId
-from pancakes.mesh.migration.messages import Moved
 from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, onward
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import Packet
@@ -16,10 +15,10 @@ from pancakes.runtime.hosting.hosting_service import HostingService
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.task_letters import TaskLetters
 from pancakes.runtime.kernel.letters import ATTEMPTS
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.task_messages import Give, LetterGiven, LetterOutcome, Look
-from pancakes.task import Task
 
 
 class Deliveries:
@@ -44,13 +43,12 @@ class Deliveries:
             return
         standing = place.standing
         # Asked past the queue of events: it changes nothing, and what is being written now is no reason to wait.
-        for effect in handle(host.agent, standing.record, standing.volatile, Arrived(letter.sender)):
+        for effect in handle(host.agent, standing.record, standing.volatile, Arrived()):
             match effect:
                 case Deliver():
                     self._deliver(place, letter, came.packet)
-                case Send(message=Moved() as moved):
-                    self._say(letter.sender, ForwardTo(letter.task_id, moved.peer, moved.epoch.n))
                 case Forward():
+                    self._say(letter.sender, ForwardTo(letter.task_id, effect.peer, effect.epoch.n))
                     further = onward(letter)
                     if further is not None:
                         self._say(effect.peer, further)
@@ -80,7 +78,6 @@ class Deliveries:
         letters = place.letters if place is not None else None
         if place is None or letters is None:
             return  # the task was given away meanwhile
-        assert isinstance(task, Task)
         packet = letters.looked_at(task, letter)
         if told.outcome is LetterOutcome.FAILED:
             # It is not acknowledged, so it comes again when the task has been restarted.
@@ -93,7 +90,7 @@ class Deliveries:
         elif told.outcome is LetterOutcome.TAKEN:
             self._took(place, letters, task, letter, packet)
 
-    def _took(self, place: Place, letters: TaskLetters, task: Task, letter: Letter, packet: Packet | None) -> None:
+    def _took(self, place: Place, letters: TaskLetters, task: Reference, letter: Letter, packet: Packet | None) -> None:
         slot = place.slot
         if slot is None or slot.task is not task:
             return  # the actor that took it has ended; its sender, which has not been told so, sends it again

@@ -84,5 +84,6 @@ class Departures:
             self._host.outbox.ended(slot.fence.task_id)
         if slot.name not in self._host.residents:
             del self._host.slots[slot.name]
+            self._host.kernel.tasks.strike_out(self._host.name, slot.name)
         for other in self._host.places.named(slot.name):
             self._host.feed_place(other, PlaceFree())

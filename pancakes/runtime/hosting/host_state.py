@@ -18,8 +18,8 @@ from pancakes.mesh.migration.times import Times
 from pancakes.packet import join
 from pancakes.runtime.hosting.load import MeasuredLoad
 from pancakes.runtime.hosting.records import Records
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.reference import Reference
 
 UNDER_WAY = frozenset((Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED))
 """The phases in which a hand-off is under way."""
@@ -118,7 +118,7 @@ class HostState:
         registry, agent = self._kernel.registry, self._kernel.agent
         return [service for service in services if registry.get(join(agent, service)) is not None]
 
-    def services(self) -> list[Component]:
+    def services(self) -> list[Reference]:
         """Returns the services that run and take tasks in."""
         components = (self._kernel.registry.get(join(self._kernel.agent, name)) for name in self._running())
         return [component for component in components if component is not None]

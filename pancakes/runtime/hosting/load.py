@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.task_timer import TaskTimer
 
 if TYPE_CHECKING:
@@ -78,30 +77,28 @@ class LoadMeter:
         self._before: tuple[float, float] | None = None
         self._ticks: dict[TaskTimer, tuple[int, int, float]] = {}
 
-    def look(self, now_s: float, components: Iterable[Component]) -> MeasuredLoad | None:
+    def look(self, now_s: float, timers: Iterable[TaskTimer]) -> MeasuredLoad | None:
         """Returns the load since the look before; None at the first, which has nothing to compare with.
 
         Args:
             now_s: host time.
-            components: the actors whose ticks count.
+            timers: the timers whose ticks count.
         """
         before, self._before = self._before, (now_s, self._used_s())
-        lateness_share = self._lateness(components)
+        lateness_share = self._lateness(timers)
         if before is None or now_s <= before[0]:
             return None
         agent_share = max(0.0, self._before[1] - before[1]) / (now_s - before[0])
         return MeasuredLoad(agent_share, self._host(), lateness_share)
 
-    def _lateness(self, components: Iterable[Component]) -> float:
+    def _lateness(self, timers: Iterable[TaskTimer]) -> float:
         late, count = 0.0, 0
         ticks: dict[TaskTimer, tuple[int, int, float]] = {}
-        for component in components:
-            # A copy: the actor makes its timers in its own thread.
-            for timer in list(component.timers.values()):
-                now = ticks[timer] = (timer.ticks, timer.missed_total, timer.lateness_sum_s)
-                was = self._ticks.get(timer, (0, 0, 0.0))
-                late += (now[2] - was[2]) / timer.period_s + (now[1] - was[1])
-                count += now[0] - was[0] + now[1] - was[1]
+        for timer in timers:
+            now = ticks[timer] = (timer.ticks, timer.missed_total, timer.lateness_sum_s)
+            was = self._ticks.get(timer, (0, 0, 0.0))
+            late += (now[2] - was[2]) / timer.period_s + (now[1] - was[1])
+            count += now[0] - was[0] + now[1] - was[1]
         # Those of actors that have ended are forgotten with it.
         self._ticks = ticks
         return late / count if count else 0.0

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import threading
+
 import msgspec
 from msgspec.structs import replace
 
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.record import Record, TaskId
+from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.lost import Lost
 from pancakes.runtime.journal import Disk, JournalEntry, RecordTable
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 
 KIND = "record"
@@ -40,12 +43,22 @@ class Records:
         for aside in disk.journal.missing:
             if aside.kind == KIND:
                 self._lose(aside.key, str(aside), _read(aside.entry), aside.times)
+        self._lock = threading.Lock()
+        self._by_name: dict[str, tuple[TaskId, ...]] = {}
         self._records = RecordTable(
             disk,
             KIND,
             Record.decode,
             lambda key, why: self._lose(key, f"the journal has it, and it is not used: {why}"),
         )
+        for record in self._records.on_disk.values():
+            self._note_name(record.task_id)
+
+    def _note_name(self, task_id: TaskId) -> None:
+        with self._lock:
+            known = self._by_name.get(task_id.name, ())
+            if task_id not in known:
+                self._by_name[task_id.name] = (*known, task_id)
 
     def _lose(self, key: str, why: str, read: Record | None = None, times: int = 1) -> None:
         try:
@@ -85,13 +98,22 @@ class Records:
         told = lost.read.service if lost.read is not None else ""
         return self._claims.get(lost.task_id) or told or "client"
 
+    def services_in_doubt(self, name: str) -> set[str]:
+        """Returns the services that have something to decide about a task of this name."""
+        with self._lock:
+            task_ids = self._by_name.get(name, ())
+        records = [self._records.on_disk.get(str(task_id)) for task_id in task_ids]
+        services = {record.service for record in records if record is not None and adoption.in_doubt([record])}
+        return services | {self.decider_of(lost) for lost in self.all_lost() if lost.task_id.name == name}
+
     def trouble(self, task_id: TaskId) -> str:
         """Says what keeps a task's record from being written; empty: nothing that is known of."""
         return self._records.trouble(str(task_id))
 
-    def persist(self, record: Record, service: Component) -> None:
+    def persist(self, record: Record, service: Reference) -> None:
         """Writes a record, and tells the service that keeps it `RecordWritten`."""
         task_id = record.task_id
+        self._note_name(task_id)
 
         def told(why_not: str = "") -> None:
             tell(service, RecordWritten(task_id, why_not))

@@ -10,8 +10,8 @@ import msgspec
 from pancakes.mesh.migration.event import PacketId
 from pancakes.mesh.migration.post import Letter
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.letters import MOST_KNOWN
+from pancakes.runtime.kernel.reference import Reference
 
 KEPT: Final = 1024
 """Most letters of one task that are acknowledged before they are on disk, ..."""
@@ -37,10 +37,10 @@ class TaskLetters(msgspec.Struct):
     kept_bytes: int = 0
     asked: bool = False
     failures: dict[tuple[str, int], int] = {}
-    given_to: Component | None = None
+    given_to: Reference | None = None
     given: dict[tuple[str, int, int], Packet | None] = {}
 
-    def give(self, task: Component, letter: Letter, packet: Packet | None) -> bool:
+    def give(self, task: Reference, letter: Letter, packet: Packet | None) -> bool:
         """Learns that an actor is given a letter; returns False where it has that still to look at."""
         if self.given_to is not task:
             self.given_to, self.given = task, {}
@@ -50,7 +50,7 @@ class TaskLetters(msgspec.Struct):
         self.given[place] = packet
         return True
 
-    def looked_at(self, task: Component, letter: Letter) -> Packet | None:
+    def looked_at(self, task: Reference, letter: Letter) -> Packet | None:
         """Learns that an actor has looked at a letter; returns the packet in it."""
         return self.given.pop((letter.stream, letter.seq, letter.first), None) if self.given_to is task else None
 

@@ -24,6 +24,7 @@ from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.plan import NO_HANDLERS, Handlers, plan_of
 from pancakes.runtime.kernel.pykka_actor import PykkaActor
 from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.kernel.tell import Told
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -317,6 +318,7 @@ class Component(PykkaActor):
             period_s = self.initial_period_s(method, period.period_s)
             timer = TaskTimer(self, method, getattr(type(self), method), period_s, self.kernel)
             self.timers[method] = timer
+            self.kernel.task_timers.add(timer)
             self.__tick(timer)
         self.after_start()
 
@@ -347,6 +349,9 @@ class Component(PykkaActor):
             if isinstance(item, TaskTimer):
                 if item.component is self:
                     item.run()
+            elif isinstance(item, Told):
+                if item.component is self:
+                    self.on_receive(item.message)
             elif isinstance(item, Call):
                 if item.component is self:
                     item.function()
@@ -442,6 +447,7 @@ class Component(PykkaActor):
         self.actor_stopped.set()
         for timer in self.timers.values():
             self.kernel.timer.cancel(timer)
+        self.kernel.task_timers.remove(self)
         self.kernel.registry.remove(self)
         # Its subscriptions stay: its service knows whether a successor will read what is published.
         mailbox = self.actor_inbox

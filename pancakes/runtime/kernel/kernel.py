@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from pancakes.errors import PancakesError
@@ -23,8 +23,10 @@ from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
 from pancakes.runtime.kernel.registry import Registry
 from pancakes.runtime.kernel.stream import InformationStream
+from pancakes.runtime.kernel.task_table import TaskTable
 from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.kernel.timer import Timer, VirtualTimer
+from pancakes.runtime.kernel.timer_table import TimerTable
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 
 _Made = TypeVar("_Made", bound=Component)
@@ -45,12 +47,15 @@ class Kernel:
         mission: the mission clock.
         now: returns the mission time in seconds; one object for all who ask for it with each tick and packet.
         stream: the information stream.
-        registry: who runs here.
+        registry: the actors that run here.
+        tasks: the tasks of all services, at rest or not.
+        task_timers: what ticks here.
         letters: packets whose handlers failed.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
         stopping: whether the agent is about to end for good.
-        mission_packets_sent: says how many mission packets have been sent to others; the Network Service sets it.
+        mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
+        links: says what is to be known about each link to another agent, as plain values; the agent sets it.
         lateness_heard: told of each tick of a task how late it was, in the task's turn; see `hear_lateness`.
     """
 
@@ -70,11 +75,14 @@ class Kernel:
         self.mission = MissionClock(self.host, speed, hold)
         self.now = self.mission.now
         self.stream = InformationStream(agent)
-        self.registry: Registry[Component] = Registry()
+        self.registry = Registry()
+        self.tasks = TaskTable()
+        self.task_timers = TimerTable()
         self.letters = DeadLetters(self.log)
         self.transport: Any = None
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
+        self.links: Callable[[], Sequence[dict[str, Any]]] = tuple
         self.lateness_heard: tuple[Callable[[tuple[TaskTimer, float]], None], ...] = ()
         self._seqs: dict[str, Counter] = {}
         self._lock = threading.Lock()
@@ -95,7 +103,8 @@ class Kernel:
         cls: Callable[..., _Made],
         address: str,
         *,
-        exited: Callable[[Component, BaseException | None], None] | None = None,
+        exited: Callable[[_Made, BaseException | None], None] | None = None,
+        keeps_subscriptions: bool = False,
         **arguments: Any,
     ) -> _Made:
         """Makes a component and lets it run.
@@ -103,15 +112,17 @@ class Kernel:
         Args:
             cls: its class.
             address: its address; no other component may run there.
-            exited: called in the component's thread when it has ended, with the error if it failed; None: its
-                subscriptions end with it.
+            exited: called in the component's thread when it has ended, with the error if it failed; None: nothing is.
+            keeps_subscriptions: whether its subscriptions stay where it ends; else they end with it, unless `exited`
+                is there to do that.
             arguments: what else its class wants.
 
         Raises:
             ValueError: a component runs at this address already.
         """
         component = cls(self, address, **arguments)
-        component.exited = exited or self._release
+        if exited is not None or not keeps_subscriptions:
+            component.exited = exited or self._release
         self.registry.add(component)
         self.attach(component)
         return component

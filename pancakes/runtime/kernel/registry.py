@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import threading
-from typing import Generic, TypeVar
 
 import msgspec
 
-from pancakes.runtime.kernel.mailbox import Runnable
-
-Member = TypeVar("Member", bound=Runnable)
+from pancakes.runtime.kernel.reference import Reference
 
 
 class DeviceEntry(msgspec.Struct, frozen=True):
@@ -30,7 +27,7 @@ class DeviceEntry(msgspec.Struct, frozen=True):
     address: str = ""
 
 
-class Registry(Generic[Member]):
+class Registry:
     """Who runs on this agent. All methods may be called from any thread.
 
     pykka's own registry is global to the process and scans a list; this one belongs to one agent and keeps its
@@ -39,7 +36,7 @@ class Registry(Generic[Member]):
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._components: dict[str, Member] = {}
+        self._components: dict[str, Reference] = {}
         self._devices: dict[str, DeviceEntry] = {}
         self._addresses: dict[
             str, str
@@ -47,7 +44,7 @@ class Registry(Generic[Member]):
         self._holders: dict[str, str] = {}
         self._reserved: dict[str, str] = {}
 
-    def add(self, component: Member) -> None:
+    def add(self, component: Reference) -> None:
         """Enters an actor.
 
         Raises:
@@ -58,17 +55,17 @@ class Registry(Generic[Member]):
                 raise ValueError(f"{component.address} runs already")
             self._components[component.address] = component
 
-    def remove(self, component: Member) -> None:
+    def remove(self, component: Reference) -> None:
         """Strikes an actor out, if it is in."""
         with self._lock:
             if self._components.get(component.address) is component:
                 del self._components[component.address]
 
-    def get(self, address: str) -> Member | None:
+    def get(self, address: str) -> Reference | None:
         """Returns the actor that runs at `address`."""
         return self._components.get(address)
 
-    def components(self) -> list[Member]:
+    def components(self) -> list[Reference]:
         """Returns all actors, in the order in which they started."""
         with self._lock:
             return list(self._components.values())

@@ -42,7 +42,8 @@ class InformationStream:
         self.courier: Gateway | None = None
         self._lock = threading.Lock()
         self._readers: dict[str, dict[str, Listener]] = {name: {} for name in CORE_CHANNELS}
-        self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...]], ...]] = {}  # and the types that each wants to see
+        # And the types that each wants to see, and the follower elsewhere for which it does.
+        self._taps: dict[str, tuple[tuple[Tap, tuple[str, ...], str], ...]] = {}
         self._outgoing: tuple[Tap, ...] = ()
         self._openers: tuple[Callable[[str], None], ...] = ()
         self._routes: dict[tuple[str, str, str], Route] = {}  # by channel, type and destination
@@ -166,13 +167,14 @@ class InformationStream:
             except PancakesError as error:
                 refused(packet, error)
 
-    def tap(self, channel: str, tap: Tap, types: tuple[str, ...] = ()) -> None:
+    def tap(self, channel: str, tap: Tap, types: tuple[str, ...] = (), by: str = "") -> None:
         """Calls `tap` with every packet published here on `channel`, in the publisher's thread; it must not block.
 
         Args:
             channel: the channel.
             tap: what is called.
             types: the types of the packets that it sees; empty: all.
+            by: the address of the follower elsewhere for which it hears; empty: it hears for none.
 
         Raises:
             UnknownChannel: there is no such channel.
@@ -182,7 +184,7 @@ class InformationStream:
         with self._lock:
             if channel not in self._readers:
                 raise UnknownChannel(f"{self.agent} has no channel {channel!r}, only {', '.join(self._readers)}")
-            self._taps[channel] = (*self._taps.get(channel, ()), (tap, types))
+            self._taps[channel] = (*self._taps.get(channel, ()), (tap, types, by))
             self._forget(channel)
 
     def untap(self, channel: str, tap: Tap) -> None:
@@ -244,6 +246,10 @@ class InformationStream:
         """Returns the addresses of the components that read a channel."""
         return list(self._readers.get(channel, {}))
 
+    def followers(self, channel: str) -> list[str]:
+        """Returns the addresses of the followers of a channel that are elsewhere."""
+        return [by for _, _, by in self._taps.get(channel, ()) if by]
+
     def describe(self, channel: str) -> list[dict[str, Any]]:
         """Returns who reads a channel, with which bounds, and what waits or was lost there, as plain values.
 
@@ -288,7 +294,7 @@ class InformationStream:
             route = Route(
                 tuple(reader.queue for reader in listeners),
                 tuple(reader for reader in listeners if reader.keep_of(packet.type).reliable),
-                tuple(tap for tap, types in self._taps.get(packet.channel, ()) if not types or packet.type in types),
+                tuple(tap for tap, types, _ in self._taps.get(packet.channel, ()) if not types or packet.type in types),
             )
             if len(self._routes) >= MOST_ROUTES:
                 self._routes.clear()

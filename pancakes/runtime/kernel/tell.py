@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from pancakes.runtime.kernel.call import Call
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.mailbox import Runnable
+from pancakes.runtime.kernel.reference import Reference
 
 
-def tell(component: Component, message: object) -> bool:
+class Told:
+    """A message that waits in a control lane for a turn of its actor, and of none of that actor's successors."""
+
+    __slots__ = ("component", "message")
+
+    def __init__(self, component: Runnable, message: object) -> None:
+        self.component = component
+        self.message = message
+
+
+def tell(component: Reference, message: object) -> bool:
     """Gives an actor a message, which its `on_receive` takes after what it is doing now. Any thread.
 
     Its successor at the same address does not get it.
@@ -18,5 +26,5 @@ def tell(component: Component, message: object) -> bool:
     """
     alive = not component.actor_stopped.is_set()
     if alive:
-        component.actor_inbox.put(Call(component, partial(component.on_receive, message)))
+        component.actor_inbox.put(Told(component, message))
     return alive

@@ -59,9 +59,15 @@ class SharedThings:
     def get(self, key: str, make: Callable[[], Any]) -> Any:
         """Returns the thing under `key`, making it first where it is not there."""
         with self._lock:
-            if key not in self._things:
-                self._things[key] = make()
-            return self._things[key]
+            thing = self._things.get(key)
+        if thing is not None:
+            return thing
+        made = make()
+        with self._lock:
+            thing = self._things.setdefault(key, made)
+        if thing is not made:  # another driver has made one meanwhile
+            made.close()
+        return thing
 
     def close(self) -> None:
         """Closes all of them."""
@@ -348,6 +354,7 @@ class DeviceService(Service):
                 settings=device.settings,
                 rate_hz=device.rate_hz,
                 restart=device.restart,
+                device=device.cls.type,
                 arguments={"device": device, "shared": self._shared, "fences": self._fences},
             )
             for device in self._devices
@@ -363,10 +370,3 @@ class DeviceService(Service):
     def author_of(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")
         return device.cls if device is not None else super().author_of(slot)
-
-    def describe_task(self, slot: Slot) -> dict[str, Any]:
-        device: DeviceSpec | None = slot.spec.arguments.get("device")
-        if device is None:  # a task of the configuration
-            return super().describe_task(slot)
-        holder = self.kernel.registry.holder(slot.name)
-        return {**super().describe_task(slot), "device": device.cls.type, **({"holder": holder} if holder else {})}

@@ -6,6 +6,7 @@ import math
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -33,7 +34,7 @@ from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.runtime.weight import weigh
 from pancakes.service import Service
 from pancakes.task import TaskSpec
-from pancakes.tools.recording.recorder import Recorder
+from pancakes.tools.recording.recorder import Recorder, RecordingBegan
 
 if TYPE_CHECKING:
     from pancakes.runtime.services.traces import Tracing
@@ -147,6 +148,7 @@ class LogService(Service):
         # What is to be recorded from the start begins anew with each start.
         self._goes_on = NOTHING if self._records else wanted.newest.get(self._recorder, NOTHING)
         self._newest: deque[tuple[int, int, Packet]] = deque()  # number, bytes, and what was said
+        self._recording = Path()  # the first file of what is recorded now
         self._newest_bytes = 0
         self._entries = 0
         self._tracing: Tracing | None = None
@@ -158,6 +160,12 @@ class LogService(Service):
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         self._end_tracing()
         super().on_failure(exception_type, exception_value, traceback)
+
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, RecordingBegan):
+            return super().on_receive(message)
+        self._recording = message.first
+        return None
 
     def _begin_tracing(self) -> Tracing:
         from pancakes.runtime.services.traces import Tracing  # only now: most agents are never asked
@@ -250,11 +258,10 @@ class LogService(Service):
             slot.carried = Carried({**self._record, **self._goes_on.settings}, {"goes_on": self._goes_on.first})
 
     def answer(self, slot: Slot, effect: Answer) -> None:
-        recorder = slot.task
-        if effect.reason or not isinstance(recorder, Recorder) or slot.life.state is not State.RUNNING:
+        if effect.reason or slot.name != RECORDER or slot.life.state is not State.RUNNING:
             super().answer(slot, effect)
             return
-        wanted = WantedRecording(str(recorder.first.absolute()), self.describe_in_detail(slot)["settings"])
+        wanted = WantedRecording(str(self._recording.absolute()), self.describe_in_detail(slot)["settings"])
         answer = super().answer
         self._want(wanted, lambda why_not: answer(slot, effect))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, Struct, field
@@ -13,11 +13,12 @@ from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
 from pancakes.mesh.net.busy_poll import BUSY_POLL_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.link import LinkTimes
-from pancakes.packet import Packet, agent_of
+from pancakes.packet import Packet, agent_of, join
 from pancakes.runtime.hosting.bidding import TaskMigrator
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.kernel.handlers import Tick, every
+from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.services.follower import LEAST_HZ, Follower
 from pancakes.runtime.supervision.service_messages import PeerDown
@@ -140,22 +141,18 @@ class NetworkService(Service):
         for channel, by in list(self._followers):
             self._unfollow(channel, by)
 
-    def refuse_stop(self) -> str:
-        networked = {device.type for device in self.kernel.registry.devices() if device.networked}
-        for component in self.kernel.registry.components():
-            if isinstance(component, Task) and networked.intersection(component.requires):
-                needed = ", ".join(sorted(networked.intersection(component.requires)))
-                return f"{self.address} must not sleep while {component.address} needs {needed} from elsewhere"
-        moving = ", ".join(map(str, dict.fromkeys((*self._state.negotiated, *self._state.under_way()))))
-        return f"the network of {self.agent} must not sleep while {moving} is being moved" if moving else ""
-
-    def links(self) -> list[dict[str, Any]]:
-        """Returns what is to be known about the links to other agents, as plain values. Any thread."""
-        return self._mesh.links()
-
-    def followers(self, channel: str) -> list[str]:
-        """Returns the addresses of those who follow a channel from elsewhere. Any thread."""
-        return [by for followed, by in list(self._followers) if followed == channel]
+    @classmethod
+    def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:
+        address = join(kernel.agent, name)
+        networked = {device.type for device in kernel.registry.devices() if device.networked}
+        for task in kernel.tasks.all():
+            needed = networked.intersection(task.requires)
+            if needed and kernel.registry.get(task.address) is not None:
+                types = ", ".join(sorted(needed))
+                return f"{address} must not sleep while {task.address} needs {types} from elsewhere"
+        state: HostState = arguments["state"]
+        moving = ", ".join(map(str, dict.fromkeys((*state.negotiated, *state.under_way()))))
+        return f"the network of {kernel.agent} must not sleep while {moving} is being moved" if moving else ""
 
     def on_receive(self, message: Any) -> Any:
         if not isinstance(message, PeerDown):
@@ -196,7 +193,7 @@ class NetworkService(Service):
         self._unfollow(body.channel, by)
         follower = Follower(self, self._mesh, destination, body.foreign, body.most_hz)
         try:
-            self.kernel.stream.tap(body.channel, follower.take, body.types)
+            self.kernel.stream.tap(body.channel, follower.take, body.types, by=by)
         except UnknownChannel as error:
             raise ControlRefused(str(error)) from None
         self._followers[body.channel, by] = follower

@@ -8,7 +8,7 @@ cannot wake itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import Any
 
@@ -44,14 +44,12 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
 from pancakes.runtime.life.request import Request
-from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.service_keeper import LOG_SERVICE, ServiceKeeper, ServicePlace
+from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.runtime.supervision.answers import Answers
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, ServiceEnded, ServiceReady
-from pancakes.runtime.supervision.service_spec import ServiceSpec
-from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_commands import WAITING
-from pancakes.service import Service
+from pancakes.runtime.supervision.task_description import describe_task
 
 ANSWERED_S = 2.5
 """An asker whose command for a service is not done after so long, in host time, is told what it waits for."""
@@ -67,6 +65,7 @@ class Root(Component):
         specs: the services, in the order in which they start; they stop in reverse.
         identity: what `Describe` says of the agent besides its tasks.
         migrations: what `Migrations` is answered with.
+        services_in_doubt: the services that have something to decide about a task of this name.
         ready: called in this actor once every service has started all that it should.
         shutdown: ends the agent, after this actor's turn; returns why it cannot. With True it only says that.
     """
@@ -79,6 +78,7 @@ class Root(Component):
         specs: Sequence[ServiceSpec],
         identity: Callable[[], dict[str, Any]] = dict,
         migrations: Callable[[], list[dict[str, Any]]] = list,
+        services_in_doubt: Callable[[str], Collection[str]] = lambda name: (),
         ready: Callable[[], None] = lambda: None,
         shutdown: Callable[[bool], str] = lambda dry_run: "it was not started in a way that it could be ended by",
     ) -> None:
@@ -86,6 +86,7 @@ class Root(Component):
         self._services = ServiceKeeper(self, self, specs, self._become_ready)
         self._identity = identity
         self._migrations = migrations
+        self._services_in_doubt = services_in_doubt
         self._on_ready = ready
         self._shutdown = shutdown
         self._answers = Answers(self)
@@ -213,8 +214,13 @@ class Root(Component):
         if len(parts) != 1 or not parts[0]:
             raise ControlRefused(f"{target!r} is no target: it must read task, service/task or service")
         name = parts[0]
+        tasks = self.kernel.tasks
+        # What was given away and stands in doubt is in no table of tasks any more, nor is what came here and was lost.
+        doubted = self._services_in_doubt(name)
         owners = [
-            place.spec.name for place in self.places.values() if place.service is not None and place.service.has(name)
+            service
+            for service, place in self.places.items()
+            if place.service is not None and (tasks.get(service, name) is not None or service in doubted)
         ]
         if len(owners) > 1:
             raise ControlRefused(f"{self.agent} has {name!r} in {' and in '.join(owners)}: say which")
@@ -225,11 +231,7 @@ class Root(Component):
         for place in self.places.values():
             if place.service is None and name in [spec.name for spec in place.spec.tasks]:
                 raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
-        known = [
-            *self.places,
-            *(slot.name for place in self.places.values() if place.service for slot in _slots(place.service)),
-        ]
-        meant = suggestion(name, known)
+        meant = suggestion(name, [*self.places, *(entry.name for entry in tasks.all())])
         raise ControlRefused(
             f"{self.agent} has no task or service {name!r}" + (f", did you mean {meant!r}?" if meant else "")
         )
@@ -305,8 +307,8 @@ class Root(Component):
                 f"{place.address} can be stopped from elsewhere only for a time (for_s):"
                 " no packet from elsewhere could start it again"
             )
-        reason = place.service.refuse_stop() if place.service is not None else ""
-        if reason:
+        spec = place.spec
+        if place.service is not None and (reason := spec.cls.refuse_stop(self.kernel, spec.name, spec.arguments)):
             raise ControlRefused(reason)
 
     def next_command(self, place: ServicePlace) -> None:
@@ -361,10 +363,7 @@ class Root(Component):
             "devices": self.kernel.registry.device_types(),
             "services": [self.describe_service(place) for place in self.places.values()],
             "tasks": [
-                place.service.describe_task(slot)
-                for place in self.places.values()
-                if place.service is not None
-                for slot in _slots(place.service)
+                describe_task(self.kernel, entry) for name in self.places for entry in self.kernel.tasks.of(name)
             ],
             "dead_letters": self.kernel.letters.count,
             "undelivered": self.kernel.stream.undelivered,
@@ -377,14 +376,13 @@ class Root(Component):
             UnknownChannel: there is no such channel.
         """
         stream = self.kernel.stream
-        network = self.places[NETWORK].service
         return [
             {
                 "agent": self.agent,
                 "channel": name,
                 "core": name in CORE_CHANNELS,
                 "subscribers": stream.describe(name),
-                "followers": network.followers(name) if isinstance(network, NetworkService) else [],
+                "followers": stream.followers(name),
             }
             for name in ([channel] if channel else stream.channels())
         ]
@@ -398,10 +396,5 @@ class Root(Component):
             "state": place.life.word,
             "reason": place.life.reason,
             **place.life.restarts.describe(self.kernel.host.now()),
-            "tasks": [slot.name for slot in _slots(place.service)] if place.service is not None else [],
+            "tasks": [entry.name for entry in self.kernel.tasks.of(place.spec.name)],
         }
-
-
-def _slots(service: Service) -> list[Slot]:
-    # The service changes its table in its own actor; a copy made in one step is a consistent picture.
-    return list(service.slots.values())

@@ -13,6 +13,7 @@ from pancakes.errors import ClassError, PancakesError, describe, traceback_of
 from pancakes.packet import SYSCTRL, join
 from pancakes.runtime.foundation.printable import printable_line
 from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.timer import OneShot
 from pancakes.runtime.life.life import Life, State
@@ -29,12 +30,11 @@ from pancakes.runtime.life.life_event import (
 )
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.life.restart import Restarts
+from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.runtime.supervision.closing import STUCK_S
 from pancakes.runtime.supervision.keeper import Keeper
 from pancakes.runtime.supervision.service_messages import Close, ServiceEnded, ServiceReady
-from pancakes.runtime.supervision.service_spec import ServiceSpec
 from pancakes.runtime.supervision.task_messages import Carried
-from pancakes.service import Service
 from pancakes.settings import SettingsError
 
 WATCH_S: Final = 0.02
@@ -61,7 +61,7 @@ class ServicePlace(msgspec.Struct):
     spec: ServiceSpec
     address: str
     life: Life
-    service: Service | None = None
+    service: Reference | None = None
     kept: Mapping[str, Carried] = msgspec.field(default_factory=dict)
     fresh: bool = False
     traceback: str = ""
@@ -173,6 +173,9 @@ class ServiceKeeper:
 
     # What the lives of the services ask for --------------------------------------------------------------------
 
+    def show(self, place: ServicePlace) -> None:
+        """The root alone reads how far a service is."""
+
     def ask_leave(self, place: ServicePlace, again: bool) -> None:
         """Lets a service start once the last of its old tasks has ended: no task may run twice."""
         if place.alarm is not None:
@@ -209,7 +212,6 @@ class ServiceKeeper:
             return
         # Not before: the next try begins with the same where its constructor fails.
         place.kept, place.fresh = {}, False
-        assert isinstance(service, Service)
         place.service = service
 
     def halt(self, place: ServicePlace) -> None:

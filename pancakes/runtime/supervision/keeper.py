@@ -39,9 +39,14 @@ P_contra = TypeVar("P_contra", bound=Living, contravariant=True)
 
 
 class LifeRim(Protocol[P_contra]):
-    """What carries the effects of lives out, in its own actor; see `pancakes.runtime.life.life_effect` for each."""
+    """What carries the effects of lives out, in its own actor; see `pancakes.runtime.life.life_effect` for each.
+
+    `show` comes first, once a life has changed: what others may read of the place is brought up to date.
+    """
 
     def feed(self, place: P_contra, event: Event) -> None: ...
+
+    def show(self, place: P_contra) -> None: ...
 
     def ask_leave(self, place: P_contra, again: bool) -> None: ...
 
@@ -88,6 +93,7 @@ class Keeper(Generic[P]):
             while self._events:
                 place, event = self._events.popleft()
                 place.life, effects = handle(place.life, event, self._component.kernel.host.now(), self.draw)
+                self._rim.show(place)
                 for effect in effects:
                     self.carry_out(place, effect)
         finally:

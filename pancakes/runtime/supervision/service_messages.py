@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import msgspec
 
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.task_messages import Carried
 
@@ -29,7 +29,7 @@ class ServiceReady(msgspec.Struct, frozen=True):
         service: the service's actor.
     """
 
-    service: Component
+    service: Reference
 
 
 class ServiceEnded(msgspec.Struct, frozen=True):
@@ -42,7 +42,7 @@ class ServiceEnded(msgspec.Struct, frozen=True):
         unheard: the requests that it has not answered.
     """
 
-    service: Component
+    service: Reference
     error: BaseException | None
     kept: Mapping[str, Carried]
     unheard: tuple[Request, ...]

@@ -7,10 +7,11 @@ import msgspec
 from pancakes.control import Command
 from pancakes.packet import Fence
 from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.life import Life
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.task_messages import Carried
-from pancakes.task import Task, TaskSpec
+from pancakes.task import TaskSpec
 
 
 class Failure(msgspec.Struct, frozen=True):
@@ -38,6 +39,7 @@ class Slot(msgspec.Struct):
         life: how far the task is.
         task: its actor; None: none runs.
         carried: what its next actor begins with; None: what the configuration says.
+        rest: of a task that can move and does not run: why, in a word.
         fresh: whether its next actor begins as the configuration says, whatever it carried.
         failure: how it failed the last time; None: it has not.
         changing: the requests for a change that its actor has not answered yet.
@@ -49,8 +51,9 @@ class Slot(msgspec.Struct):
     address: str
     life: Life
     mailbox: Mailbox = msgspec.field(default_factory=Mailbox)
-    task: Task | None = None
+    task: Reference | None = None
     carried: Carried | None = None
+    rest: str = ""
     fresh: bool = False
     fence: Fence | None = None
     failure: Failure | None = None

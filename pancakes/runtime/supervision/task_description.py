@@ -9,31 +9,29 @@ import msgspec
 
 from pancakes.runtime.foundation.schema import schema_of
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.task_table import TaskEntry
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.settings import SettingsError, make_settings, plain_settings
 
 
-def describe_task(kernel: Kernel, service: str, slot: Slot) -> dict[str, Any]:
-    """Returns what is to be known about each task.
+def describe_task(kernel: Kernel, entry: TaskEntry) -> dict[str, Any]:
+    """Returns what is to be known about each task. Any thread.
 
     Args:
         kernel: the kernel that it runs on.
-        service: the address of its service.
-        slot: its place.
+        entry: what its service has entered of it.
     """
-    task, life = slot.task, slot.life
-    # A copy: the task makes its timers in its own thread.
-    timers = list(task.timers.values()) if task is not None else []
+    life = entry.life
+    timers = kernel.task_timers.of(entry.address)
     first = timers[0] if timers else None
-    agent, _, name = service.partition("/")
-    return {
-        "agent": agent,
-        "service": name,
-        "task": slot.name,
-        "type": slot.spec.type or slot.spec.cls.__name__,
+    told = {
+        "agent": kernel.agent,
+        "service": entry.service,
+        "task": entry.name,
+        "type": entry.type,
         "state": life.word,
-        "rest": "",
+        "rest": entry.rest,
         "rate_hz": first.rate_hz if first is not None else None,
         "incarnation": life.incarnation,
         "reason": life.reason,
@@ -42,8 +40,12 @@ def describe_task(kernel: Kernel, service: str, slot: Slot) -> dict[str, Any]:
         "lateness_sum_s": first.lateness_sum_s if first is not None else 0.0,
         "missed": sum(timer.missed_total for timer in timers),
         "lateness_max_s": max((timer.lateness_max_s for timer in timers), default=0.0),
-        "dropped": slot.mailbox.dropped(),
+        "dropped": entry.mailbox.dropped(),
     }
+    if not entry.device:
+        return told
+    holder = kernel.registry.holder(entry.name)
+    return {**told, "device": entry.device, **({"holder": holder} if holder else {})}
 
 
 def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
@@ -55,14 +57,14 @@ def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried
         settings_class: the dataclass of its settings.
         carried: what it would begin with where it does not run.
     """
-    task, spec = slot.task, slot.spec
+    spec = slot.spec
     return {
         # No configuration names it: it comes with its service, whose settings are where its own come from.
         "own": not spec.type,
         "requires": list(spec.cls.requires),
-        "timers": [timer.describe() for timer in list(task.timers.values())] if task is not None else [],
+        "timers": [timer.describe() for timer in kernel.task_timers.of(slot.address)],
         "reads": kernel.stream.readings(slot.address),
-        "settings": settings_of(slot, settings_class, carried),
+        "settings": settings_of(kernel, slot, settings_class, carried),
         "settings_schema": _schema_of_settings(settings_class),
         "durability": spec.durability,
         "restart": msgspec.structs.asdict(spec.restart),
@@ -71,11 +73,11 @@ def describe_in_detail(kernel: Kernel, slot: Slot, settings_class: type, carried
     }
 
 
-def settings_of(slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
+def settings_of(kernel: Kernel, slot: Slot, settings_class: type, carried: Carried) -> dict[str, Any]:
     """Returns the settings of a task, or those that it would begin with; arguments as in `describe_in_detail`."""
     try:
-        settings = slot.task.settings if slot.task is not None else None
-        settings = settings or make_settings(settings_class, carried.settings)
+        note = kernel.tasks.settings_of(slot.address) if slot.task is not None else None
+        settings = note.settings if note is not None else make_settings(settings_class, carried.settings)
     except SettingsError:  # it cannot start with them, and the person who asks wants to see why
         return dict(carried.settings)
     try:

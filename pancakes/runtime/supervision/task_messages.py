@@ -12,7 +12,7 @@ from pancakes.control import Configure, Describe, Reschedule
 from pancakes.mesh.migration.post import Letter
 from pancakes.mesh.migration.record import Epoch
 from pancakes.packet import Packet
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 
 _NONE: Mapping[str, Any] = {}
@@ -91,7 +91,7 @@ class TaskBegan(msgspec.Struct, frozen=True):
         task: the actor.
     """
 
-    task: Component
+    task: Reference
 
 
 class TaskEnded(msgspec.Struct, frozen=True):
@@ -103,7 +103,7 @@ class TaskEnded(msgspec.Struct, frozen=True):
         last: what it carried at the end; None: it could not say.
     """
 
-    task: Component
+    task: Reference
     error: BaseException | None
     last: Carried | None
 
@@ -119,7 +119,7 @@ class Changed(msgspec.Struct, frozen=True):
         carried: what the task carries after that; None: it was not asked, or cannot say.
     """
 
-    task: Component
+    task: Reference
     change: ChangeTask
     reason: str
     result: Mapping[str, Any]
@@ -135,7 +135,7 @@ class Looked(msgspec.Struct, frozen=True):
         reason: why it cannot.
     """
 
-    task: Component
+    task: Reference
     carried: Carried | None
     reason: str = ""
 
@@ -150,7 +150,7 @@ class Stood(msgspec.Struct, frozen=True):
         reason: why it cannot.
     """
 
-    task: Component
+    task: Reference
     offer: Epoch
     carried: Carried | None
     reason: str = ""
@@ -176,6 +176,6 @@ class LetterGiven(msgspec.Struct, frozen=True):
         outcome: what has become of it.
     """
 
-    task: Component
+    task: Reference
     give: Give
     outcome: LetterOutcome

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
+import msgspec
+
 from pancakes.control import Begin, Describe, Follow, History, Reply
 from pancakes.events import Event
 from pancakes.packet import LOG, SYSCTRL, SYSTEM, Packet, agent_of
@@ -27,6 +29,16 @@ RECENT = 500
 LOOK_S = 1.0
 """How often, in host time, it reads how late the ticks of a live mission are."""
 FOLLOWED = ((LOG, ("event", "line")), (SYSTEM, ("battery", "world_state")))
+
+
+class EndMission(msgspec.Struct, frozen=True):
+    """The launcher tells the conductor to end the mission before its time.
+
+    Attributes:
+        reason: why, as a sentence.
+    """
+
+    reason: str
 
 
 @dataclass
@@ -263,6 +275,12 @@ class Conductor(Task):
         if self._file is not None:
             self._file.write(line_of(record) + "\n")
         self._mission.told(record)
+
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, EndMission):
+            return super().on_receive(message)
+        self.end(message.reason)
+        return None
 
     def end(self, reason: str) -> None:
         """Ends the mission; the launcher then stops all agents."""

@@ -20,8 +20,9 @@ from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.config import Config, parse
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.plugins import Plugins
-from pancakes.tools.demo.conductor import Conductor, Mission
+from pancakes.tools.demo.conductor import Conductor, EndMission, Mission
 from pancakes.tools.demo.demo import Run
 from pancakes.tools.demo.demo_plan import LAUNCHER, DemoPlan
 from pancakes.tools.demo.timeliness import late_ones
@@ -73,8 +74,8 @@ class Launcher(Agent):
     def end(self, reason: str) -> None:
         """Ends the mission before its time. Any thread."""
         conductor = self.kernel.registry.get(f"{LAUNCHER}/client/Conductor")
-        if isinstance(conductor, Conductor):
-            conductor.call(lambda: conductor.end(reason))
+        if conductor is not None:
+            tell(conductor, EndMission(reason))
 
 
 class Processes:

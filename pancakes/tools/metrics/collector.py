@@ -11,14 +11,10 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from pancakes.events import Event
-from pancakes.packet import join
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.mailbox import Runnable
 from pancakes.runtime.kernel.task_timer import TaskTimer
 from pancakes.runtime.life.life import State
-from pancakes.runtime.services.network import NetworkService
-from pancakes.service import Service
 
 BUCKETS_S: Final = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
@@ -125,13 +121,12 @@ class AgentMetrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """Reads the rest. In the thread of the HTTP server."""
-        components = self._kernel.registry.components()
-        self._forget(components)
+        self._forget()
         families = {
             name: kind(f"pancakes_{name}", text, labels=labels.split()) for name, kind, text, labels in FAMILIES
         }
-        parts = (self._timers(components), self._mailboxes(components), self._tasks(components))
-        for name, where, value in chain(*parts, self._links(), self._agent()):
+        parts = (self._timers(), self._mailboxes(), self._tasks(), self._links(), self._agent())
+        for name, where, value in chain(*parts):
             families[name].add_metric(where, value)
         yield from families.values()
 
@@ -139,9 +134,9 @@ class AgentMetrics(Collector):
         """Tells nothing beforehand: what there is, depends on the agent."""
         return iter(())
 
-    def _forget(self, components: list[Component]) -> None:
+    def _forget(self) -> None:
         """Forgets the ticks of tasks that have ended: names that come and go must not fill the memory."""
-        alive = {timer for component in components for timer in list(component.timers.values())}
+        alive = set(self._kernel.task_timers.all())
         known = {timer: (*_place(timer.component), timer.method) for timer in list(self._late)}
         kept = {where for timer, where in known.items() if timer in alive}
         for timer, where in known.items():
@@ -150,32 +145,29 @@ class AgentMetrics(Collector):
                 if where not in kept:
                     self._lateness.remove(*where)
 
-    def _timers(self, components: list[Component]) -> Iterator[_Value]:
-        for component in components:
-            for timer in list(component.timers.values()):
-                where = [*_place(component), timer.method]
-                yield "task_rate_hertz", where, timer.rate_hz
-                yield "task_ticks", where, timer.ticks
-                yield "task_missed_ticks", where, timer.missed_total
+    def _timers(self) -> Iterator[_Value]:
+        for timer in self._kernel.task_timers.all():
+            where = [*_place(timer.component), timer.method]
+            yield "task_rate_hertz", where, timer.rate_hz
+            yield "task_ticks", where, timer.ticks
+            yield "task_missed_ticks", where, timer.missed_total
 
-    def _mailboxes(self, components: list[Component]) -> Iterator[_Value]:
-        for component in components:
+    def _mailboxes(self) -> Iterator[_Value]:
+        for component in self._kernel.registry.components():
             for channel, box in list(component.actor_inbox.queues.items()):
                 where = [*_place(component), channel]
                 yield "mailbox_waiting_packets", where, len(box)
                 yield "mailbox_handled_packets", where, box.handled
                 yield "mailbox_dropped_packets", where, box.dropped()
 
-    def _tasks(self, components: list[Component]) -> Iterator[_Value]:
-        for service in [component for component in components if isinstance(component, Service)]:
-            for slot in list(service.slots.values()):
-                where = [service.agent, service.name, slot.name]
-                yield "task_running", where, slot.life.state is State.RUNNING
-                yield "task_starts", where, slot.life.incarnation
+    def _tasks(self) -> Iterator[_Value]:
+        for task in self._kernel.tasks.all():
+            where = [self._kernel.agent, task.service, task.name]
+            yield "task_running", where, task.life.state is State.RUNNING
+            yield "task_starts", where, task.life.incarnation
 
     def _links(self) -> Iterator[_Value]:
-        network = self._kernel.registry.get(join(self._kernel.agent, "network"))
-        for peer in network.links() if isinstance(network, NetworkService) else ():
+        for peer in self._kernel.links():
             where = [self._kernel.agent, peer["name"]]
             if peer["rtt_s"] is not None:
                 yield "link_round_trip_seconds", where, peer["rtt_s"]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Mapping
 
 import msgspec
 
-from pancakes.packet import join, packet_type
+from pancakes.packet import packet_type
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.task_timer import TaskTimer
-from pancakes.service import Service
 
 
 class TimerFigures(msgspec.Struct, frozen=True):
@@ -98,15 +96,6 @@ class TaskFigures(msgspec.Struct, frozen=True):
     dead_letters: int = 0
 
 
-@runtime_checkable
-class HasLinks(Protocol):
-    """What the Network Service, which lies above, offers."""
-
-    def links(self) -> Sequence[dict[str, Any]]:
-        """Returns what is to be known about each link. Any thread."""
-        ...
-
-
 def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]) -> TaskFigures:
     """Returns the figures of an agent as they stand. Any thread: it reads them, and waits for no actor.
 
@@ -115,38 +104,32 @@ def figures_of(kernel: Kernel, latenesses: Mapping[TaskTimer, Mapping[int, int]]
         latenesses: see `Latenesses.take`.
     """
     tasks = []
-    for component in kernel.registry.components():
-        if not isinstance(component, Service):
+    for task in kernel.tasks.all():
+        timers = kernel.task_timers.of(task.address)
+        dropped = task.mailbox.dropped()
+        if not timers and not dropped:
             continue
-        for slot in list(component.slots.values()):
-            task = slot.task
-            timers = list(task.timers.values()) if task is not None else []
-            dropped = slot.mailbox.dropped()
-            if not timers and not dropped:
-                continue
-            tasks.append(
-                OneTask(
-                    f"{component.name}/{slot.name}",
-                    slot.fence.task_id if slot.fence is not None else "",
-                    slot.life.incarnation,
-                    sum(len(queue) for queue in list(slot.mailbox.queues.values())),
-                    dropped,
-                    tuple(
-                        TimerFigures(
-                            timer.method,
-                            timer.rate_hz,
-                            timer.ticks,
-                            timer.missed_total,
-                            timer.lateness_sum_s,
-                            timer.lateness_max_s,
-                            tuple(sorted(latenesses.get(timer, {}).items())),
-                        )
-                        for timer in timers
-                    ),
-                )
+        tasks.append(
+            OneTask(
+                f"{task.service}/{task.name}",
+                task.task_id,
+                task.life.incarnation,
+                sum(len(queue) for queue in list(task.mailbox.queues.values())),
+                dropped,
+                tuple(
+                    TimerFigures(
+                        timer.method,
+                        timer.rate_hz,
+                        timer.ticks,
+                        timer.missed_total,
+                        timer.lateness_sum_s,
+                        timer.lateness_max_s,
+                        tuple(sorted(latenesses.get(timer, {}).items())),
+                    )
+                    for timer in timers
+                ),
             )
-    network = kernel.registry.get(join(kernel.agent, "network"))
-    peers: Sequence[dict[str, Any]] = network.links() if isinstance(network, HasLinks) else ()
-    told = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in peers)
+        )
+    told = ({**peer, "peer": peer["name"], "dropped": sum(peer["dropped"].values())} for peer in kernel.links())
     links = tuple(codecs.convert(row, OneLink) for row in told)
     return TaskFigures(kernel.mission.now(), tuple(tasks), links, kernel.stream.undelivered, kernel.letters.count)

@@ -11,6 +11,7 @@ from pancakes.control import Describe, Reply
 from pancakes.events import Event
 from pancakes.packet import LOG, SYSCTRL, Packet, agent_of
 from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.tell import tell
 from pancakes.task import Task
 from pancakes.tools.recording.description import is_described
 from pancakes.tools.recording.settings import RecordingSettings
@@ -51,13 +52,20 @@ class _TaskQuestion(msgspec.Struct, frozen=True):
     asked_s: float = 0.0
 
 
+class RecordingBegan(msgspec.Struct, frozen=True):
+    """The recorder tells the Log Service that it writes.
+
+    Attributes:
+        first: the first file of the recording.
+    """
+
+    first: Path
+
+
 class Recorder(Task):
     """Writes all packets that are seen on some channels of its agent, and what its tasks were.
 
     Where the disk is full or slow it is the recording that suffers: never the robot.
-
-    Attributes:
-        first: the first file of the recording; set once it runs.
     """
 
     blocking = True  # a disk may make it wait
@@ -78,7 +86,7 @@ class Recorder(Task):
         self._recording: Recording | None = None
         self._ended = False
         self._asked: dict[int, _TaskQuestion] = {}
-        self.first = Path()
+        self._first = Path()
 
     def on_start(self) -> None:
         from pancakes.tools.recording.recording import Recording  # only now: most agents record nothing
@@ -89,8 +97,11 @@ class Recorder(Task):
         self.state.goes_on = ""
         recording.asking = lambda: bool(self._asked)
         self._recording = recording
-        self.first = recording.first
-        self.event("recording_started", path=str(self.first))
+        self._first = recording.first
+        self.event("recording_started", path=str(self._first))
+        service = self.kernel.registry.get(self.address.rpartition("/")[0])
+        if service is not None:
+            tell(service, RecordingBegan(self._first))
         self._ask(_TaskQuestion(""))
         self.after_host(DRAIN_S, self._write)
 
@@ -108,8 +119,8 @@ class Recorder(Task):
             self.after_host(DRAIN_SOON_S if soon else max(rest_s, DRAIN_SOON_S), self._write)
         elif not self._ended:
             self._ended = True
-            self.log("warning", f"the recording {self.first} ends: {reason}")
-            self.event("recording_stopped", path=str(self.first), reason=reason)
+            self.log("warning", f"the recording {self._first} ends: {reason}")
+            self.event("recording_stopped", path=str(self._first), reason=reason)
             self.stop()
 
     def on_stop(self) -> None:

@@ -14,6 +14,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.life.life import State
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
+from pancakes.task import Task
 from pancakes.tools.recording.description import is_described
 from pancakes.tools.recording.recording import Recording
 from pancakes.tools.recording.settings import RecordingSettings
@@ -76,7 +77,8 @@ class VirtualRecorder:
 
     def _describe(self, service: Service, slot: Slot, seen: bool) -> None:
         task = slot.task
-        if task is None or slot.life.state is not State.RUNNING or not is_described(f"{service.name}/{slot.name}"):
+        described_as = f"{service.name}/{slot.name}"
+        if not isinstance(task, Task) or slot.life.state is not State.RUNNING or not is_described(described_as):
             return
         try:
             asked = Describe(slot.name, state=True, began=seen)

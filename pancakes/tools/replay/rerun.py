@@ -179,7 +179,6 @@ class Rerun:
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
             why = describe(error, self._cls)
             raise RecordingError(f"{stay.task_id} cannot begin with what was recorded: {why}") from None
-        assert isinstance(task, Task)
         self._dispatcher.settle()
         return task
 

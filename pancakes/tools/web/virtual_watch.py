@@ -12,9 +12,9 @@ from pancakes.fleet import VirtualFleet
 from pancakes.packet import CTRL, LOG, SYSCTRL, SYSTEM, Cause, Packet, agent_of
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.clock import MonotonicClock
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.services.root import Root
 from pancakes.service import Service
+from pancakes.task import Task
 from pancakes.tools.recording.commands import ActuatorCommand, CommandChains
 from pancakes.tools.recording.recorded_packet import NANOSECONDS, RecordedPacket
 from pancakes.tools.web.causes import Explaining
@@ -154,12 +154,12 @@ class VirtualWatch:
     def _detail(self, agent: str, service: str, task: str) -> None:
         assert self._fleet is not None
         registry = self._fleet.agents[agent].kernel.registry
-        owner: Component | None = registry.get(f"{agent}/{service}")
+        owner = registry.get(f"{agent}/{service}")
         if not isinstance(owner, Service) or task not in owner.slots:
             return
         slot = owner.slots[task]
         description: Mapping[str, Any] = owner.describe_in_detail(slot)
-        if slot.task is not None:
+        if isinstance(slot.task, Task):
             # What a task keeps in its state may be anything; what cannot be written down is not shown.
             with contextlib.suppress(Exception):
                 description = {**description, "state": slot.task.carry().state}

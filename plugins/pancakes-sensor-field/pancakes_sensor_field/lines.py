@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from pancakes.mesh.net.transport import Connection, Scheduled, Transport
+from pancakes.mesh.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 5.0
@@ -200,7 +200,7 @@ class TcpLine(Line):
         return True
 
 
-class _Call:
+class _Call(ConnectionHandler):
     """One attempt at a connection, and the connection if it stands."""
 
     def __init__(self, line: TcpLine, listener: Listener) -> None:

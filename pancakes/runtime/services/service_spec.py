@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.life.restart import RestartSpec
+from pancakes.service import Service
 from pancakes.task import TaskSpec
 
 
@@ -25,7 +25,7 @@ class ServiceSpec(msgspec.Struct, frozen=True):
     """
 
     name: str
-    cls: type[Component]
+    cls: type[Service]
     settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
     tasks: tuple[TaskSpec, ...] = ()
     restart: RestartSpec = RestartSpec()
