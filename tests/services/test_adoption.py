@@ -34,7 +34,7 @@ def fleet():
 
 
 def phase(fleet, agent):
-    place = fleet.agents[agent].component("client").places.find(TaskId("a", "Count"))
+    place = fleet.agents[agent].component("client").places.get(TaskId("a", "Count"))
     return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
@@ -88,7 +88,7 @@ def test_who_gave_it_away_takes_it_back_with_its_state(fleet):
     assert reply.ok and reply.result == {"task_id": "a/Count", "peer": "b"}
     assert a.running() == ["Count"]
     assert a.task("Count").state.n >= 20
-    record = a.component("client").places.of(TaskId("a", "Count")).standing.record
+    record = a.component("client").places[TaskId("a", "Count")].standing.record
     assert (record.phase, record.epoch) == (Phase.OWNER, (2, "a"))
     assert a.events("task_adopted") == [{"kind": "task_adopted", "task": "Count", "peer": "b", "epoch": 2}]
     # Whoever had asked for the move hears what became of it, and so does the account.

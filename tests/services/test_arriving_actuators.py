@@ -38,7 +38,7 @@ def fleet():
 
 
 def phase(fleet, agent):
-    return fleet.agents[agent].component("client").places.of(TaskId("a", "Circle")).standing.record.phase
+    return fleet.agents[agent].component("client").places[TaskId("a", "Circle")].standing.record.phase
 
 
 def until_prepared(fleet):
@@ -46,7 +46,7 @@ def until_prepared(fleet):
     fleet.agents["a"].publish(SYSCTRL, Migrate("Circle"))
     assert fleet.run_until(
         lambda: (
-            fleet.agents["b"].component("client").places.find(TaskId("a", "Circle")) is not None
+            fleet.agents["b"].component("client").places.get(TaskId("a", "Circle")) is not None
             and phase(fleet, "b") is Phase.PREPARED
         )
     )

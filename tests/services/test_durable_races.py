@@ -70,7 +70,7 @@ def fleet():
 
 
 def place(agent, name, birthplace=""):
-    return agent.component("client").places.of(TaskId(birthplace or agent.name, name))
+    return agent.component("client").places[TaskId(birthplace or agent.name, name)]
 
 
 def test_a_restart_while_a_checkpoint_is_being_written_starts_the_task_again(fleet):

@@ -179,7 +179,7 @@ def test_the_last_state_is_the_one_that_holds_also_where_another_is_still_being_
     """What lies on the disk is the state that it ends with, and what is on the way there is not."""
     agent = fleet.start("a", tasks={"Switch": Switch})
     fleet.run_for(2.5)
-    (place,) = agent.component("client").places
+    (place,) = agent.component("client").places.values()
     agent.task("Switch").state.on = True
     assert fleet.run_until(lambda: not idle(place.standing))
     agent.task("Switch").state.on = False

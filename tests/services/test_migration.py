@@ -70,7 +70,7 @@ def fleet():
 
 def phase(fleet, agent, name="Circle", birthplace="a"):
     """What an agent's record of a task says."""
-    place = fleet.agents[agent].component("client").places.find(TaskId(birthplace, name))
+    place = fleet.agents[agent].component("client").places.get(TaskId(birthplace, name))
     return place.standing.record.phase if place is not None else Phase.ABSENT
 
 

@@ -55,7 +55,7 @@ def two(services_of_b: dict[str, object], seed: int = 1) -> FleetInTest:
 
 def phase(agent: AgentInTest, service: str = "guides") -> Phase:
     owner = agent.component(service)
-    place = owner.places.find(TaskId("a", "Guide")) if isinstance(owner, ClientService) else None
+    place = owner.places.get(TaskId("a", "Guide")) if isinstance(owner, ClientService) else None
     return place.standing.record.phase if place is not None else Phase.ABSENT
 
 

@@ -42,7 +42,7 @@ def two(seed=3):
 
 
 def phase(fleet, agent, name="Circle"):
-    place = fleet.agents[agent].component("client").places.find(TaskId("a", name))
+    place = fleet.agents[agent].component("client").places.get(TaskId("a", name))
     return place.standing.record.phase if place is not None else Phase.ABSENT
 
 
@@ -195,7 +195,7 @@ def test_a_tombstone_belongs_to_the_service_that_wrote_it(service):
             name: place.standing.record.phase
             for name, service in both.items()
             if isinstance(service, ClientService)
-            if (place := service.places.find(TaskId("a", "Circle"))) is not None
+            if (place := service.places.get(TaskId("a", "Circle"))) is not None
         }
         assert found == {home: Phase.RELEASED}
 

@@ -29,7 +29,7 @@ def started(fleet, start):
 
 
 def wanted(agent, name):
-    return agent.component("client").places.of(TaskId("a", name)).standing.record.wanted
+    return agent.component("client").places[TaskId("a", name)].standing.record.wanted
 
 
 def test_of_two_that_are_asked_for_the_second_is_refused_and_stays_at_rest(fleet):

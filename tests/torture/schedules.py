@@ -395,7 +395,7 @@ class Schedule:
         for name, agent in self.fleet.agents.items():
             service = agent.kernel.registry.get(join(name, "client"))
             if isinstance(service, ClientService):
-                found += [(name, place.standing.record) for place in service.places]
+                found += [(name, place.standing.record) for place in service.places.values()]
         return found
 
     def _stopped(self) -> list[tuple[str, str]]:

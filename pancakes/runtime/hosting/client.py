@@ -39,7 +39,6 @@ from pancakes.runtime.hosting.shared_outbox import SharedOutbox
 from pancakes.runtime.hosting.snapshots import carried_of, snapshot_of
 from pancakes.runtime.hosting.waiters import Waiters
 from pancakes.runtime.installed import Installed
-from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import reliable
 from pancakes.runtime.kernel.kernel import Kernel
@@ -121,11 +120,6 @@ class ClientService(Service):
         self._departures = Departures(self)
         self._decisions = Decisions(self, records, self._mover)
 
-    @property
-    def component(self) -> Component:
-        """Itself, for what is told about it."""
-        return self
-
     # Its own life ----------------------------------------------------------------------------------------------
 
     def on_start(self) -> None:
@@ -142,7 +136,7 @@ class ClientService(Service):
             self._records.claim(TaskId(self.agent, name), self.name)
         for record in self._records.all().values():
             if record.service == self.name:
-                place = self.places.add(record)
+                place = self.places.open(record)
                 self._note(place)
                 self._mover.found(record)
                 specs += self._arrivals.found(place)
@@ -151,7 +145,7 @@ class ClientService(Service):
     def after_start(self) -> None:
         super().after_start()
         # A tombstone has no slot, and answers all the same.
-        for place in self.places:
+        for place in list(self.places.values()):
             if place.slot is None:
                 self.feed_place(place, hosting_event.TakeUp())
         self._checkpointing.begin()
@@ -292,7 +286,7 @@ class ClientService(Service):
 
     def _written(self, written: RecordWritten) -> None:
         self._writing -= 1
-        place = self.places.of(written.task_id)
+        place = self.places[written.task_id]
         if written.why_not:
             place.written = None
             self.feed_place(place, hosting_event.NotPersisted(written.why_not))
@@ -397,7 +391,7 @@ class ClientService(Service):
         """Takes a hand-off message in."""
         message = self._carrier.take(packet)
         if message is not None:
-            place = self.places.of(message.task_id)
+            place = self.places[message.task_id]
             received = self._arrivals.receive(agent_of(packet.source), message, place)
             if received is not None:
                 self.feed_place(place, received)

@@ -111,7 +111,7 @@ class Decisions:
         record = place.standing.record
         if record.phase is Phase.OWNER:
             # The asker of the move that was in doubt has waited for this.
-            host.tell_migrator(AttemptOver(host.component, task_id, "", adopted.reason, adopted.ledger))
+            host.tell_migrator(AttemptOver(host, task_id, "", adopted.reason, adopted.ledger))
             host.event("task_adopted", task=task_id.name, peer=adopted.peer, epoch=record.epoch.n)
             if why_not:
                 why_not = f"{task_id} belongs to {host.agent} now, but does not run: {why_not}"
@@ -155,7 +155,7 @@ class Decisions:
         Raises:
             ControlRefused: a decision about it is being written down.
         """
-        place = self._host.places.of(task_id)
+        place = self._host.places[task_id]
         if place.adoption is not None or place.forgetting:
             raise ControlRefused(f"{task_id} has just been decided about, and that is not written down yet")
         return place

@@ -38,7 +38,7 @@ class Deliveries:
     def arrived(self, came: CameFor) -> None:
         """Takes a letter; where it cannot be given to the task now, its sender keeps it and sends it again."""
         letter, host = came.letter, self._host
-        place = host.places.find(TaskId.parse(letter.task_id))
+        place = host.places.get(TaskId.parse(letter.task_id))
         if place is None:
             return
         standing = place.standing
@@ -74,7 +74,7 @@ class Deliveries:
     def given(self, told: LetterGiven) -> None:
         """A task says what has become of a letter."""
         letter, task = told.give.letter, told.task
-        place = self._host.places.find(TaskId.parse(letter.task_id))
+        place = self._host.places.get(TaskId.parse(letter.task_id))
         letters = place.letters if place is not None else None
         if place is None or letters is None:
             return  # the task was given away meanwhile

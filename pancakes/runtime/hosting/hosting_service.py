@@ -6,26 +6,25 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from pancakes.mesh.migration.snapshot import Posted
+from pancakes.packet import Packet
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.machine import AnyEvent
 from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.hosting.places import Places
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
-from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.keep import Keep
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.task import TaskSpec
 
 
-class HostingService(Protocol):
+class HostingService(Reference, Protocol):
     """A service that hosts tasks. All in its actor."""
 
     kernel: Kernel
-    agent: str
-    address: str
-    name: str
     slots: dict[str, Slot]
     places: Places
     residents: frozenset[str]
@@ -33,9 +32,9 @@ class HostingService(Protocol):
     state: HostState
     closing: bool
 
-    @property
-    def component(self) -> Component:
-        """Itself, for what is told about it."""
+    def subscribe(
+        self, channel: str, body: type | str | None, handler: Callable[[Packet], None], keep: Keep | None = None
+    ) -> None: ...
 
     def feed_place(self, place: Place, event: AnyEvent) -> None:
         """Feeds an event to a task, and carries out what follows."""

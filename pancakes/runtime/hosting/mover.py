@@ -50,8 +50,8 @@ class Mover:
         for record, ledger in self._broken_off:
             reason = f"{self._host.address} was started anew before {ledger.winner} had the task"
             stayed = ledger.stayed(str(record.offer), reason)
-            self._host.tell_migrator(BrokenOff(self._host.component, record.task_id, stayed, reason))
-        self._host.tell_migrator(ServiceBegan(self._host.component))
+            self._host.tell_migrator(BrokenOff(self._host, record.task_id, stayed, reason))
+        self._host.tell_migrator(ServiceBegan(self._host))
 
     def found(self, record: Record) -> None:
         """Learns of a record that was on disk."""
@@ -111,14 +111,14 @@ class Mover:
         place.move = Move(request, body.then, answer, body.dry_run)
         asked_by = answer.by if answer is not None else "rule"
         host.event("migration_asked", task=slot.name, by=asked_by, cost=cost_text(body.cost), to=body.to)
-        host.tell_migrator(Negotiate(self._host.component, request, asked_by, body.to, body.dry_run))
+        host.tell_migrator(Negotiate(self._host, request, asked_by, body.to, body.dry_run))
 
     def watch(self, slot: Slot) -> None:
         """A task runs: watches what its rule for moving is about."""
         rule = slot.spec.rule
         if rule is not None and rule.when not in self._watched:
             self._watched.append(rule.when)
-            self._host.component.subscribe(SYSTEM, rule.when, self._on_reading, keep=LATEST)
+            self._host.subscribe(SYSTEM, rule.when, self._on_reading, keep=LATEST)
 
     def _on_reading(self, packet: Packet) -> None:
         """A reading that rules watch has come."""
@@ -144,14 +144,14 @@ class Mover:
 
     def awarded(self, awarded: BidAwarded) -> None:
         """The bids are compared: hands the task to the cheapest bidder."""
-        place = self._host.places.of(awarded.task_id)
+        place = self._host.places[awarded.task_id]
         if place.move is not None:
             place.move.ledger = awarded.ledger
         self._host.feed_place(place, Award(awarded.peer, awarded.request))
 
     def over(self, over: MoveOver) -> None:
         """The move is over, one way or the other."""
-        place = self._host.places.of(over.task_id)
+        place = self._host.places[over.task_id]
         move, place.move = place.move, None
         if move is None:
             return
@@ -166,7 +166,7 @@ class Mover:
 
         A hand-off under way goes on without it, and with it the move.
         """
-        for place in self._host.places:
+        for place in list(self._host.places.values()):
             if place.account is not None:
                 self._host.tell_migrator(place.account)
             elif place.move is not None and place.move.ledger is None:
@@ -178,7 +178,7 @@ class Mover:
         """The hand-off to a bidder has come to nothing, or (no peer) none can begin now."""
         ledger = place.move.take_ledger() if place.move is not None else None
         if effect.peer or place.move is not None:
-            message = AttemptOver(self._host.component, place.task_id, effect.peer, effect.reason, ledger)
+            message = AttemptOver(self._host, place.task_id, effect.peer, effect.reason, ledger)
             self._host.tell_migrator(message)
 
     def handed_over(self, place: Place, effect: HandedOver) -> None:
@@ -194,13 +194,13 @@ class Mover:
         on_its_way = f"{anew} was started anew while the task was on its way"
         note = f"{on_its_way}, so the duration ends with the choice of {peer}"
         # Where the migrator does not run, it is told once it does.
-        place.account = HasMoved(host.component, task_id, peer, str(effect.epoch), sequel.ledger, note)
+        place.account = HasMoved(host, task_id, peer, str(effect.epoch), sequel.ledger, note)
         host.tell_migrator(place.account)
         self._follow(sequel.then, place)
 
     def accounted(self, accounted: Accounted) -> None:
         """The account of a move is kept."""
-        place = self._host.places.of(accounted.task_id)
+        place = self._host.places[accounted.task_id]
         if place.account is not None:
             place.account = None
             self._host.feed_place(place, PartConcluded())
@@ -227,4 +227,4 @@ class Mover:
     def followed(self, place: Place, gone: TaskId) -> None:
         """The start of a task that follows another one is decided."""
         place.follows = None
-        self._host.feed_place(self._host.places.of(gone), PartConcluded())
+        self._host.feed_place(self._host.places[gone], PartConcluded())

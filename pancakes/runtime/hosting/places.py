@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.runtime.hosting.place import Place
@@ -10,8 +10,10 @@ from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.supervision.slot import Slot
 
 
-class Places:
-    """All places, and which of them each slot belongs to. In the service's actor.
+class Places(dict[TaskId, Place]):
+    """All places, by task, and which of them each slot belongs to. In the service's actor.
+
+    To look up a task that the service has never heard of makes a place for it.
 
     Args:
         agent: the agent's name.
@@ -22,28 +24,20 @@ class Places:
     """
 
     def __init__(self, agent: str, slots: Mapping[str, Slot]) -> None:
+        super().__init__()
         self.at: dict[str, Place] = {}
         self._agent = agent
         self._slots = slots
-        self._places: dict[TaskId, Place] = {}
         self._by_name: dict[str, list[Place]] = {}
 
-    def __iter__(self) -> Iterator[Place]:
-        return iter(list(self._places.values()))
+    def __missing__(self, task_id: TaskId) -> Place:
+        return self.open(Record(task_id))
 
-    def add(self, record: Record) -> Place:
+    def open(self, record: Record) -> Place:
         """Makes a place for a task of which there is a record."""
-        place = self._places[record.task_id] = Place(record.task_id, Standing(record))
+        place = self[record.task_id] = Place(record.task_id, Standing(record))
         self._by_name.setdefault(place.task_id.name, []).append(place)
         return place
-
-    def find(self, task_id: TaskId) -> Place | None:
-        """Returns the place of a task; None: this service has never heard of it."""
-        return self._places.get(task_id)
-
-    def of(self, task_id: TaskId) -> Place:
-        """Returns the place of a task, and makes it where this service has never heard of the task."""
-        return self._places.get(task_id) or self.add(Record(task_id))
 
     def named(self, name: str) -> list[Place]:
         """Returns the places of all tasks of a name: each birthplace may have one."""
@@ -63,7 +57,7 @@ class Places:
             self.at.pop(name, None)
             return None
         here = [place for place in self._by_name.get(name, ()) if _is_here(place.standing)]
-        place = here[0] if here else self.of(TaskId(self._agent, name))
+        place = here[0] if here else self[TaskId(self._agent, name)]
         place.slot = slot
         self.at[name] = place
         return place.task_id

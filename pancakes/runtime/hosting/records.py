@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 
 import msgspec
 from msgspec.structs import replace
@@ -115,10 +116,11 @@ class Records:
         task_id = record.task_id
         self._note_name(task_id)
 
-        def told(why_not: str = "") -> None:
+        def failed(why_not: str) -> None:
             tell(service, RecordWritten(task_id, why_not))
 
-        self._records.write(str(task_id), replace(record, service=service.name), told, told)
+        written = partial(tell, service, RecordWritten(task_id))
+        self._records.write(str(task_id), replace(record, service=service.name), written, failed)
 
 
 def _read(entry: JournalEntry | None) -> Record | None:

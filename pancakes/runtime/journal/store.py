@@ -20,7 +20,7 @@ from pancakes.runtime.journal.memory_journal import MemoryJournal
 from pancakes.runtime.journal.seal import JournalEntry, JournalError, JournalLost
 from pancakes.runtime.journal.troubles import Key, Troubles
 
-Persisted = Callable[[], None]
+Persisted = Callable[[], object]
 """Called when the entry is on disk for good."""
 Failed = Callable[[str], None]
 """Called with the reason where it could not be written; the old entry may still be there, or the new one."""
