@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -337,7 +337,6 @@ class DeviceService(Service):
         fences: what the actuators have seen of the tasks that command them.
     """
 
-    durable: ClassVar[bool] = False
 
     def __init__(self, *args: Any, fences: Fences, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
         super().__init__(*args, **others)

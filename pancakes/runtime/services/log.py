@@ -7,7 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -104,7 +104,6 @@ class LogService(Service):
         wanted: which recordings are to go on, by the paths of their recorders.
     """
 
-    durable: ClassVar[bool] = False
 
     class Settings(msgspec.Struct):
         """What becomes of what is said on `log`.
