@@ -167,7 +167,8 @@ def test_an_answer_is_found_in_short_steps():
         reaction(traced, 4 * seq, seq)
     steps = list(traced.answering(Traces(), 5000 * MS))
     taken, chains, told = 4 * STEP, STEP, 3 * STEP
-    assert len(steps) >= taken // STEP + chains // CHAINS_STEP + told // ROWS_STEP
+    before_and_after = 4
+    assert len(steps) == taken // STEP + chains // CHAINS_STEP + told // ROWS_STEP + before_and_after
 
 
 def test_other_tasks_have_their_turns_while_an_answer_is_found():

@@ -29,7 +29,6 @@ class MetricsService(Service):
         port: the port that it is served at, once it is.
     """
 
-
     @dataclass
     class Settings:
         """Where it is served.
