@@ -131,6 +131,10 @@ def test_the_count_of_what_fell_out_outlives_a_restart():
     assert mailbox.dropped() == other.dropped() == 1
 
 
+def test_a_mailbox_that_waits_for_its_first_component_is_open():
+    assert not Mailbox().closed
+
+
 def test_a_new_component_begins_with_what_its_predecessor_left():
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": queue(9)})
