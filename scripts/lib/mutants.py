@@ -156,15 +156,19 @@ def draw(root: Path, files: Sequence[str], count: int, source: random.Random) ->
 def tests_for(mutant: Mutant, traces: Sequence[Trace]) -> list[Trace]:
     """Returns the tests that may notice a mutant, the quickest first.
 
-    These are the tests that run its line. A line that runs only when its module is imported belongs to all tests that
-    run anything of that module.
+    These are the tests that run its line; for a decorator, what it decorates. A line that runs only when its module is
+    imported belongs to all tests that run anything of that module.
     """
-    statements = [
-        (node.lineno, node.end_lineno or node.lineno)
-        for node in ast.walk(ast.parse(mutant.before))
-        if isinstance(node, ast.stmt) and not hasattr(node, "body")
+    nodes = list(ast.walk(ast.parse(mutant.before)))
+    statements = [(node, node) for node in nodes if isinstance(node, ast.stmt) and not hasattr(node, "body")]
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            statements += [(decorator, node) for decorator in node.decorator_list]
+    around = [
+        (runs.lineno, runs.end_lineno or runs.lineno)
+        for node, runs in statements
+        if node.lineno <= mutant.start <= (node.end_lineno or node.lineno)
     ]
-    around = [(first, last) for first, last in statements if first <= mutant.start <= last]
     first, last = around[0] if around else (mutant.start, mutant.end)
     touched = [(trace, trace.lines.get(mutant.file, set())) for trace in traces]
     chosen = [trace for trace, lines in touched if not lines.isdisjoint(range(first, last + 1))]

@@ -43,6 +43,15 @@ def test_what_is_given_back_is_free(registry):
     assert registry.claim("wheels", REMOTE) == REMOTE
 
 
+def test_what_one_task_gives_back_leaves_what_is_kept_for_the_others(registry):
+    registry.reserve(CIRCLE, ("motors",))
+    registry.reserve(HOME, ("arm",))
+    registry.unreserve("a/client/Drive")
+    assert registry.taken("wheels", "x") and registry.taken("arm", "x")
+    registry.unreserve(CIRCLE)
+    assert registry.taken("wheels", "x") == "" and registry.taken("arm", "x")
+
+
 def test_what_another_holds_cannot_be_kept_all_or_none(registry):
     registry.hold(HOME, ("motors",))
     assert registry.reserve(CIRCLE, ("arm", "motors")) == f"wheels is held by {HOME}"

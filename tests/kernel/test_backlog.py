@@ -53,6 +53,22 @@ def test_of_large_ones_fewer_wait(backlog):
     assert backlog.heavy_bytes == 0
 
 
+def test_as_many_bytes_wait_as_there_is_room_for_and_not_one_more(backlog):
+    for number in range(4):
+        put(backlog, number, kib=25)
+    assert backlog.dropped == 0 and backlog.heavy_bytes == 100 * KIB
+    put(backlog, 4, kib=5)
+    assert backlog.dropped == 1
+
+
+def test_64_mib_wait_unless_it_is_told_otherwise():
+    backlog: Backlog[int] = Backlog(limit=10)
+    frame = Picture(bytes(16 * KIB * KIB))
+    for number in range(5):
+        backlog.put(Packet("system", "x", "a/client/X", "", 0.0, number, frame), number)
+    assert rest(backlog) == [1, 2, 3, 4]
+
+
 def test_one_that_is_larger_than_the_bound_may_wait_alone(backlog):
     put(backlog, 1)
     put(backlog, 2, kib=500)

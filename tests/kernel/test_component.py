@@ -1,5 +1,7 @@
 """What an actor may rely on: its address, its two lanes, and the packets that it publishes and handles."""
 
+import math
+
 import pytest
 from kernel.virtual_rig import Diary, Number, VirtualRig, Word
 
@@ -73,6 +75,7 @@ def test_an_actor_that_stands_still_gets_no_packet_and_no_tick_and_then_all_that
     virtual.settle()
     virtual.send(Number(1), Number(2))
     virtual.run_until(4.5)
+    assert virtual.dispatcher.next_s() == math.inf, "no timer wakes an actor that stands still"
     assert diary.diary == ["start", "tick 1"]
     diary.call(diary.resume)
     virtual.run_until(5.5)

@@ -41,6 +41,8 @@ def test_a_new_rate_holds_from_the_next_tick(virtual):
     metronome.ticks.clear()
     metronome.call(lambda: metronome.reschedule(2.0))
     virtual.run_until(3.0)
+    assert metronome.timers["tick"].rate_hz == 2.0
+    assert metronome.timers["tick"].lateness_sum_s == 0.0
     assert [tick.time_s for tick in metronome.ticks] == [1.5, 2.0, 2.5, 3.0]
     metronome.call(lambda: metronome.reschedule(0.0))
     metronome.call(lambda: metronome.reschedule(1.0, "other"))

@@ -1,5 +1,6 @@
 """The mailbox: bounded, in the order of each channel, kept between a task and its successor."""
 
+import threading
 from collections import deque
 from typing import Any
 
@@ -130,6 +131,10 @@ def test_the_count_of_what_fell_out_outlives_a_restart():
     assert mailbox.dropped() == other.dropped() == 1
 
 
+def test_a_mailbox_that_waits_for_its_first_component_is_open():
+    assert not Mailbox().closed
+
+
 def test_a_new_component_begins_with_what_its_predecessor_left():
     mailbox = opened()
     waiting = bounded(mailbox, "system", {"pose": queue(9)})
@@ -149,6 +154,17 @@ def test_a_caller_of_an_actor_that_has_ended_is_told_so_at_once(kernel):
     with pytest.raises(ActorDeadError, match="anybody there"):
         late.ask("anybody there?", timeout=0)
     late.stop(timeout=0)
+
+
+def test_a_thread_that_waits_for_the_end_of_an_actor_waits_as_long_as_it_takes():
+    ended, woken = Flag(), []
+    waits = threading.Thread(target=lambda: woken.append(ended.wait()))
+    waits.start()
+    ended.set()
+    waits.join(10.0)
+    assert woken == [True]
+    assert ended.wait(0.0)
+    assert not Flag().wait(0.0)
 
 
 KEEPS = st.one_of(st.just(LATEST), st.builds(Keep, st.integers(1, 4)), st.builds(reliable, st.integers(1, 4)))

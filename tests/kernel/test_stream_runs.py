@@ -137,6 +137,15 @@ def test_what_came_together_weighs_what_it_took_on_the_wire(size, heavy):
     assert reader.got() == [1, 2, 3] and reader.queue.heavy_bytes == 0
 
 
+def test_light_ones_that_came_together_weigh_nothing():
+    stream = InformationStream("a")
+    reader = Reader(stream, "a/client/T", pose=queue(9))
+    stream.inject_all(packets(1), nobody, 20)
+    stream.inject_all(packets(2, 3), nobody, 40)
+    assert reader.queue.heavy_bytes == 0
+    assert reader.got() == [1, 2, 3]
+
+
 def test_a_reader_that_subscribes_while_another_has_no_room_costs_the_others_nothing():
     """What came from another agent does not come again, so each reader with room is to get it."""
     stream, refused = InformationStream("a"), []

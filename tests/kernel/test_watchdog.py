@@ -29,6 +29,22 @@ def test_a_component_that_holds_a_thread_for_long_is_named_once_for_each_turn(ri
     gate.set()
 
 
+def test_a_thread_that_has_only_begun_does_not_hide_one_that_is_held(rig):
+    first = rig.hold()
+    rig.see_held()
+    second = rig.hold()
+    rig.see_held()
+    for _ in range(3):
+        first.set()
+        rig.until(lambda: rig.pool.idle, "the first thread does not come back")
+        first = rig.hold()
+        rig.look(0.6 * HOGGED_S)
+    assert [address for address, _ in rig.named] == ["a/2"]
+    first.set()
+    second.set()
+    rig.at_rest()
+
+
 def test_a_component_that_has_ended_is_not_named(rig):
     """What is told of its end may hold it still."""
     gate, holds = threading.Event(), threading.Event()

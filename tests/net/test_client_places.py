@@ -45,6 +45,11 @@ def test_eight_places_are_kept_for_the_agents_own_machine():
     assert who_makes_room(THIS_MACHINE, places(*there * 8, *elsewhere)) is None
 
 
+def test_the_agents_own_machine_is_told_by_its_name():
+    name = "".join(THIS_MACHINE)  # equal, and another string
+    assert who_makes_room(name, places((THIS_MACHINE, 9.0), ("10.0.0.1", 3.0), ("10.0.0.2", 4.0))) == 2
+
+
 def test_a_client_that_was_quiet_for_ten_seconds_is_idle():
     assert who_makes_room("x", places(("x", 9.99))) is None
     assert who_makes_room("x", places(("x", 10.0))) == 0

@@ -40,6 +40,12 @@ def test_bytes_take_their_latency(memory_rig):
     assert times == [1.25]
 
 
+def test_a_port_that_is_left_to_the_system_is_the_first_that_is_free_as_on_linux(memory_rig):
+    transport = memory_rig.transport("a")
+    ports = [transport.listen("tcp://a:0", memory_rig.ear).rpartition(":")[2] for _ in range(2)]
+    assert ports == ["49152", "49153"]
+
+
 def test_what_is_sent_at_one_time_arrives_at_once(memory_rig):
     here, there = join(memory_rig)
     times = arrivals(memory_rig, there)

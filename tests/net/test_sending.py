@@ -142,6 +142,7 @@ def test_a_turn_does_not_pile_up_what_could_be_on_its_way(sending, turn, peers):
         sending.send(packet(seq, body=bytes(1000)))
     early = peers["b"].got()
     assert len(early) >= 100 - BATCH_BYTES // 1000
+    assert {len(batch) for batch in peers["b"].sent[:-1]} == {16}, "16 KiB at a time"
     turn.end()
     assert [it.seq for it in peers["b"].got()] == list(range(100))
 

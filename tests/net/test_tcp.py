@@ -34,6 +34,10 @@ def test_a_name_that_does_not_exist_is_said(tcp_rig):
     assert "tcp://no-such-host.invalid:1" in here.closed_for[0]
 
 
+def test_a_dial_waits_five_seconds_unless_it_is_told_otherwise():
+    assert TcpTransport.Settings().dial_s == 5.0
+
+
 def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
     """A listener whose queue is full answers no more."""
     with socket.socket() as deaf:

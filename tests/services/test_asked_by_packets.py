@@ -264,9 +264,10 @@ def test_an_agent_ends_when_it_is_asked_to_and_says_yes_before(fleet):
     assert "does not run as a process of its own" in agent.ask(Shutdown()).reason
     agent.agent.on_shutdown(lambda: ended.append("ended"))
     assert agent.ask(Shutdown(dry_run=True)).ok
-    assert ended == []
+    assert ended == [] and agent.events("asked", what="shutdown") == []
     assert agent.ask(Shutdown()).ok
     assert ended == ["ended"]
+    assert len(agent.events("asked", what="shutdown")) == 1
 
 
 def test_only_a_client_may_follow_what_others_send(fleet):

@@ -214,6 +214,16 @@ def test_an_actuator_obeys_the_task_that_holds_it(fleet):
     assert agent.ask(Describe("wheels")).result["holder"] == "a/client/Driving"
 
 
+def test_an_actuator_with_a_rate_is_called_at_it(fleet):
+    class Blinking(Wheels):
+        def tick(self):
+            self.told.append((round(self.context.now(), 3), "tick"))
+
+    fleet.start("a", devices={"lamp": {"type": Blinking, "rate_hz": 2.0}})
+    fleet.run_for(1.1)
+    assert Blinking.told == [(0.5, "tick"), (1.0, "tick")]
+
+
 def test_another_tasks_commands_are_refused_and_told_once(fleet):
     agent = fleet.start("a", devices={"wheels": Wheels}, tasks={"Driving": Driving, "Meddling": Meddling})
     fleet.run_for(3.0)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pancakes.bodies.devices.types import Pose
-from pancakes.control import History, Stop
+from pancakes.control import Configure, Describe, History, Start, Stop
 from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, packet_type
 from pancakes.runtime.services.log import REMEMBERED_BYTES
@@ -112,6 +112,33 @@ def test_so_many_lines_are_remembered_as_its_settings_say():
         assert [record["number"] for record in remembered(agent)] == [2, 3, 4]
 
 
+def test_the_first_line_that_is_remembered_has_the_number_1():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a")
+        assert agent.ask(History()).result[0]["entry"] == 1
+
+
+def test_4_mib_are_remembered():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": False}}})
+        for number in range(20):
+            agent.publish("log", Event("said", {"number": number, "map": "x" * 256 * 1024}))
+        seen: list[int] = []
+        while page := agent.ask(History(after=seen[-1] if seen else 0)).result:
+            seen += [record["entry"] for record in page]
+        assert len(seen) == 15
+
+
+def test_a_page_ends_before_the_first_line_that_does_not_fit():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 8}}})
+        for number in range(7):
+            agent.publish("log", Event("said", {"number": number, "text": "x" * 9_000}))
+        agent.publish("log", Event("said", {"number": 7, "text": ""}))
+        page = agent.ask(History()).result
+        assert [record["number"] for record in page] == [0, 1, 2, 3, 4, 5]
+
+
 def test_of_what_is_large_less_is_remembered_but_always_the_last():
     with FleetInTest(1) as fleet:
         agent = fleet.start("a")
@@ -121,3 +148,23 @@ def test_of_what_is_large_less_is_remembered_but_always_the_last():
         assert [record["entry"] for record in agent.ask(History()).result] == [last - 1, last]
         agent.publish("log", Event("seen", {"image": bytes(2 * REMEMBERED_BYTES)}))
         assert [record["entry"] for record in agent.ask(History()).result] == [last + 1]
+
+
+def test_a_recording_is_as_the_configuration_says_and_not_as_it_was_started_last(tmp_path):
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a")
+        first = {"path": str(tmp_path / "1.mcap"), "channels": ["system"]}
+        assert agent.ask(Start("log/Recorder", first)).ok
+        assert agent.ask(Describe("log/Recorder")).result["settings"]["channels"] == ("system",)
+        assert agent.ask(Stop("log/Recorder")).ok
+        assert agent.ask(Start("log/Recorder", {"path": str(tmp_path / "2.mcap")})).ok
+        assert agent.ask(Describe("log/Recorder")).result["settings"]["channels"] == ()
+
+
+def test_the_console_goes_on_as_it_was_set():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": True}}})
+        assert agent.ask(Configure("log/Console", {"level": "error"})).ok
+        assert agent.ask(Stop("log/Console")).ok
+        assert agent.ask(Start("log/Console")).ok
+        assert agent.ask(Describe("log/Console")).result["settings"]["level"] == "error"

@@ -38,6 +38,14 @@ def test_it_never_takes_more_than_its_files_times_their_size(path):
     assert len(newest) > 18
 
 
+def test_the_folders_above_it_are_made(path):
+    deep = path.parent / "of" / "today" / "a.jsonl"
+    file = RotatedFile(str(deep), 1000, 2)
+    file.write(LINE)
+    file.close()
+    assert lines(deep) == [LINE]
+
+
 def test_it_is_appended_to_and_goes_on_counting(path):
     for number in range(30):
         file = RotatedFile(str(path), 1000, 2)

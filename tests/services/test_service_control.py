@@ -372,6 +372,16 @@ def test_control_from_another_agent_is_answered_there(fleet):
     fleet.connect()
 
 
+def test_the_mesh_is_told_for_how_long_the_network_sleeps(fleet, monkeypatch):
+    agent = fleet.start("a")
+    slept: list[float | None] = []
+    monkeypatch.setattr(agent.agent.mesh, "sleep", slept.append)
+    assert agent.ask(Stop("network", for_s=2.0)).ok
+    fleet.run_for(3.0)
+    assert agent.ask(Stop("network")).ok
+    assert slept == [2.0, None]
+
+
 @pytest.mark.parametrize("command", [Stop("network", for_s=2.0), Restart("network")])
 def test_the_answer_has_left_before_anybody_can_close_the_way_out(fleet, monkeypatch, command):
     """The network service may have its turn, in another thread, before the root's has ended."""

@@ -36,6 +36,8 @@ def written(shares: Shares, said: list[tuple[float, Kind, int]]) -> tuple[list[i
             [0, 1, 4, 6],
             [LeftOut(A, 1, WINDOW_S), LeftOut(B, 1, WINDOW_S), LeftOut(A, 1, WINDOW_S)],
         ),
+        # A single line that is left out is told, too.
+        ([(0.0, A, 100), (0.1, A, 1), (9.0, B, 1)], [0, 2], [LeftOut(A, 1, WINDOW_S)]),
         # Errors without end are bounded as well.
         ([(0.0, URGENT, 100), *[(0.1, URGENT, 1)] * 1234, (9.0, A, 1)], [0, 1235], [LeftOut(URGENT, 1234, WINDOW_S)]),
     ],

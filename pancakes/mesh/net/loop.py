@@ -91,12 +91,16 @@ class Loop:
         with self._lock:
             if self.stopping:
                 return TimerHandle(None)
-            timer = TimerHandle(function)
-            due_s = self._now() + delay_s
-            self._count += 1
-            heapq.heappush(self._timers, (due_s, self._count, timer))
+            timer = self._put(self._now() + delay_s, function)
             if self._timers[0][2] is timer:
                 self._wake()
+        return timer
+
+    def _put(self, due_s: float, function: Callable[[], None]) -> TimerHandle:
+        """Puts a function among those that wait for their time. Under the lock."""
+        timer = TimerHandle(function)
+        self._count += 1  # of two that are due at one time the first goes first
+        heapq.heappush(self._timers, (due_s, self._count, timer))
         return timer
 
     def watch(self, sock: socket.socket, events: int, function: Callable[[int], None]) -> None:
@@ -130,8 +134,7 @@ class Loop:
         with self._lock:
             if not self.stopping:
                 self.stopping = True
-                self._count += 1
-                heapq.heappush(self._timers, (self._now(), self._count, TimerHandle(lambda: self._end(last))))
+                self._put(self._now(), lambda: self._end(last))
                 self._wake()
         if not self.is_here():
             # Not yet for the thread: a turn may hold it, and another one then ends in its place.

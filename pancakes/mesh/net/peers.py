@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import replace
 
 from pancakes.mesh.net.client_places import ClientPlace, machine_of, who_makes_room
 from pancakes.mesh.wire.link import LinkTimes
@@ -206,7 +207,7 @@ class Peers:
             return self._namesake(link, hello, address, now_s)
         if address:
             self._book[address].name = name
-        hello = _with_listen(hello, reachable(hello.listen, remote))
+        hello = replace(hello, listen=reachable(hello.listen, remote))
         is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
         self._asleep.pop(name, None)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
@@ -441,12 +442,6 @@ def reachable(listen: str, remote: str) -> str:
         return listen
     seen = remote.partition("://")[2].rpartition(":")[0]
     return f"{scheme}://{seen}:{port}" if seen else ""
-
-
-def _with_listen(hello: Hello, listen: str) -> Hello:
-    if listen == hello.listen:
-        return hello
-    return Hello(hello.version, hello.fleet, hello.name, hello.role, hello.journal, hello.boot, listen)
 
 
 def _taken(name: str, by: str) -> str:

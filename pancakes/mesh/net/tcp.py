@@ -169,13 +169,11 @@ class _Connecting(_Socket):
         self._handler = handler
         self._sock: socket.socket | None = None
         self._places: list[_Place] = []
-        self._timer: Scheduled | None = None
+        late = f"{address} did not answer within {transport.dial_s:g} s"
+        self._timer = transport.loop.call_later(transport.dial_s, lambda: self.dispose(late))
 
     def begin(self) -> None:
-        loop = self._transport.loop
         self._transport.open[self] = None
-        late = f"{self._address} did not answer within {self._transport.dial_s:g} s"
-        self._timer = loop.call_later(self._transport.dial_s, lambda: self.dispose(late))
         try:
             host, port = _host_and_port(self._address)
         except ValueError as error:
@@ -204,8 +202,7 @@ class _Connecting(_Socket):
 
     def _finish(self) -> None:
         del self._transport.open[self]
-        if self._timer is not None:
-            self._timer.cancel()
+        self._timer.cancel()
 
     def _drop_socket(self) -> None:
         if self._sock is not None:
@@ -261,8 +258,7 @@ class _Connecting(_Socket):
 
 def _resolve(host: str, port: int, flags: int = 0) -> list[_Place]:
     # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
-    name = host.encode() if host.isascii() else host
-    found = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM, flags=flags)
+    found = socket.getaddrinfo(host.encode(), port, type=socket.SOCK_STREAM, flags=flags)
     return [(family, place) for family, _, _, _, place in found]
 
 

@@ -86,7 +86,6 @@ class ClientService(Service):
 
         channels: list[str] = []
 
-    durable: ClassVar[bool] = True
     keeps_changes: ClassVar[bool] = True
     # A record must have been taken up before anything else is heard of its task.
     started_at_once: ClassVar[int] = sys.maxsize

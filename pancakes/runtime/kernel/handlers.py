@@ -100,9 +100,12 @@ def every(period_s: float | None = None, *, hz: float | None = None) -> Callable
     """
     if callable(period_s):
         raise ClassError(f"@every takes a period or a rate, not {period_s!r}: write @every(hz=10)")
-    if (period_s is None) == (hz is None):
+    if hz is not None and period_s is None:
+        period = Period(period_of(hz))
+    elif period_s is not None and hz is None:
+        period = Period(checked_period(period_s))
+    else:
         raise TypeError("@every takes either period_s or hz")
-    period = Period(period_of(hz) if hz is not None else checked_period(period_s or 0.0))
 
     def mark(method: _F) -> _F:
         wanted = f"def {_name_of(method)}(self, tick: Tick) -> None"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -17,7 +17,7 @@ from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.registry import DeviceEntry
-from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
+from pancakes.runtime.life.restart import RestartSpec
 from pancakes.runtime.services.fences import Fences
 from pancakes.runtime.supervision.slot import Slot
 from pancakes.service import Service
@@ -42,11 +42,11 @@ class DeviceSpec(msgspec.Struct, frozen=True):
 
     name: str
     cls: type[Driver]
-    type: str = ""
-    settings: Mapping[str, Any] = msgspec.field(default_factory=dict)
-    rate_hz: float | None = None
-    hold_after_s: float = 0.5
-    restart: RestartSpec = DeviceRestartSpec()
+    type: str
+    settings: Mapping[str, Any]
+    rate_hz: float | None
+    hold_after_s: float
+    restart: RestartSpec
 
 
 class SharedThings:
@@ -336,8 +336,6 @@ class DeviceService(Service):
         devices: the devices that it looks after.
         fences: what the actuators have seen of the tasks that command them.
     """
-
-    durable: ClassVar[bool] = False
 
     def __init__(self, *args: Any, fences: Fences, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
         super().__init__(*args, **others)

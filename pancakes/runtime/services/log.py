@@ -7,7 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -52,9 +52,9 @@ class Console(LogWriter):
     class Settings(msgspec.Struct):
         """What is shown: lines of this level and above; see `LogService.Settings`."""
 
-        level: Literal["debug", "info", "warning", "error"] = "info"
-        traceback: bool = False
-        share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0
+        level: Literal["debug", "info", "warning", "error"]
+        traceback: bool
+        share_kib_s: Annotated[float, Meta(ge=0.0)]
 
     @on(LOG, None, keep=KEEP)
     def show(self, packet: Packet) -> None:
@@ -103,8 +103,6 @@ class LogService(Service):
         record: the table `[record]`: the recorder's settings, and whether it is to `start`; None: there is none.
         wanted: which recordings are to go on, by the paths of their recorders.
     """
-
-    durable: ClassVar[bool] = False
 
     class Settings(msgspec.Struct):
         """What becomes of what is said on `log`.

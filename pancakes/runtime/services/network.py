@@ -80,7 +80,6 @@ class Discovery(Task):
 class NetworkService(Service):
     """Enables communication with other agents (paper §3.3)."""
 
-    durable: ClassVar[bool] = False
     # There is one mesh, and other agents know the Task Migrator by its address.
     only_name: ClassVar[str] = "network"
 

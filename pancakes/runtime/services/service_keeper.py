@@ -241,7 +241,7 @@ class ServiceKeeper:
         self.feed(place, Written())
         if place.wakes_s is not None:
             # Not before: to stop may take longer than the sleep that was asked for.
-            left_s = max(0.0, place.wakes_s - self._root.now())
+            left_s = place.wakes_s - self._root.now()
             place.alarm, place.wakes_s = self._root.after(left_s, lambda: self._wake(place)), None
         place.for_s = None
         if place is self._closes:

@@ -11,7 +11,7 @@ import msgspec
 
 from pancakes.control import Traces
 from pancakes.errors import ControlRefused
-from pancakes.packet import CTRL, LOG, SYSCTRL, Cause, Packet
+from pancakes.packet import LOG, SYSCTRL, Cause, Packet
 from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.kernel.component import Component
@@ -137,7 +137,7 @@ class TracedPackets:
                 continue
             known[key] = it
             fresh[packet.type] = packet
-            if packet.channel == CTRL and is_command(self._agent, packet):
+            if is_command(self._agent, packet):
                 self._commands.append((it[0], key))
         yield
         count = 0

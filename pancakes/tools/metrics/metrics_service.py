@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from msgspec import Meta
 
@@ -28,8 +28,6 @@ class MetricsService(Service):
     Attributes:
         port: the port that it is served at, once it is.
     """
-
-    durable: ClassVar[bool] = False
 
     @dataclass
     class Settings:
