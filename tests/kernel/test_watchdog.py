@@ -3,6 +3,7 @@
 import threading
 
 import pytest
+from kernel.actors import holding
 
 from pancakes.runtime.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
@@ -43,6 +44,18 @@ def test_a_thread_that_has_only_begun_does_not_hide_one_that_is_held(rig):
     first.set()
     second.set()
     rig.at_rest()
+
+
+def test_one_that_has_many_short_turns_is_not_named(rig):
+    actor = rig.actor()
+    for _ in range(10):
+        gate, holds = threading.Event(), threading.Event()
+        actor.do(holding(holds, gate))
+        assert holds.wait(10.0)
+        rig.look(0.4 * HOGGED_S)
+        gate.set()
+        rig.until(lambda: rig.pool.idle, "the thread does not come back")
+    assert rig.named == []
 
 
 def test_a_component_that_has_ended_is_not_named(rig):
