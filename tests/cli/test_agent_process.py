@@ -3,6 +3,8 @@
 import signal
 import socket
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable
 
@@ -150,6 +152,19 @@ def test_an_agent_whose_root_fails_ends_with_a_sentence_and_the_asker_gets_an_an
     assert agent.said[-1].startswith(f"a cannot run: {why}")
     assert any("error" in line and why in line for line in agent.said[:-1])
     assert list(rig.runtime.iterdir()) == []
+
+
+def test_why_an_agent_cannot_run_is_said_also_where_something_keeps_it_from_ending() -> None:
+    stuck = (
+        "import time; from pancakes.tools.cli.agent_process import Orders; orders = Orders(); orders.begin();"
+        " orders.give_up('its port is in use'); orders.wait(); time.sleep(60)"
+    )
+    ended = subprocess.run([sys.executable, "-c", stuck], capture_output=True, text=True, timeout=30, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines() == [
+        "the agent cannot run: its port is in use",
+        "the agent did not stop within 1.9 s and was ended",
+    ]
 
 
 def test_a_state_directory_in_use(rig: Rig):

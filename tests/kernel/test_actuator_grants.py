@@ -43,6 +43,13 @@ def test_what_is_given_back_is_free(registry):
     assert registry.claim("wheels", REMOTE) == REMOTE
 
 
+def test_it_is_known_which_devices_a_task_holds(registry):
+    registry.hold(CIRCLE, ("motors", "arm"))
+    registry.hold(HOME, ("ir",))
+    assert registry.held_by("/".join(("a", "client", "Circle"))) == ["wheels", "arm"]
+    assert registry.held_by(HOME) == []
+
+
 def test_what_one_task_gives_back_leaves_what_is_kept_for_the_others(registry):
     registry.reserve(CIRCLE, ("motors",))
     registry.reserve(HOME, ("arm",))

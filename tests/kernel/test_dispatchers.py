@@ -285,3 +285,13 @@ def test_an_endless_loop_at_one_moment_is_named_and_does_not_hang(monkeypatch):
     Kernel("a", virtual=dispatcher).spawn(Restless, "a/test")
     with pytest.raises(PancakesError, match="stands still at 0.0 s: after 1000 turns a/test still has work"):
         dispatcher.settle()
+
+
+def test_a_call_that_was_called_off_is_nothing_that_happens_next():
+    dispatcher = VirtualDispatcher(1)
+    first, second = dispatcher.call_at(1.0, lambda: None), dispatcher.call_at(2.0, lambda: None)
+    assert dispatcher.next_s() == 1.0
+    first.cancel()
+    assert dispatcher.next_s() == 2.0
+    second.cancel()
+    assert dispatcher.next_s() == math.inf

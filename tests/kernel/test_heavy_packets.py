@@ -63,6 +63,13 @@ def test_the_oldest_fall_out_where_those_that_wait_are_too_large(types: tuple[st
     assert waiting.heavy_bytes == 0
 
 
+def test_16_mib_wait_under_a_subscription():
+    _, waiting = stream_with(queue(256))
+    for number in range(17):
+        waiting.put(blob(number, 2**20), 2**20)
+    assert [taken.seq for taken in iter(waiting.take, None)] == list(range(1, 17))
+
+
 @BOTH
 def test_one_packet_may_always_wait_however_large(types: tuple[str, ...]):
     stream, waiting = stream_with(reliable(256), *types)

@@ -93,6 +93,18 @@ def test_a_destination_here_means_the_component_or_all_that_is_under_it():
     assert (one.got(), two.got(), other.got()) == ([1, 2, 3], [2, 3], [3])
 
 
+def test_a_reader_that_has_gone_gets_nothing_though_the_way_to_it_was_known():
+    stream = InformationStream("a")
+    gone = Reader(stream, "a/client/Gone", ("system", None), ("ctrl", None))
+    for channel in ("system", "ctrl"):
+        assert stream.publish(packet(channel)) == 1
+    gone.got()
+    stream.unsubscribe("a/client/Gone")
+    for channel in ("system", "ctrl"):
+        assert stream.publish(packet(channel)) == 0
+    assert gone.got() == []
+
+
 def test_a_packet_to_an_address_without_a_reader_is_counted():
     stream = InformationStream("a")
     assert stream.publish(packet(to="a/client/Nobody")) == 0

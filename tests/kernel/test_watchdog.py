@@ -3,7 +3,9 @@
 import threading
 
 import pytest
+from kernel.actors import holding
 
+from pancakes.runtime.kernel import pool as pool_module
 from pancakes.runtime.kernel.pool import DOZE_LOOKS, HOGGED_S, MOST_PASSED_S, WATCH_S
 
 PATIENCE_S = 10.0
@@ -42,6 +44,22 @@ def test_a_thread_that_has_only_begun_does_not_hide_one_that_is_held(rig):
     assert [address for address, _ in rig.named] == ["a/2"]
     first.set()
     second.set()
+    rig.at_rest()
+
+
+def test_a_thread_that_gives_one_short_turn_after_the_other_is_not_held(rig, monkeypatch):
+    monkeypatch.setattr(pool_module, "MOST_WORKERS", 1)
+    actors = [rig.actor(), rig.actor()]
+    last = threading.Event()
+    for number in range(10):
+        gate, holds = threading.Event(), threading.Event()
+        actors[number % 2].do(holding(holds, gate))
+        last.set()
+        assert holds.wait(10.0)
+        rig.look(0.4 * HOGGED_S)
+        last = gate
+    last.set()
+    assert rig.named == []
     rig.at_rest()
 
 

@@ -90,7 +90,7 @@ class Schedule:
         out: list[Due | Callable[[], None]] = []
         heap = self._heap
         while heap and heap[0][0] <= now_s:
-            deadline_s, _, entry = heap[0]
+            entry = heap[0][2]
             if not isinstance(entry, _Group):
                 heapq.heappop(heap)
                 out.append(entry)
@@ -100,12 +100,9 @@ class Schedule:
                 heapq.heappop(heap)
                 del self._groups[period_s]
                 continue
-            missed = 0
-            if (number + 1 - 1e-9) * period_s <= now_s:  # late by a period at least
-                missed = max(0, math.floor(now_s / period_s + 1e-9) - number)
-                number += missed
-                deadline_s = number * period_s
-            out.append(Due(iter(tuple(entry.targets.values())), deadline_s, missed))
+            missed = max(0, math.floor(now_s / period_s + 1e-9) - number)
+            number += missed
+            out.append(Due(iter(tuple(entry.targets.values())), number * period_s, missed))
             entry.number = number = number + 1
             heapq.heapreplace(heap, (number * period_s, next(self._order), entry))
         self.next_s = heap[0][0] if heap else math.inf

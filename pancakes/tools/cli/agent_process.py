@@ -110,7 +110,9 @@ class Orders:
         self._reasons.append("")
 
     def _too_late(self, number: int, frame: FrameType | None) -> None:
-        os.write(2, f"the agent did not stop within {STOP_S:g} s and was ended\n".encode())
+        reason = self._reasons[0] if self._reasons else ""
+        why = f"the agent cannot run: {reason}\n" if reason else ""
+        os.write(2, f"{why}the agent did not stop within {STOP_S:g} s and was ended\n".encode())
         os._exit(REFUSED)
 
 
