@@ -25,6 +25,7 @@ import tomllib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -156,24 +157,27 @@ def draw(root: Path, files: Sequence[str], count: int, source: random.Random) ->
 def tests_for(mutant: Mutant, traces: Sequence[Trace]) -> list[Trace]:
     """Returns the tests that may notice a mutant, the quickest first.
 
-    These are the tests that run its line; for a decorator, what it decorates. A line that runs only when its module is
-    imported belongs to all tests that run anything of that module.
+    These are the tests that run its line. A line that runs when its module is imported, in the first test that does so,
+    belongs to all tests that run anything of that module, and to those of a file that names it.
     """
     nodes = list(ast.walk(ast.parse(mutant.before)))
-    statements = [(node, node) for node in nodes if isinstance(node, ast.stmt) and not hasattr(node, "body")]
-    for node in nodes:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            statements += [(decorator, node) for decorator in node.decorator_list]
-    around = [
-        (runs.lineno, runs.end_lineno or runs.lineno)
-        for node, runs in statements
-        if node.lineno <= mutant.start <= (node.end_lineno or node.lineno)
-    ]
-    first, last = around[0] if around else (mutant.start, mutant.end)
+    bodies = [(node.body[0].lineno, node.end_lineno or 0) for node in nodes if isinstance(node, ast.FunctionDef)]
     touched = [(trace, trace.lines.get(mutant.file, set())) for trace in traces]
-    chosen = [trace for trace, lines in touched if not lines.isdisjoint(range(first, last + 1))]
-    chosen = chosen or [trace for trace, lines in touched if lines]
+    if any(first <= mutant.start <= last for first, last in bodies):
+        simple = [node for node in nodes if isinstance(node, ast.stmt) and not hasattr(node, "body")]
+        around = [node for node in simple if node.lineno <= mutant.start <= (node.end_lineno or node.lineno)]
+        first, last = (around[0].lineno, around[0].end_lineno or 0) if around else (mutant.start, mutant.end)
+        chosen = [trace for trace, lines in touched if not lines.isdisjoint(range(first, last + 1))]
+    else:
+        chosen = [trace for trace, lines in touched if lines or names_module(trace.test, mutant.file)]
     return sorted(chosen, key=lambda trace: trace.seconds)
+
+
+@cache
+def names_module(test: str, file: str) -> bool:
+    """Returns whether the file of a test names the module in a file of the project."""
+    path = ROOT / test.partition("::")[0]
+    return path.is_file() and file.removesuffix(".py").replace("/", ".") in path.read_text(encoding="utf-8")
 
 
 # Running ---------------------------------------------------------------------------------------------------------

@@ -108,6 +108,17 @@ def test_a_line_of_the_module_itself_belongs_to_all_tests_of_that_module(mutants
     assert mutants.tests_for(mutant_of(mutants, 1, "= 3", "= 4"), [one, two, none]) == [two, one]
 
 
+def test_a_line_that_the_first_test_runs_as_it_imports_the_module_belongs_to_all_of_them(mutants):
+    first, second = trace_of(mutants, "first", 2.0, 1, 5), trace_of(mutants, "second", 1.0, 12)
+    assert mutants.tests_for(mutant_of(mutants, 1, "= 3", "= 4"), [first, second]) == [second, first]
+
+
+def test_a_line_of_the_module_belongs_to_a_test_whose_file_names_the_module(mutants):
+    assert mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/runtime/kernel/flag.py")
+    assert not mutants.names_module("tests/kernel/test_mailbox.py::test", "pancakes/runtime/kernel/timer.py")
+    assert not mutants.names_module("no_such_file.py::test", "pancakes/runtime/kernel/flag.py")
+
+
 def test_a_mutant_is_known_as_equal_by_its_lines_wherever_they_stand(mutants):
     equal = mutants.Equal(FILE, "found = 0", "found = 0.0", "they are equal numbers")
     assert equal.is_of(mutant_of(mutants, 12, "found = 0", "found = 0.0"))

@@ -102,6 +102,10 @@ def test_a_packet_that_cannot_be_shown_does_not_keep_the_others_from_being_told(
     odd, command = traced.answer(Traces(), 5 * MS)["rows"]
     assert odd[8] == "it cannot be shown"
     assert command[8] == "v_mps 0.1, omega_radps 0"
+    heard(traced, 6, "a/device/odd", 2, "odd", body={"what": Broken()})
+    heard(traced, 7, "a/client/Scan", 2, "motors", ("a/device/odd", 2), "ctrl", Twist(0.1, 0.0))
+    odd, _ = traced.answer(Traces(5 * MS), 8 * MS)["rows"]
+    assert odd[8] == "", "it is not kept, as it may be large"
 
 
 def tracing_of(agent: Any) -> Tracing:
