@@ -355,13 +355,12 @@ class Service(Component):
         self.feed(slot, LeaveRefused(reason) if reason else Admitted())
 
     def spawn(self, slot: Slot) -> None:
-        carried = slot.carried or Carried(slot.spec.settings, {})
         try:
             slot.task = self.kernel.spawn(
                 slot.spec.cls,
                 slot.address,
                 mailbox=slot.mailbox,
-                carried=carried,
+                carried=slot.carried or Carried(slot.spec.settings, {}),
                 rate_hz=slot.spec.rate_hz,
                 fence=slot.fence,
                 owner=self,
@@ -369,6 +368,7 @@ class Service(Component):
                 **self.arguments_of(slot),
             )
         except Exception as error:  # what a task's author wrote in __init__ may raise anything
+            self.kernel.tasks.note_settings(slot.address, None)
             self._fail(slot, error, hopeless=isinstance(error, SettingsError))
             return
 

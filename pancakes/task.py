@@ -353,8 +353,8 @@ class Task(Component):
                 last = self.carry()
             except Exception as failure:  # what a task keeps in its state may be anything
                 self.log("error", f"the state of {self.address} is lost, because it cannot be written down: {failure}")
-        super().end_actor(error)
         self.kernel.tasks.note_settings(self.address, None)
+        super().end_actor(error)
         if self.__owner is not None and not self.__tell(TaskEnded(self, error, last)):
             # Its service has ended before.
             self.kernel.stream.unsubscribe(self.address)

@@ -264,13 +264,13 @@ class Agent:
         reason = f"{root.address}, which starts and watches the services, {why}"
         root.refuse_all(f"{self.name} ends: {reason}")
         self.kernel.stopping = True
+        self._stop_for(reason)
         self.kernel.spawn(
             Closer,
-            join(self.name, "closer"),
+            join(self.name, "kernel", "Closer"),
             services=[join(self.name, spec.name) for spec in self._specs],
             exited=lambda closer, failure: self._closed.set(),
         )
-        self._stop_for(reason)
 
     def _become_ready(self) -> None:
         # Only now does the Log Service listen to what was found wrong before.

@@ -1,5 +1,6 @@
 """Devices: sampled, held by one task at a time, brought to their safe hold, and virtual where they are elsewhere."""
 
+import threading
 from dataclasses import dataclass
 
 import pytest
@@ -9,6 +10,7 @@ from pancakes.bodies.devices.types import Battery, Load, Pose, Twist
 from pancakes.control import Configure, Describe, Hold, Reschedule, Restart, Start, Stop
 from pancakes.events import Event
 from pancakes.packet import Fence, Packet
+from pancakes.runtime.services.device import SharedThings
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest, assert_published
 
@@ -84,6 +86,39 @@ class Meddling(Task):
     @every(hz=5)
     def meddle(self, tick):
         self.publish("ctrl", Twist(9.0, 0.0))
+
+
+def test_two_drivers_that_open_together_share_one_thing():
+    things, asked, got = SharedThings(), threading.Event(), []
+    made: list[object] = []
+
+    def make():
+        assert asked.wait(10.0)
+        made.append(Closing())
+        return made[-1]
+
+    class Closing:
+        closed = False
+
+        def close(self):
+            self.closed = True
+
+    threads = [threading.Thread(target=lambda: got.append(things.get("bus", make))) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    asked.set()
+    for thread in threads:
+        thread.join(10.0)
+    assert got == made * 2 and len(made) == 1
+    things.close()
+    assert got[0].closed
+
+
+def test_a_thing_that_could_not_be_made_is_made_for_the_next_driver_that_asks():
+    things = SharedThings()
+    with pytest.raises(ZeroDivisionError):
+        things.get("bus", lambda: 1 // 0)
+    assert things.get("bus", lambda: "the bus") == "the bus"
 
 
 @pytest.fixture(autouse=True)

@@ -179,8 +179,9 @@ def test_the_agent_of_a_root_that_failed_ends_in_order():
         assert "wheels: stands" in agent.lines("info")
 
 
-def test_an_agent_on_threads_whose_root_failed_leaves_no_thread():
-    with no_thread_left(), threaded_agent("a", services={"own": Exits}, tasks={"Driving": Count}) as agent:
-        assert not agent.ask(Stop("own")).ok
+@pytest.mark.parametrize("name", ["own", "closer"])
+def test_an_agent_on_threads_whose_root_failed_leaves_no_thread(name):
+    with no_thread_left(), threaded_agent("a", services={name: Exits}, tasks={"Driving": Count}) as agent:
+        assert not agent.ask(Stop(name)).ok
         agent.wait_until(lambda: bool(agent.agent.fatal))
     assert agent.left() == []

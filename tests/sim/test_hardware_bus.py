@@ -15,6 +15,7 @@ from pancakes.bodies.sim.drivers import DifferentialDrive, SimulatedBattery, Sim
 from pancakes.errors import PancakesError, RemoteProtocolError
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.transport import ConnectionHandler
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.settings import SettingsError, make_settings
@@ -232,7 +233,7 @@ def test_garbage_closes_that_connection_and_no_other(rig):
     context = Context(rig, device="pose")
     opened(SimulatedPose, context)
 
-    class Rude:
+    class Rude(ConnectionHandler):
         reason = None
 
         def opened(self, connection):

@@ -14,7 +14,7 @@ from pancakes.bodies.sim.trajectory import HEADER, Trajectory, row
 from pancakes.bodies.sim.world import World
 from pancakes.events import Event
 from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.transport import Connection
+from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.packet import Packet
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
@@ -74,7 +74,7 @@ class WorldAgent:
         self.dispatcher.run_until(time_s)
 
 
-class Robot:
+class Robot(ConnectionHandler):
     """The other end of the hardware bus: keeps a body driving."""
 
     def __init__(self, agent):

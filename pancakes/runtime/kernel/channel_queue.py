@@ -90,7 +90,19 @@ class ChannelQueue:
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Puts a packet; `weight`: its bytes, where it is a heavy one."""
-        self.put_all((packet,), weight)
+        with self._lock:
+            bounded = self._by_type.get(packet.type) or self._by_type[None]
+            keep = bounded.keep
+            if not keep.reliable and (weight or len(bounded.entries) >= keep.limit):
+                self._waiting -= bounded.make_room(weight)
+            self._last += 1
+            bounded.entries.append((self._last, packet, weight))
+            bounded.bytes += weight
+            self._waiting += 1
+            if self.listed:
+                return
+            self.listed = True
+        self._enlist(self)
 
     def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
         """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -54,20 +55,24 @@ class SharedThings:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._things: dict[str, Any] = {}
+        self._things: dict[str, Future[Any]] = {}
 
     def get(self, key: str, make: Callable[[], Any]) -> Any:
-        """Returns the thing under `key`, making it first where it is not there."""
-        with self._lock:
-            thing = self._things.get(key)
-        if thing is not None:
-            return thing
-        made = make()
+        """Returns the thing under `key`, making it first where it is not there.
+
+        A driver that opens while another makes the thing waits for that.
+        """
+        made: Future[Any] = Future()
         with self._lock:
             thing = self._things.setdefault(key, made)
-        if thing is not made:  # another driver has made one meanwhile
-            made.close()
-        return thing
+        if thing is made:
+            try:
+                made.set_result(make())
+            except BaseException as error:
+                with self._lock:
+                    del self._things[key]
+                made.set_exception(error)
+        return thing.result()
 
     def close(self) -> None:
         """Closes all of them."""
@@ -75,7 +80,7 @@ class SharedThings:
             things = list(self._things.values())
             self._things.clear()
         for thing in things:
-            thing.close()
+            thing.result().close()
 
 
 class TaskContext:

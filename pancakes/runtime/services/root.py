@@ -229,7 +229,7 @@ class Root(Component):
         if name in self.places:
             return name, ""
         for place in self.places.values():
-            if place.service is None and name in [spec.name for spec in place.spec.tasks]:
+            if name in [spec.name for spec in place.spec.tasks]:
                 raise ControlRefused(f"{place.address} is {place.life.word}, and {name} with it")
         meant = suggestion(name, [*self.places, *(entry.name for entry in tasks.all())])
         raise ControlRefused(

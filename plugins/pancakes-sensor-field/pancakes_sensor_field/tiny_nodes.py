@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from pancakes.bodies.sim.quantities import Share
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.transport import Connection
+from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.packet import SYSTEM, Packet
 from pancakes.task import Task, Tick, every, on
 from pancakes_sensor_field.drivers import NodeNumber, PeriodS
@@ -203,7 +203,7 @@ class _SimulatedNode:
             self._connection.send(data)
 
 
-class _End:
+class _End(ConnectionHandler):
     """The tiny node's end of one connection."""
 
     def __init__(self, node: _SimulatedNode) -> None:
