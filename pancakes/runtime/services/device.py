@@ -5,7 +5,6 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -25,6 +24,8 @@ from pancakes.service import Service
 from pancakes.task import Task, TaskSpec
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from pancakes.runtime.kernel.kernel import Kernel
 
 
@@ -62,6 +63,8 @@ class SharedThings:
 
         A driver that opens while another makes the thing waits for that.
         """
+        from concurrent.futures import Future  # only now: most drivers share nothing
+
         made: Future[Any] = Future()
         with self._lock:
             thing = self._things.setdefault(key, made)
