@@ -1,5 +1,6 @@
 """The mailbox: bounded, in the order of each channel, kept between a task and its successor."""
 
+import sys
 import threading
 from collections import deque
 from typing import Any
@@ -11,10 +12,12 @@ from kernel.actors import bounded, drained, put_back
 from pykka import ActorDeadError, ActorRef
 
 from pancakes.packet import Packet
+from pancakes.runtime.kernel.channel_queue import ChannelQueue
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.flag import Flag
 from pancakes.runtime.kernel.keep import LATEST, Keep, queue, reliable
 from pancakes.runtime.kernel.mailbox import Mailbox
+from pancakes.runtime.weight import LIGHT_BYTES
 
 
 def packet(seq, type_name="pose", channel="system"):
@@ -140,7 +143,7 @@ def test_a_new_component_begins_with_what_its_predecessor_left():
     waiting = bounded(mailbox, "system", {"pose": queue(9)})
     waiting.put(packet(1))
     mailbox.waiting.clear()  # the predecessor had taken it off the list when it died
-    mailbox.list_all()
+    mailbox.enter_all()
     assert list(mailbox.waiting) == [waiting]
 
 
@@ -219,3 +222,59 @@ def test_any_queue_behaves_as_its_model(bounds, steps):
         assert len(waiting) == len(model)
         assert mailbox.dropped() == dropped
     assert drained(waiting) == [seq for seq, _ in model]
+
+
+class Interrupted(ChannelQueue):
+    """A publisher puts a packet into it right after its reader has seen it empty."""
+
+    def __len__(self):
+        seen = super().__len__()
+        if not self.handled:
+            self.handled = 1
+            self.put(packet(1))
+        return seen
+
+
+def test_a_packet_that_comes_while_the_reader_puts_its_queue_aside_is_not_forgotten():
+    mailbox = opened()
+    waiting = mailbox.queues["system"] = Interrupted(mailbox.waiting, mailbox.wake)
+    waiting.bound({None: LATEST})
+    mailbox.waiting[waiting] = None
+    mailbox.strike_out(waiting)
+    assert list(mailbox.waiting) == [waiting]
+    assert drained(waiting) == [1]
+
+
+@pytest.mark.parametrize("keep", [LATEST, queue(3), queue(10_000)], ids=["latest", "queue(3)", "queue(10,000)"])
+def test_many_publishers_and_one_reader_at_once_lose_no_newest_packet_and_no_count(keep):
+    mailbox = opened()
+    waiting = bounded(mailbox, "system", {"pose": keep, "load": keep})
+    heavy, each = LIGHT_BYTES + 1, 10_000
+    starts = threading.Barrier(4)
+
+    def publish(name, weight):
+        starts.wait()
+        for seq in range(1, each + 1):
+            waiting.put(Packet("system", name, f"a/client/{name}{weight}", "", 0.0, seq, None), weight)
+
+    publishers = [threading.Thread(target=publish, args=kind) for kind in (("pose", 0), ("pose", heavy), ("load", 0))]
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        for publisher in publishers:
+            publisher.start()
+        starts.wait()
+        heard: dict[str, list[int]] = {}
+        while any(publisher.is_alive() for publisher in publishers) or mailbox.waiting:
+            for entered in list(mailbox.waiting):
+                if (taken := entered.take()) is not None:
+                    heard.setdefault(taken.source, []).append(taken.seq)
+                mailbox.strike_out(entered)
+    finally:
+        sys.setswitchinterval(before)
+    assert len(waiting) == 0 and waiting.heavy_bytes == 0
+    assert all(seqs == sorted(set(seqs)) for seqs in heard.values())
+    assert max(heard["a/client/pose0"][-1], heard[f"a/client/pose{heavy}"][-1]) == heard["a/client/load0"][-1] == each
+    assert waiting.handled == sum(map(len, heard.values()))
+    if keep != LATEST:
+        assert waiting.handled + waiting.dropped() == 3 * each

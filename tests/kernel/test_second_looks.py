@@ -206,7 +206,7 @@ def test_a_queue_in_which_much_comes_is_listed_once():
     waiting = bounded(mailbox, "system", {"line": queue(8)})
     for _ in range(3):
         waiting.put(packet())
-    assert mailbox.waiting == [waiting]
+    assert list(mailbox.waiting) == [waiting]
 
 
 def test_a_reader_that_subscribes_again_as_before_keeps_the_queue():

@@ -311,9 +311,9 @@ def test_a_queue_that_was_emptied_at_the_end_of_an_actor_is_listed_for_its_succe
     source = Component(kernel, "a/client/Source")
     source.publish("system", LogLine("info", "between the two"))
     component.drain()
-    mailbox.list_all()
+    mailbox.enter_all()
     source.publish("system", LogLine("info", "for the successor"))
-    assert mailbox.waiting == [mailbox.queues["system"]]
+    assert list(mailbox.waiting) == [mailbox.queues["system"]]
 
 
 def test_a_stream_that_was_silenced_takes_nothing_from_earlier_publishers_either(kernel):

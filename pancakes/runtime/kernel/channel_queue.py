@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from itertools import count
 
 from pancakes.packet import Packet
 from pancakes.runtime.kernel.keep import Keep
@@ -32,49 +33,53 @@ class _Bounded:
     def is_full(self, weight: int) -> bool:
         return self.keep.is_full(len(self.entries), self.bytes, weight)
 
-    def make_room(self, weight: int) -> int:
-        """Lets the oldest packets fall out until there is room for one more. Returns how many fell out."""
-        fallen = 0
+    def make_room(self, weight: int) -> None:
+        """Lets the oldest packets fall out until there is room for one more."""
         while self.entries and self.is_full(weight):
-            self.bytes -= self.entries.popleft()[2]
-            fallen += 1
-        if self.keep.counts_losses:
-            self.lost += fallen
-        return fallen
+            try:
+                fallen = self.entries.popleft()
+            except IndexError:  # the reader was faster
+                return
+            self.bytes -= fallen[2]
+            self.lost += self.keep.counts_losses
 
 
 class ChannelQueue:
-    """What waits for one reader on one channel: in one order, with a bound for each type. Any thread.
+    """What waits for one reader on one channel: in one order, with a bound for each type.
+
+    Any thread puts, and only the reader's takes. A light packet that finds room needs no lock: a deque, a dict and a
+    `count` change in one step. Publishers that put at the same moment may pass the limit by one packet each.
 
     Args:
-        enlist: called with the queue when a packet is put into it while it is not `listed`.
+        waiting: the queues of the reader in which something may wait; the queue enters itself there.
+        wake: called when it has done so.
 
     Attributes:
-        listed: whether the reader knows that something waits.
         handled: how many packets were taken out.
         refused: packets from other agents that found no room under a `reliable` subscription.
     """
 
-    __slots__ = ("_by_type", "_enlist", "_first", "_last", "_lock", "_waiting", "handled", "listed", "refused")
+    __slots__ = ("_by_type", "_first", "_lock", "_numbers", "_waiting", "_wake", "handled", "refused")
 
-    def __init__(self, enlist: Callable[[ChannelQueue], None]) -> None:
-        self._enlist = enlist
-        self._by_type: dict[str | None, _Bounded] = {}
-        self._lock = threading.Lock()
-        self._first = self._last = 0  # the numbers of the packet that was last put back, and of the newest
-        self._waiting = 0
-        self.listed = False
+    def __init__(self, waiting: dict[ChannelQueue, None], wake: Callable[[], None]) -> None:
+        self._waiting = waiting
+        self._wake = wake
+        self._by_type: dict[str | None, _Bounded] = {}  # never changed but replaced: other threads read it
+        self._numbers = count(1)
+        self._first = 0  # the number of the packet that was last put back
+        self._lock = threading.Lock()  # guards the bytes and the losses
         self.handled = 0
         self.refused = 0
 
     def bound(self, bounds: Mapping[str | None, Keep]) -> None:
         """Bounds packets of each type as `bounds` says; None means any other type. Other bounds stay."""
-        with self._lock:
-            for type_name, keep in bounds.items():
-                if type_name in self._by_type:
-                    self._by_type[type_name].keep = keep
-                else:
-                    self._by_type[type_name] = _Bounded(keep)
+        by_type = dict(self._by_type)
+        for type_name, keep in bounds.items():
+            if type_name in by_type:
+                by_type[type_name].keep = keep
+            else:
+                by_type[type_name] = _Bounded(keep)
+        self._by_type = by_type
 
     def keep_of(self, packet: Packet) -> Keep:
         """Returns the bound of packets like this one."""
@@ -90,71 +95,51 @@ class ChannelQueue:
 
     def put(self, packet: Packet, weight: int = 0) -> None:
         """Puts a packet; `weight`: its bytes, where it is a heavy one."""
-        with self._lock:
-            bounded = self._by_type.get(packet.type) or self._by_type[None]
-            keep = bounded.keep
-            if not keep.reliable and (weight or len(bounded.entries) >= keep.limit):
-                self._waiting -= bounded.make_room(weight)
-            self._last += 1
-            bounded.entries.append((self._last, packet, weight))
-            bounded.bytes += weight
-            self._waiting += 1
-            if self.listed:
-                return
-            self.listed = True
-        self._enlist(self)
-
-    def put_all(self, packets: Sequence[Packet], weight: int = 0) -> None:
-        """Puts packets of one type, in their order; `weight`: the bytes of each, where they are heavy."""
-        with self._lock:
-            bounded = self._bounded(packets[0])
-            entries, keep = bounded.entries, bounded.keep
-            for number, packet in enumerate(packets, self._last + 1):
-                if not keep.reliable and (weight or len(entries) >= keep.limit):
-                    self._waiting -= bounded.make_room(weight)
-                entries.append((number, packet, weight))
+        bounded = self._by_type.get(packet.type) or self._by_type[None]
+        if weight or len(bounded.entries) >= bounded.keep.limit:
+            with self._lock:
+                if not bounded.keep.reliable:
+                    bounded.make_room(weight)
                 bounded.bytes += weight
-            self._last += len(packets)
-            self._waiting += len(packets)
-            if self.listed:
-                return
-            self.listed = True
-        self._enlist(self)
-
-    def still_waits(self) -> bool:
-        """Returns whether something waits. Where not, the queue is not listed any more."""
-        with self._lock:
-            self.listed = self._waiting > 0
-            return self.listed
+        bounded.entries.append((next(self._numbers), packet, weight))
+        if self not in self._waiting:
+            self._waiting[self] = None
+            self._wake()
 
     def take(self) -> Packet | None:
         """Takes the oldest packet out; None where nothing waits."""
-        with self._lock:
+        while True:
             oldest = None
-            for bounded in self._by_type.values():
-                if bounded.entries and (oldest is None or bounded.entries[0][0] < oldest.entries[0][0]):
-                    oldest = bounded
-            if oldest is None:
-                return None
-            _, packet, weight = oldest.entries.popleft()
-            oldest.bytes -= weight
-            self._waiting -= 1
+            try:
+                for bounded in self._by_type.values():
+                    if bounded.entries and (oldest is None or bounded.entries[0][0] < oldest.entries[0][0]):
+                        oldest = bounded
+                if oldest is None:
+                    return None
+                _, packet, weight = oldest.entries.popleft()
+            except IndexError:  # it fell out meanwhile
+                continue
+            if weight:
+                with self._lock:
+                    oldest.bytes -= weight
             self.handled += 1
             return packet
 
     def put_back(self, packet: Packet) -> None:
-        """Puts a packet that was taken back in front, to be handled again."""
+        """Puts a packet that the reader took back in front, to be handled again."""
         weight = weight_of(packet.body)
+        bounded = self._bounded(packet)
         with self._lock:
-            bounded = self._bounded(packet)
-            bounded.entries.appendleft((self._first, packet, weight))
             bounded.bytes += weight
-            self._first -= 1
-            self._waiting += 1
-            self.handled -= 1
+        bounded.entries.appendleft((self._first, packet, weight))
+        self._first -= 1
+        self.handled -= 1
 
     def __len__(self) -> int:
-        return self._waiting
+        number = 0
+        for bounded in self._by_type.values():
+            number += len(bounded.entries)
+        return number
 
     @property
     def heavy_bytes(self) -> int:

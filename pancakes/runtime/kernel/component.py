@@ -116,9 +116,8 @@ class Component(PykkaActor):
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
-        packet = Packet(
-            channel, type_name(body), self.address, to, self.now(), self.__seq.take(), body, cause, self.fence
-        )
+        sent_s, seq = self.kernel.now(), self.__seq.take()
+        packet = Packet(channel, type_name(body), self.address, to, sent_s, seq, body, cause, self.fence)
         self.kernel.stream.publish(packet)
         return packet
 
@@ -359,15 +358,14 @@ class Component(PykkaActor):
                 self.handle_envelope(item)
 
     def __handle_data(self, until_s: float) -> None:
-        waiting = self.actor_inbox.waiting
-        goes_on = True
-        for _ in range(len(waiting)):
+        mailbox = self.actor_inbox
+        for queue in list(mailbox.waiting):
+            goes_on = self.__work_off(queue, until_s)
+            if mailbox.component is not self:  # the mailbox is the successor's now
+                return
+            mailbox.strike_out(queue)
             if not goes_on:
                 return
-            queue = waiting.pop(0)
-            goes_on = self.__work_off(queue, until_s)
-            if queue.still_waits():
-                waiting.append(queue)
 
     def __work_off(self, queue: ChannelQueue, until_s: float) -> bool:
         """Handles what waits in one queue, as long as there is time. Returns whether the turn may go on."""

@@ -46,7 +46,7 @@ class Dispatcher(ABC):
         mailbox = component.actor_inbox
         mailbox.dispatch = self
         mailbox.component = component
-        mailbox.list_all()
+        mailbox.enter_all()
         self.ready(mailbox)
 
     def stop(self) -> None:

@@ -53,7 +53,7 @@ class Mailbox:
 
     Attributes:
         control: the lane that goes first: pykka's envelopes, ticks and calls, in order.
-        waiting: the channel queues that have something in them, in the order in which it came.
+        waiting: the channel queues that may have something in them, in the order in which it came.
         queues: all channel queues, by channel.
         token: the right to give its component turns.
         dispatch: the dispatcher that gives the turns.
@@ -66,8 +66,8 @@ class Mailbox:
 
     def __init__(self) -> None:
         self.control: deque[Any] = deque()
-        # A list, as it is never longer than the number of channels that the component reads.
-        self.waiting: list[ChannelQueue] = []
+        # A dict, as publishers enter a queue in one step, and once.
+        self.waiting: dict[ChannelQueue, None] = {}
         self.queues: dict[str, ChannelQueue] = {}
         # Held from the beginning: a dispatcher gives the first turn.
         self.token = threading.Lock()
@@ -84,11 +84,6 @@ class Mailbox:
             self.clear_control()
         else:
             self.wake()
-
-    def list_queue(self, queue: ChannelQueue) -> None:
-        """Lists a queue in which something waits."""
-        self.waiting.append(queue)
-        self.wake()
 
     def wake(self) -> None:
         """Sees that the component gets a turn, unless it has one or is about to."""
@@ -116,21 +111,27 @@ class Mailbox:
         """Returns the queue for a channel, with what waits there."""
         queue = self.queues.get(channel)
         if queue is None:
-            queue = self.queues[channel] = ChannelQueue(self.list_queue)
+            queue = self.queues[channel] = ChannelQueue(self.waiting, self.wake)
         return queue
 
     def clear_data(self) -> None:
         """Forgets what waits in the data lane."""
         self.waiting.clear()
         for queue in self.queues.values():
-            queue.listed = False
             while queue.take() is not None:
                 pass
 
-    def list_all(self) -> None:
-        """Lists every queue in which something waits: a new component begins with what its predecessor left."""
-        self.waiting.clear()
-        self.waiting.extend(queue for queue in self.queues.values() if queue.still_waits())
+    def strike_out(self, queue: ChannelQueue) -> None:
+        """Strikes a queue out of `waiting`; enters it again, behind the others, where something waits in it."""
+        self.waiting.pop(queue, None)
+        # Only now: a publisher that found it there does not enter it.
+        if queue:
+            self.waiting[queue] = None
+
+    def enter_all(self) -> None:
+        """Enters every queue in which something waits: a new component begins with what its predecessor left."""
+        for queue in self.queues.values():
+            self.strike_out(queue)
 
     def dropped(self) -> int:
         """Returns how many packets were lost in all queues; see `ChannelQueue.dropped`."""

@@ -110,8 +110,9 @@ class Route(msgspec.Struct, frozen=True):
 
     def give_all(self, packets: Sequence[Packet], weight: int) -> None:
         """Gives packets, where there is no tap and no reader may refuse one; `weight`: the bytes of each, if heavy."""
-        for queue in self.queues:
-            queue.put_all(packets, weight)
+        for packet in packets:
+            for queue in self.queues:
+                queue.put(packet, weight)
 
     def give_where_room(self, packet: Packet, weight: int) -> None:
         """Gives a packet, which cannot come again, to all of them that have room, and counts it for the others."""
