@@ -59,7 +59,7 @@ class LinkLog:
         self._last_reason[place] = text
         # That one of two links goes is usual.
         quiet = "info" if session.address in self._static and not why else "debug"
-        self._say("warning" if over.broken or why in _NEWS else quiet, text)
+        self._say("warning" if over.broken or over.turned_away or why in _NEWS else quiet, text)
 
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""

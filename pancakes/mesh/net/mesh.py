@@ -64,7 +64,6 @@ class Mesh:
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
-        on_refused: takes the reason when another agent of our name is in the mesh and we are the newcomer.
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
@@ -83,7 +82,6 @@ class Mesh:
         on_unfit: Callable[[str, Packet, str], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
-        on_refused: Callable[[str], None] = lambda reason: None,
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
@@ -98,7 +96,6 @@ class Mesh:
         self._on_unfit = on_unfit
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
-        self._on_refused = on_refused
         self._times = times or LinkTimes()
         self._own = identity.hello()
         self._peers: Peers | None = None
@@ -107,7 +104,6 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._established = False
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -315,7 +311,7 @@ class Mesh:
             session.end("it is no longer wanted")
             return
         now_s = self._now()
-        session.link = Link(self._own, self._times, now_s)
+        session.link = Link(self._own, self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)
 
@@ -332,9 +328,6 @@ class Mesh:
             if rivals:
                 self._carry_out(rivals)
         self._act(session, actions)
-        if was_up and session.is_up:
-            # Of two agents the one with the lower name takes a link to stand before the other has had its say.
-            self._established = True
 
     def session_closed(self, session: Session, reason: str) -> None:
         """See `Owner`."""
@@ -409,6 +402,7 @@ class Mesh:
             self._carry_out(decisions)
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
+        self._watch(session)  # from now on it sends heartbeats
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
@@ -434,7 +428,7 @@ class Mesh:
         del self._sessions[session.number]
         session.end(over.reason)
         why = over.refused or over.refusing
-        refusal = over.reason if over.refused is not None else ""
+        refusal = over.reason if over.refused is not None or over.turned_away else ""
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
             self._links.remove(session)
@@ -446,8 +440,6 @@ class Mesh:
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
             self._log.not_made(session, over)
-        if over.refused == "name" and not self._established:
-            self._call(self._on_refused, over.reason)
         if self._state == "running":
             self._carry_out(decisions)
 

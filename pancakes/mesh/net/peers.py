@@ -291,7 +291,7 @@ class Peers:
             if not address:
                 return []
             self._book[address].link = None
-            self._book[address].refused = refusal if hopeless else ""
+            self._book[address].refused = refusal
             self._failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
@@ -300,6 +300,8 @@ class Peers:
         was_up = self._up.get(name) is candidate
         if was_up:
             del self._up[name]
+        if goodbye is not None and name in self._up:
+            goodbye = None  # another agent says so, under the name of one that is here
         if goodbye is not None and goodbye.why == "sleep":
             self._asleep.pop(name, None)
             self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.tools.recording.settings import RecordingSettings
@@ -46,7 +47,7 @@ class AgentConfig(Struct, frozen=True):
     listen: str = ""
     peers: tuple[str, ...] = ()
     role: Literal["agent", "environment", "client"] = "agent"
-    fleet: str = "default"
+    fleet: str = DEFAULT_FLEET
     state_dir: str = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
 
