@@ -159,7 +159,8 @@ class Door:
     def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         for packet in packets:
             if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
-                self._settle(packet.cause[1], packet.body)
+                if self._asked.get(packet.cause[1]) == peer:
+                    self._settle(packet.cause[1], packet.body)
             else:
                 for listener, _ in self._listeners:
                     listener(peer, packet)
@@ -167,7 +168,8 @@ class Door:
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
         if body_class(packet.type) is Reply and packet.cause is not None and packet.cause[0] == self.name:
-            self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
+            if self._asked.get(packet.cause[1]) == peer:
+                self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
         else:
             for _, unread in self._listeners:
                 unread(peer, packet, reason)

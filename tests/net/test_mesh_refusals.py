@@ -44,6 +44,35 @@ def test_an_agent_that_listens_says_nothing_of_itself_to_one_that_has_not_said_h
     assert b"another" in stranger.data and b"default" not in stranger.data and journal.encode() not in stranger.data
 
 
+@pytest.mark.parametrize("source", ["b/client/T", "a/client/T", "0b/client/T", "x"])
+@pytest.mark.parametrize("channel", ["chat", "sysctrl", "ctrl"])
+def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, source, channel):
+    """Also under ours. The packets that the peer sends for itself go on."""
+    a, ear = agent("a"), rig.ear()
+    rig.transport("0").dial(a.mesh.listen, ear)
+    rig.until(lambda: ear.connection)
+    order = Packet(channel, "words", source, "a", 0.0, 1, "stop")
+    own = replace(order, source="0/c/T")
+    sent = [message_of(order), message_of(replace(order, seq=2)), message_of(own)]
+    ear.connection.send(raw_hello("0") + frame([Encoder().link_message(Welcome()), *sent]))
+    rig.until(lambda: a.packets)
+    assert [packet.source for packet in a.packets] == ["0/c/T"] and a.unfit == []
+    assert f"0 (agent) sends packets of {source} on {channel!r}, and may speak for itself alone" in a.log("warning")
+    (peer,) = a.mesh.describe()["peers"]
+    assert peer["refused"] == 2
+
+
+@pytest.mark.parametrize(("channel", "taken"), [("system", True), ("chat", True), ("ctrl", False), ("log", False)])
+def test_a_terminal_replays_what_others_said_but_no_command_and_no_log(rig, agent, channel, taken):
+    a = agent("a")
+    terminal = agent("cli-1", [a.mesh.listen], role="client", listen="")
+    rig.until(lambda: terminal.knows("a"))
+    terminal.mesh.send(Packet(channel, "words", "b/client/T", "a", 0.0, 1, "said before"))
+    terminal.mesh.send(Packet(channel, "words", "cli-1", "a", 0.0, 2, "said now"))
+    rig.until(lambda: a.packets and a.packets[-1].source == "cli-1")
+    assert [packet.source for packet in a.packets] == (["b/client/T", "cli-1"] if taken else ["cli-1"])
+
+
 @pytest.mark.parametrize("words", [RefuseLink("name", "the name a is taken"), Goodbye("sleep", 3600.0)])
 def test_what_is_said_before_any_hello_ends_no_agent_and_puts_off_no_dial(rig, agent, words):
     ears = []

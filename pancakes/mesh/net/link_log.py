@@ -15,7 +15,7 @@ from pancakes.mesh.wire.link import Over
 from pancakes.mesh.wire.link_messages import Hello
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
-"""The log names a slow peer at most that often, in seconds of host time."""
+"""The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
 _MOST_PLACES: Final = 256
 _NEWS: Final = ("version", "fleet", "name", "full", "protocol")
 
@@ -68,6 +68,13 @@ class LinkLog:
             lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
             self._say("warning", f"{session.peer} is slow; packets given up so far: {lost}")
             session.reported_drops, session.reported_s = dropped, now_s
+
+    def false_source(self, session: Session, fault: str, number: int, now_s: float) -> None:
+        """Packets came that their peer may not send: `number` more."""
+        session.refused += number
+        if now_s - session.refused_said_s >= DROPS_REPORTED_EVERY_S:
+            self._say("warning", f"{fault}; packets refused so far: {session.refused}")
+            session.refused_said_s = now_s
 
     def failed(self, function: Callable[..., Any], error: Exception) -> None:
         """A function that the mesh was given has failed."""

@@ -18,6 +18,7 @@ from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
+from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.wire.link import (
     Action,
@@ -377,12 +378,14 @@ class Mesh:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
                 session.counters.packets_in += len(action.packets)
-                self._call(self._on_packets, session.peer, action.packets, action.size)
+                if self._may_send(session, action.packets[0], len(action.packets)):
+                    self._call(self._on_packets, session.peer, action.packets, action.size)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
                 session.counters.packets_in += 1
-                self._call(self._on_unfit, session.peer, action.packet, action.reason)
+                if self._may_send(session, action.packet, 1):
+                    self._call(self._on_unfit, session.peer, action.packet, action.reason)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
@@ -393,6 +396,14 @@ class Mesh:
                     self._carry_out(decisions)
             else:
                 self._over(session, action)
+
+    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
+        """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
+        assert session.hello is not None
+        fault = fault_of_source(self.identity, session.peer, session.hello.role, first.channel, first.source)
+        if fault:
+            self._log.false_source(session, fault, number, self._now())
+        return not fault
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None

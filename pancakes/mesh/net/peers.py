@@ -363,6 +363,7 @@ class Peers:
             return [TurnDown(link, "self", f"{own.name} dialled itself")]
         if address:  # the agent that dials is the newcomer, and waits to be told
             self._book[address].due_s = now_s + self._times.retry_longest_s
+            self._book[address].refused = _taken(own.name, "what listens there")
             return []
         return [TurnDown(link, "name", _taken(own.name, own.name))]
 

@@ -3,8 +3,8 @@
     GREETING --hello--> MET --welcome--> UP --refuse, goodbye, silence, broken protocol--> OVER
 
 The side that dialled says hello first. The other one tells a stranger nothing of itself: it answers with its own hello
-once it has accepted that one. A refusal or a goodbye that comes before any hello ends the attempt and counts for nothing
-else, as any program may listen there.
+once it has accepted that one. A refusal or a goodbye that comes before any hello ends the attempt and counts for
+nothing else, as any program may listen there.
 
 Two agents may be joined by several connections for a moment (both dialled, or one came back before the other noticed
 that it had gone), so one of them chooses: the one with the lower name sends `Welcome` on the connection that stays, and
