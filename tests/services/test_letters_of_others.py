@@ -55,7 +55,7 @@ def test_an_agent_that_was_not_asked_does_not_get_the_letters_of_a_task(fleet):
     fleet.network.partition(["a"], ["b", "c"])
     fleet.agents["b"].publish("system", Numbered(1), to=SINK)
     fleet.run_for(0.1)
-    stolen = []
+    stolen: list[Packet] = []
     fleet.agents["c"].kernel.stream.tap("network", stolen.append, ("post.letter",))
     fleet.agents["c"].publish("network", ForwardTo("a/Sink", "c", 9), to="b/kernel/Courier")
     fleet.run_for(0.1)

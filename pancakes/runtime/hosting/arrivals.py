@@ -84,7 +84,9 @@ class Arrivals:
         """
         record = place.standing.record
         if isinstance(message, Reserve):
-            return Received(peer, message, self._state.reserve(peer, message))
+            refusal = self._state.reserve(peer, message)
+            place.promised = None if refusal else (peer, message.offer)
+            return Received(peer, message, refusal)
         if isinstance(message, Transfer):
             self._state.free(message.task_id)
             if not would_take(record, message.offer):

@@ -388,7 +388,7 @@ class ClientService(Service):
     @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
-        message = self._carrier.take(packet)
+        message = self._carrier.take(packet, self.places.get(packet.body.task_id))
         if message is not None:
             place = self.places[message.task_id]
             received = self._arrivals.receive(agent_of(packet.source), message, place)

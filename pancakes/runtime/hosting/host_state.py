@@ -88,6 +88,8 @@ class HostState:
     def reserve(self, peer: str, message: Reserve) -> str:
         """Keeps a slot for a task that is about to come; says why that cannot be."""
         self.free(message.task_id)
+        if message.request.task_id != message.task_id:
+            return f"was asked for a place for {message.task_id} and told of {message.request.task_id}"
         if refusal := self.refusal_of(message.request):
             return refusal
         now_s, task_id = self._kernel.host.now(), message.task_id
