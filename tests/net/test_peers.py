@@ -12,6 +12,8 @@ from pancakes.mesh.net.peers import (
     MAX_AGENTS,
     MAX_CLIENTS,
     MAX_LEARNT,
+    MOST_DIALS,
+    MOST_OF_PEER,
     Admit,
     Dial,
     Peers,
@@ -228,6 +230,38 @@ def test_the_book_of_learnt_addresses_is_bounded():
     it = peers("tcp://a:1")
     it.learnt([f"tcp://x:{number}" for number in range(10_000)], 0.0)
     assert len(addresses(it)) == MAX_LEARNT + 1
+
+
+def test_of_each_peer_so_many_addresses_are_kept_at_which_no_agent_is_connected():
+    it = peers()
+    named = [f"tcp://x:{number}" for number in range(1, 40)]
+    it.learnt(named, 0.0, "a")
+    assert addresses(it) == named[:MOST_OF_PEER]
+    it.learnt(named, 0.0, "b")
+    assert addresses(it) == named[: 2 * MOST_OF_PEER], "each peer has a count of its own"
+    connect(it, "z", listen=named[0])
+    it.learnt(named[35:37], 0.0, "a")
+    assert addresses(it) == [*named[: 2 * MOST_OF_PEER], named[35]], "z is there, so a may name one more"
+
+
+def test_so_many_learnt_addresses_are_dialled_at_a_time_and_each_static_one_at_once():
+    it = peers("tcp://s:1")
+    first = dials(it.learnt([f"tcp://x:{number}" for number in range(1, 17)], 0.0, "a"))
+    assert first == ["tcp://s:1", *(f"tcp://x:{number}" for number in range(1, MOST_DIALS + 1))]
+    assert it.tick(0.0) == [] and it.due_s() == math.inf
+    it.over(2, 0.0)
+    assert it.due_s() <= 0.0
+    assert dials(it.tick(0.0)) == [f"tcp://x:{MOST_DIALS + 1}"]
+
+
+def test_a_peer_may_name_no_address_that_must_be_looked_up_and_a_person_may():
+    it = Peers(hello("m"), (), random.Random(1), LinkTimes(), 0.0, looks_up=lambda address: "name" in address)
+    it.learnt(["tcp://name:1", "tcp://192.0.2.1:1"], 0.0, "a")
+    assert addresses(it) == ["tcp://192.0.2.1:1"]
+    it.met(it.new_link(), hello("z", listen="tcp://name:2"), "tcp://there:9", 0.0)
+    assert addresses(it) == ["tcp://192.0.2.1:1"]
+    it.learnt(["tcp://name:1"], 0.0)
+    assert addresses(it) == ["tcp://192.0.2.1:1", "tcp://name:1"]
 
 
 def test_a_learnt_address_that_always_fails_is_forgotten_a_static_one_never():

@@ -233,7 +233,8 @@ class Mesh:
         if self._state != "new":
             return
         self._state = "running"
-        self._peers = Peers(self._own, self._static, self._random, self._times, self._now(), self._quiet_s)
+        times, looks_up = self._times, self._transport.looks_up
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, looks_up)
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -391,7 +392,7 @@ class Mesh:
             elif isinstance(action, Up):
                 self._stood_up(session)
             elif isinstance(action, Learnt):
-                decisions = self._peers.learnt(action.addresses, self._now())
+                decisions = self._peers.learnt(action.addresses, self._now(), session.peer)
                 if decisions:
                     self._carry_out(decisions)
             else:

@@ -28,6 +28,10 @@ MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.net.client_places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
+MOST_OF_PEER: Final = 16
+"""Most addresses that one peer has named and at which no agent is connected."""
+MOST_DIALS: Final = 8
+"""So many learnt addresses are dialled at a time."""
 BEACON_ADDRESSES: Final = 8
 """So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what all agents know: a new link gets them all.
@@ -70,6 +74,7 @@ class _KnownAddress(msgspec.Struct):
     failures: int = 0
     ours: bool = False  # it is this agent's own
     refused: str = ""  # why the agent there will not have us, in its words
+    by: str = ""  # the peer that named it; empty: the configuration, or a person
 
 
 class _Candidate(msgspec.Struct):
@@ -95,6 +100,7 @@ class Peers:
         now_s: host time.
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
             infinite where none ever came in.
+        looks_up: returns whether an address has a name that must be looked up, as none has that a peer may name.
     """
 
     def __init__(
@@ -105,11 +111,13 @@ class Peers:
         times: LinkTimes,
         now_s: float,
         quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
+        looks_up: Callable[[str], bool] = lambda address: False,
     ) -> None:
         self._own = own
         self._random = source
         self._times = times
         self._quiet_s = quiet_s
+        self._looks_up = looks_up
         self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
         self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
@@ -170,7 +178,9 @@ class Peers:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
-        dials = [it.due_s for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        busy = self._learnt_dials() >= MOST_DIALS
+        wanted = [it for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        dials = [it.due_s for it in wanted if not (busy and it.by)]
         if len(self._candidates) == len(self._up):  # as nearly always
             return min(dials, default=math.inf)
         holds = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
@@ -179,8 +189,10 @@ class Peers:
     def tick(self, now_s: float) -> list[Decision]:
         """Dials what is due, and admits what has waited long enough for a dial of our own."""
         decisions: list[Decision] = []
+        free = MOST_DIALS - self._learnt_dials()
         for address, it in self._book.items():
-            if self._wanted(address, it) and now_s >= it.due_s:
+            if self._wanted(address, it) and now_s >= it.due_s and not (it.by and free <= 0):
+                free -= bool(it.by)
                 it.link = self.new_link()
                 self._dials[it.link] = address
                 decisions.append(Dial(address, it.link))
@@ -208,7 +220,7 @@ class Peers:
         if address:
             self._book[address].name = name
         hello = replace(hello, listen=reachable(hello.listen, remote))
-        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
+        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name, name)
         self._asleep.pop(name, None)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
         if address:
@@ -328,11 +340,11 @@ class Peers:
             return self._admit_if_free(heirs[-1], now_s)
         return []
 
-    def learnt(self, addresses: Sequence[str], now_s: float) -> list[Decision]:
-        """A peer named addresses of other agents."""
+    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
+        """A peer named addresses of other agents; empty: a person did."""
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
-        new = [address for address in unknown if self._learn(address, now_s)]
+        new = [address for address in unknown if self._learn(address, now_s, by=peer)]
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
@@ -349,6 +361,10 @@ class Peers:
             return False
         # The peer that we met there has still to say whether the link stands, or when to dial again.
         return address not in self._met_at
+
+    def _learnt_dials(self) -> int:
+        """Returns how many addresses are dialled now that peers have named."""
+        return sum(bool(self._book[address].by) for address in self._dials.values())
 
     def _dialling(self, listen: str) -> bool:
         it = self._book.get(listen)
@@ -407,17 +423,23 @@ class Peers:
             if address and candidate.until_s < math.inf and candidate.hello.listen == address:
                 candidate.until_s = now_s
 
-    def _learn(self, address: str, now_s: float, name: str = "") -> bool:
-        """Writes an address down; returns whether it is a new one."""
+    def _learn(self, address: str, now_s: float, name: str = "", by: str = "") -> bool:
+        """Writes an address down that a peer has named; returns whether it is a new one."""
         it = self._book.get(address)
         is_new = it is None
         if it is None:
             if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
                 return False
-            it = self._book[address] = _KnownAddress(False, now_s)
+            if by and (self._looks_up(address) or self._unmet(by) >= MOST_OF_PEER):
+                return False
+            it = self._book[address] = _KnownAddress(False, now_s, by=by)
             self._learnt += 1
         it.name = name or it.name
         return is_new
+
+    def _unmet(self, peer: str) -> int:
+        """Returns at how many addresses that a peer has named no agent is connected."""
+        return sum(it.by == peer and it.name not in self._up for it in self._book.values())
 
     def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
         it = self._book[address]
