@@ -203,7 +203,9 @@ class Agent:
                 "catalogue": installed,
             },
         }
-        self._specs = Composition(config, self._plugins, installed, shared, arguments, self.skipped).services()
+        composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
+        self._specs = composition.services()
+        self.kernel.folders = composition.folders(self._specs)
 
     # Life ------------------------------------------------------------------------------------------------------
 

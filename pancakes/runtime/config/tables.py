@@ -41,6 +41,8 @@ class AgentConfig(Struct, frozen=True):
         state_dir: the directory for what must outlive the process; a relative one counts from the working
             directory; empty for the agent's default place.
         seed: where the agent's randomness starts; None draws it afresh at each start.
+        folders: a command, or a task from another agent, sets a path of a file below these folders alone, or as the
+            configuration has it; a relative one counts from the working directory.
     """
 
     name: str
@@ -50,6 +52,7 @@ class AgentConfig(Struct, frozen=True):
     fleet: str = DEFAULT_FLEET
     state_dir: str = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    folders: tuple[str, ...] = ()
 
 
 class ClockConfig(Struct, frozen=True):

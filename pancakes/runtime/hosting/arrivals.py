@@ -110,6 +110,8 @@ class Arrivals:
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
+            if outside := self._host.kernel.folders.refusal_of(spec.cls.Settings, snapshot.settings):
+                return f"bad settings for {spec.name}: {outside}"
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)
         slot = self._host.slots.get(message.task_id.name)
