@@ -57,6 +57,7 @@ class Door:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
+            follows=True,
         )
         self._mesh.start()
 

@@ -17,7 +17,7 @@ from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PluginError, Unreachable
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.wire.link_messages import DEFAULT_FLEET, Hello
 from pancakes.runtime.clock import MonotonicClock
@@ -296,8 +296,11 @@ class Client:
 
     def _fleet_at(self, lead: Lead) -> str:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
-        here = {entry.listen: entry.fleet for entry in entries()} if not (lead.fleet or self._fleet) else {}
-        return lead.fleet or self._fleet or here.get(lead.address, DEFAULT_FLEET)
+        if lead.fleet or self._fleet:
+            return lead.fleet or self._fleet
+        with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
+            return next((entry.fleet for entry in entries() if entry.listen == lead.address), DEFAULT_FLEET)
+        return DEFAULT_FLEET
 
     def _met(self, lead: Lead, scheme: str, transport: Transport, what: Hello | str) -> None:
         if isinstance(what, str):

@@ -288,6 +288,7 @@ class Agent:
         listen: str | None = None,
         times: LinkTimes | None = None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+        follows: bool = False,
     ) -> None:
         self._rig = rig
         self.name = name
@@ -312,6 +313,7 @@ class Agent:
             on_log=lambda *line: self._note(self.lines, line),
             defer=defer,
             times=times,
+            follows=follows,
         )
         self.mesh.start()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
+from net.conftest import BarePeer
 from net.meetings import message_of, pair, raw_hello
 
 from pancakes.bodies.devices.types import Pose
@@ -60,6 +61,18 @@ def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, 
     assert f"0 (agent) sends packets of {source} on {channel!r}, and may speak for itself alone" in a.log("warning")
     (peer,) = a.mesh.describe()["peers"]
     assert peer["refused"] == 2
+
+
+@pytest.mark.parametrize(("follows", "taken"), [(False, ["0/c/T"]), (True, ["b/client/T", "0/c/T"])])
+def test_a_terminal_hears_what_others_say_and_an_agent_of_its_role_does_not(rig, agent, follows, taken):
+    bare = BarePeer(rig.clock.now, "0")
+    address = rig.transport("0").listen(rig.listen_at, lambda: bare)
+    person = agent("z", [address], role="client", listen="", follows=follows)
+    rig.until(lambda: bare.is_up)
+    said = Packet("ctrl", "words", "b/client/T", "z", 0.0, 1, "go")
+    bare.send(message_of(said), message_of(replace(said, source="0/c/T")))
+    rig.until(lambda: person.packets and person.packets[-1].source == "0/c/T")
+    assert [packet.source for packet in person.packets] == taken
 
 
 @pytest.mark.parametrize(("channel", "taken"), [("system", True), ("chat", True), ("ctrl", False), ("log", False)])

@@ -37,9 +37,7 @@ from pancakes.packet import Packet, agent_of
 from pancakes.runtime.clock import Clock
 
 MAX_HANDSHAKES: Final = 256
-"""Most connections from others that have not yet come to be links; a whole fleet may come at once. One more takes the
-place of the oldest that has not said hello.
-"""
+"""Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
 GOSSIP_ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
 TOGETHER: Final = 0.1
@@ -69,6 +67,7 @@ class Mesh:
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
+        follows: whether it is a terminal, which takes packets of any source.
     """
 
     def __init__(
@@ -86,6 +85,7 @@ class Mesh:
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
+        follows: bool = False,
     ) -> None:
         self.identity = identity
         self._transport = transport
@@ -98,6 +98,7 @@ class Mesh:
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._times = times or LinkTimes()
+        self._follows = follows
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
@@ -400,11 +401,10 @@ class Mesh:
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
         """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        assert session.hello is not None
-        fault = fault_of_source(self.identity, session.peer, session.hello.role, first.channel, first.source)
-        if fault:
-            self._log.false_source(session, fault, number, self._now())
-        return not fault
+        if self._follows or not (fault := fault_of_source(session.peer, session.role, first.channel, first.source)):
+            return True
+        self._log.false_source(session, fault, number, self._now())
+        return False
 
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
