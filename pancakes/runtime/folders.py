@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pancakes.settings import dotted, paths_in, plain_settings, required_keys
+from pancakes.settings import dotted, paths_in, plain_settings
 
 
 class Folders:
@@ -27,9 +27,8 @@ class Folders:
 
     def refusal_of(self, cls: type, settings: Mapping[str, Any]) -> str:
         """Returns why settings of a class may not be set from elsewhere; empty: they may."""
-        usual = {} if required_keys(cls) else dict(paths_in(cls, plain_settings(cls())))
         for key, path in paths_in(cls, settings):
-            if path and path != usual.get(key) and not self._holds(path):
+            if path and not self._holds(path) and path != _usual(cls).get(key):
                 names = ", ".join(self._folders) or "none"
                 return (
                     f"{dotted(key)}: {path!r} lies outside of the folders that the configuration of {self._agent} names"
@@ -46,3 +45,11 @@ class Folders:
 
     def _real(self, path: str) -> str:
         return os.path.realpath(path.replace("{agent}", self._agent))
+
+
+def _usual(cls: type) -> dict[tuple[str | int, ...], str]:
+    """Returns the paths that settings of a class have where nothing is set."""
+    try:
+        return dict(paths_in(cls, plain_settings(cls())))
+    except (TypeError, ValueError):  # something must be set, or the class refuses itself as it is
+        return {}
