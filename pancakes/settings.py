@@ -207,12 +207,13 @@ def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator
         plain: the values.
         key: the keys that lead to them.
     """
-    if get_origin(kind) is Annotated and isinstance(plain, str):
-        if any(isinstance(meta, msgspec.Meta) and meta.extra_json_schema == _PATH for meta in get_args(kind)[1:]):
+    if get_origin(kind) is Annotated:
+        if isinstance(plain, str) and _PATH in [getattr(meta, "extra_json_schema", None) for meta in get_args(kind)]:
             yield key, plain
-        return
-    kind = _container(kind, plain)
-    if isinstance(plain, Mapping):
+        yield from paths_in(get_args(kind)[0], plain, key)
+    elif get_origin(kind) in (Union, types.UnionType):
+        yield from dict.fromkeys(found for arm in get_args(kind) for found in paths_in(arm, plain, key))
+    elif isinstance(plain, Mapping):
         for name, value in plain.items():
             yield from paths_in(_kind_at(kind, name), value, (*key, str(name)))
     elif isinstance(plain, (list, tuple)):

@@ -41,7 +41,8 @@ class Folders:
             real = self._real(path)
         except ValueError:  # no path has a NUL in it
             return False
-        return real in self._files or any(os.path.commonpath((real, folder)) == folder for folder in self._folders)
+        below = (folder for folder in self._folders if real != folder)  # a name may get an end yet: FOLDER.mcap
+        return real in self._files or any(os.path.commonpath((real, folder)) == folder for folder in below)
 
     def _real(self, path: str) -> str:
         return os.path.realpath(path.replace("{agent}", self._agent))

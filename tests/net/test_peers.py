@@ -206,13 +206,36 @@ def test_a_new_journal_is_taken_once_the_old_one_has_gone():
     assert it.met(it.new_link(), hello("z", journal="a new disk"), "", 2.0) == [Admit(2)]
 
 
-def test_we_notice_when_we_dial_ourselves_and_never_do_so_again():
+def test_we_notice_when_we_dial_ourselves_and_look_again_now_and_then():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
+    (turned,) = it.met(it.new_link(), hello("m"), "tcp://there:9", 0.0)  # at its other end
+    assert turned.code == "self"
     (turned,) = it.met(dial.link, hello("m"), "tcp://alias:1", 0.0)
     assert turned.code == "self"
     it.over(dial.link, 0.0, refused="self")
-    assert it.tick(1000.0) == [] and addresses(it) == []
+    assert addresses(it) == [] and it.tick(9.9) == []
+    (dial,) = it.tick(10.0)
+    it.met(dial.link, hello("z", listen="tcp://alias:1"), "tcp://alias:1", 10.0)
+    assert addresses(it) == ["tcp://alias:1"], "another agent is there now"
+
+
+def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
+    it = peers("tcp://squatter:1")
+    (dial,) = it.tick(0.0)
+    (turned,) = it.met(dial.link, hello("m"), "tcp://squatter:1", 0.0)
+    assert (turned.code, turned.reason) == ("name", "what listens there repeats what m says")
+    it.over(dial.link, 0.0, refused="name")
+    assert [(known["address"], known["refused"]) for known in it.describe()] == [("tcp://squatter:1", turned.reason)]
+    assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
+
+
+def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():
+    it = peers("tcp://true:1")
+    (dial,) = it.tick(0.0)
+    it.over(dial.link, 0.0)
+    connect(it, "z", listen="tcp://true:1")
+    assert dials(it.tick(10.0)) == ["tcp://true:1"]
 
 
 def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():

@@ -27,6 +27,8 @@ class Writer(Task):
         legs: Legs = field(default_factory=Legs)
         by_name: dict[str, FilePath] = field(default_factory=dict)
         text: str = ""
+        perhaps: FilePath | None = None
+        one_or_more: FilePath | list[FilePath] = ""
 
 
 class Gauge(Sensor):
@@ -47,6 +49,8 @@ def test_paths_are_found_wherever_they_stand():
         "legs": {"log": "d", "length_m": 2.0},
         "by_name": {"x": "e"},
         "text": "no path",
+        "perhaps": "f",
+        "one_or_more": ["g"],
         "other": {"path": "unknown"},
     }
     assert list(paths_in(Writer.Settings, plain)) == [
@@ -55,7 +59,10 @@ def test_paths_are_found_wherever_they_stand():
         (("more", 1), "c"),
         (("legs", "log"), "d"),
         (("by_name", "x"), "e"),
+        (("perhaps",), "f"),
+        (("one_or_more", 0), "g"),
     ]
+    assert list(paths_in(Writer.Settings, {"perhaps": None, "one_or_more": "h"})) == [(("one_or_more",), "h")]
 
 
 @pytest.mark.parametrize(
@@ -69,6 +76,7 @@ def test_paths_are_found_wherever_they_stand():
         ("bare.csv", True),
         ("usual.csv", True),
         ("", True),
+        ("{tmp}/runs", False),
         ("{tmp}/runs-of-another/x.csv", False),
         ("{tmp}/runs/../x.csv", False),
         ("{tmp}/runs/link/x.csv", False),

@@ -9,6 +9,7 @@ from pancakes.control import Migrate
 from pancakes.mesh.migration.messages import Commit, Nak, Piece, Transfer, addressed
 from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.migration.record import Epoch, Phase, TaskId
+from pancakes.packet import Packet
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
@@ -50,6 +51,33 @@ def test_a_snapshot_that_no_place_was_promised_for_is_declined_and_leaves_nothin
     assert {type(answer) for answer in answers} == {Nak}
     assert {answer.reason for answer in answers} == {"was not asked for a place for it first"}
     assert fleet.agents["b"].agent.records.all() == {}
+
+
+def test_a_third_that_asks_for_a_place_for_a_task_on_its_way_takes_it_from_none(fleet):
+    """Whether it may have one or not: the task goes on, and arrives."""
+    b = fleet.agents["b"]
+    begun: list[Packet] = []
+    b.kernel.stream.tap("network", begun.append, ("migration.reserve",))
+    asked = fleet.agents["a"].publish("sysctrl", Migrate("Count", to="b"))
+    assert fleet.run_until(lambda: begun)
+    answers = []
+    fleet.agents["c"].kernel.stream.tap("network", lambda packet: answers.append(packet.body))
+    offer = Epoch(9, "c")
+    good = replace(begun[0].body, offer=offer, journal="")
+    for request in (good, replace(good, request=replace(good.request, type="nope"))):
+        say(fleet, "c", request, "b")
+    assert fleet.agents["a"].reply_to(asked).ok
+    assert b.running() == ["Count"]
+    assert [answer.reason for answer in answers if isinstance(answer, Nak)]
+
+
+def test_of_made_up_tasks_nothing_is_kept(fleet):
+    b = fleet.agents["b"]
+    before = dict(b.component("client").places)
+    for number in range(500):
+        say(fleet, "c", Commit(TaskId("c", f"T{number}"), Epoch(1, "c")), "b")
+    fleet.run_for(1.0)
+    assert dict(b.component("client").places) == before
 
 
 def test_a_third_agent_neither_gives_a_task_away_nor_sends_its_snapshot(fleet):

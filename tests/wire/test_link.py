@@ -170,10 +170,9 @@ def test_the_side_that_was_dialled_answers_with_its_hello_and_sends_no_heartbeat
     link = Link(hello("a"), LinkTimes(), 0.0, answers=True)
     assert link.open(0.0) == [] and link.due_s() == LinkTimes().hello_s
     assert link.tick(1.9) == []
-    assert link.receive(wire(hello("b")), 1.9) == [
-        SendMessage(Encoder().link_message(hello("a"))),
-        Greeted(hello("b")),
-    ]
+    assert link.receive(wire(hello("b")), 1.9) == [Greeted(hello("b"))], "it is for the mesh to accept it"
+    assert link.answer(1.9) == [SendMessage(Encoder().link_message(hello("a")))]
+    assert link.answer(1.9) == []
     assert link.due_s() == pytest.approx(1.9 + LinkTimes().heartbeat_s)
     assert [type(action) for action in link.tick(2.5)] == [SendMessage]
 
@@ -199,6 +198,11 @@ def test_what_comes_before_the_hello_ends_the_link_and_counts_for_nothing(words)
         "what listens there refused the link: the name a is taken",
         "what listens there left before it said hello",
     )
+
+
+def test_what_a_stranger_says_stands_in_one_line():
+    (over,) = opened("a").receive(wire(RefuseLink("name", "no\n  0.000 error   all is lost")), 0.1)
+    assert "\n" not in over.reason
 
 
 def test_goodbye_says_for_how_long():

@@ -15,7 +15,7 @@ from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
-from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers
+from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, TurnDown
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.speaker import fault_of_source
@@ -410,6 +410,8 @@ class Mesh:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
+        if not any(isinstance(it, TurnDown) and (it.link, it.code) == (session.number, "name") for it in decisions):
+            self._act(session, session.link.answer(now_s))
         if self._state == "running":
             self._carry_out(decisions)
         else:
@@ -421,8 +423,7 @@ class Mesh:
         self._carry_out(self._peers.up(session.number, self._now()))
         if session.number not in self._sessions:
             return
-        name = session.link.peer.name
-        hello = next(peer for peer in self._peers.connected() if peer.name == name)
+        hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
         self._sending.change(self._links.by_name(), self._links.neighbours())
         self._log.stood_up(session, hello)
@@ -451,7 +452,7 @@ class Mesh:
             self._log.ended(session, over)
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
-            self._log.not_made(session, over)
+            self._log.not_made(session, over, self._now())
         if self._state == "running":
             self._carry_out(decisions)
 

@@ -126,6 +126,7 @@ class Peers:
         self._up: dict[str, _Candidate] = {}
         self._asleep: dict[str, float] = {}
         self._last_link = 0
+        self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
         self._beacons = 0
 
     def new_link(self) -> int:
@@ -218,7 +219,7 @@ class Peers:
         if name == own.name:
             return self._namesake(link, hello, address, now_s)
         if address:
-            self._book[address].name = name
+            self._book[address].name, self._book[address].ours = name, False
         hello = replace(hello, listen=reachable(hello.listen, remote))
         is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name, name)
         self._asleep.pop(name, None)
@@ -229,7 +230,7 @@ class Peers:
         known = self._up.get(name)
         room: list[Decision] = []
         if known is not None and known.hello.journal != hello.journal:
-            decisions.append(TurnDown(link, "name", _taken(name, own.name)))
+            decisions.append(TurnDown(link, "name", _taken(name)))
         elif known is not None and known.hello.boot > hello.boot:
             decisions.append(TurnDown(link, "old", f"a later boot of {name} is connected to {own.name}"))
         elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
@@ -263,7 +264,7 @@ class Peers:
         name = candidate.hello.name
         known = self._up.get(name)
         if known is not None and known.hello.journal != candidate.hello.journal:
-            return [TurnDown(link, "name", _taken(name, self._own.name))]
+            return [TurnDown(link, "name", _taken(name))]
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
@@ -357,7 +358,7 @@ class Peers:
             it.failures, it.due_s = 0, now_s
 
     def _wanted(self, address: str, it: _KnownAddress) -> bool:
-        if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
+        if it.link is not None or it.name in self._up or it.due_s == math.inf:
             return False
         # The peer that we met there has still to say whether the link stands, or when to dial again.
         return address not in self._met_at
@@ -373,15 +374,18 @@ class Peers:
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
         own = self._own
         self._freed(address, now_s)
+        it = self._book[address] if address else _KnownAddress(False, now_s)
+        it.due_s = now_s + self._times.retry_longest_s
         if hello.journal == own.journal:
-            if address:
-                self._book[address].ours = True
-            return [TurnDown(link, "self", f"{own.name} dialled itself")]
+            # Where we have not heard ourselves at the other end, some program repeats what it is told.
+            it.ours = not address or self._self_dials > 0
+            self._self_dials += -1 if address and it.ours else 0 if address else 1
+            it.refused = "" if it.ours else f"what listens there repeats what {own.name} says"
+            return [TurnDown(link, "self" if it.ours else "name", it.refused or f"{own.name} dialled itself")]
         if address:  # the agent that dials is the newcomer, and waits to be told
-            self._book[address].due_s = now_s + self._times.retry_longest_s
-            self._book[address].refused = _taken(own.name, "what listens there")
+            it.refused = _taken(own.name)
             return []
-        return [TurnDown(link, "name", _taken(own.name, own.name))]
+        return [TurnDown(link, "name", _taken(own.name))]
 
     def _full(self, hello: Hello) -> str:
         """Returns why there is no room for one more peer, or an empty string."""
@@ -434,7 +438,8 @@ class Peers:
                 return False
             it = self._book[address] = _KnownAddress(False, now_s, by=by)
             self._learnt += 1
-        it.name = name or it.name
+        if not it.static:  # whose name is that of the agent that we have met there
+            it.name = name or it.name
         return is_new
 
     def _unmet(self, peer: str) -> int:
@@ -469,5 +474,5 @@ def reachable(listen: str, remote: str) -> str:
     return f"{scheme}://{seen}:{port}" if seen else ""
 
 
-def _taken(name: str, by: str) -> str:
-    return f"the name {name} is already borne by another agent, as {by} knows: give one of the two another name"
+def _taken(name: str) -> str:
+    return f"the name {name} is already borne by another agent: give one of the two another name"

@@ -90,7 +90,7 @@ class SendMessage(msgspec.Struct, frozen=True):
 
 
 class Greeted(msgspec.Struct, frozen=True):
-    """The peer said who it is; answer with `Link.admit` (the lower name, once) or `Link.refuse`."""
+    """The peer said who it is; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
 
     hello: Hello
 
@@ -240,6 +240,13 @@ class Link:
             actions.extend(self._over(f"{self._who()} broke the protocol: {error}", broken=True))
         return actions
 
+    def answer(self, now_s: float) -> list[Action]:
+        """Says hello, after `Greeted`, where the other side has dialled and its hello is accepted."""
+        if self.state is not LinkState.MET or not self._answers:
+            return []
+        self._answers = False
+        return [self._send(self._own, now_s)]
+
     def admit(self, now_s: float) -> list[Action]:
         """Makes this the link that stays. Only the lower name does so, after `Greeted`."""
         if self.state is not LinkState.MET:
@@ -341,7 +348,8 @@ class Link:
             case Hello():
                 return self._hello(message, now_s)
             case RefuseLink(_, reason):
-                return self._over(f"what listens there refused the link: {reason}", turned_away=True)
+                one_line = " ".join(reason.split())
+                return self._over(f"what listens there refused the link: {one_line}", turned_away=True)
             case Goodbye():
                 return self._over("what listens there left before it said hello")
         raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
@@ -361,7 +369,7 @@ class Link:
         self.peer = hello
         self._set_quiet()
         self.state = LinkState.MET
-        return [*([self._send(own, now_s)] if self._answers else []), Greeted(hello)]
+        return [Greeted(hello)]
 
     def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
         if self.state is LinkState.GREETING:

@@ -85,7 +85,8 @@ class Arrivals:
         record = place.standing.record
         if isinstance(message, Reserve):
             refusal = self._state.reserve(peer, message)
-            place.promised = None if refusal else (peer, message.offer)
+            if not refusal:
+                place.promised = (peer, message.offer)
             return Received(peer, message, refusal)
         if isinstance(message, Transfer):
             self._state.free(message.task_id)
