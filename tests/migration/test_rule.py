@@ -26,7 +26,7 @@ from pancakes.mesh.migration.rule import MigrationRule
 def test_a_reading_asks_for_a_move_beyond_a_bound_and_not_at_it(
     bounds: dict[str, float], level: float, asks: bool
 ) -> None:
-    rule = MigrationRule("battery", **bounds)
+    rule = MigrationRule("battery", bounds.get("below"), bounds.get("above"))
     assert rule.met_by({"level": level}) is asks
 
 
