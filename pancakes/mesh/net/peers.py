@@ -471,6 +471,11 @@ class Peers:
         it.due_s = now_s + self._random.uniform(0.0, bound_s)
 
 
+def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
+    """Returns whether a connection is refused for the name of its peer, which is then told nothing of this agent."""
+    return any(isinstance(it, TurnDown) and (it.link, it.code) == (link, "name") for it in decisions)
+
+
 def reachable(listen: str, remote: str) -> str:
     """Returns the address at which a peer can be dialled: where it listens on all interfaces, the one we see."""
     scheme, _, place = listen.partition("://")
