@@ -151,7 +151,7 @@ def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
 def listening_at(environment: Mapping[str, str], name: str, started: subprocess.Popen[Any]) -> str:
     """Returns where an agent that is ready listens: from its entry, by which the command line finds it as well."""
     entry = Path(environment["PANCAKES_RUNTIME_DIR"]) / f"{name}.{started.pid}.json"
-    address: str = json.loads(entry.read_text())["listen"]
+    address: str = json.loads(entry.read_text())["listen"][-1]
     return address
 
 

@@ -176,8 +176,12 @@ class Rig:
             assert time.monotonic() < until_s, f"the process {pid} is still in the runtime directory"
 
     def address(self, running: Running) -> str:
-        """Returns where an agent listens."""
-        listen: str = self.entry(running.pid)["listen"]
+        """Returns where an agent listens for other machines."""
+        return self.addresses(running)[-1]
+
+    def addresses(self, running: Running) -> list[str]:
+        """Returns all addresses at which an agent listens; at the first one the command line finds it."""
+        listen: list[str] = self.entry(running.pid)["listen"]
         return listen
 
     def port(self, running: Running) -> int:

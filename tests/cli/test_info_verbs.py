@@ -97,7 +97,7 @@ def test_an_agent_says_all_of_itself(rig: Rig, agent: Running):
     (found,) = listed(rig, "agent", "info", "a", "--at", rig.address(other))
 
     assert (found["agent"], found["role"], found["fleet"]) == ("a", "agent", "test")
-    assert found["listen"] == rig.address(agent)
+    assert found["listen"][-1] == rig.address(agent)
     assert found["process"]["pid"] == agent.pid
     assert found["process"]["uptime_s"] > 0.0
     assert (found["speed"], found["held"], found["ready"]) == (1.0, False, True)
@@ -121,7 +121,7 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
     lines = table.splitlines()
     assert lines[0] == "a"
     assert [title for title in ("process", "services", "links") if title in lines] == ["process", "services", "links"]
-    assert f"address {rig.address(agent)}" in lines
+    assert f"addresses {', '.join(rig.addresses(agent))}" in lines
     assert "neighbours b" in lines
     assert "devices pose" in lines
     assert f"pid {agent.pid}" in lines
@@ -139,7 +139,7 @@ def test_an_agent_that_is_not_there_or_silent(rig: Rig, agent: Running, freeze: 
     assert rig.pancakes("agent", "info", "test/a/client").returncode == 2
     freeze(agent)
     code, sentence = failed(rig, "agent", "info", "a", "--timeout", "0.5")
-    assert (code, sentence) == (3, f"a ({rig.address(agent)}) did not answer: nothing came within 0.5 s")
+    assert (code, sentence) == (3, f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 0.5 s")
 
 
 def test_of_several_that_are_named_the_silent_one_is_named_too(rig: Rig, freeze: Callable[[Running], None]):
@@ -150,7 +150,7 @@ def test_of_several_that_are_named_the_silent_one_is_named_too(rig: Rig, freeze:
 
     assert result.returncode == 0
     assert [row["agent"] for row in json.loads(result.stdout)] == ["a"]
-    assert result.stderr == f"b ({rig.address(agents['b'])}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"b ({rig.addresses(agents['b'])[0]}) did not answer: nothing came within 1 s\n"
     # Those that are not asked for are not waited for, and one that is not there is a mistake.
     assert [row["agent"] for row in listed(rig, "agent", "list", "c", "a", "--timeout", "20")] == ["a", "c"]
     code, sentence = failed(rig, "agent", "list", "a", "d", "--timeout", "1")

@@ -42,12 +42,12 @@ def test_the_agents_of_this_machine_are_found(rig: Rig, pair: tuple[Running, Run
         "agent": "a",
         "role": "agent",
         "fleet": "test",
-        "address": rig.address(first),
+        "address": ", ".join(rig.addresses(first)),
         "ready": True,
         "tasks": 6,
         "neighbours": ["b"],  # and not the command itself, which is a client
     }
-    assert rows[1]["address"] == rig.address(second)
+    assert rows[1]["address"] == f"local://test/b, {rig.address(second)}"
 
 
 def test_one_agent_leads_to_the_rest_of_its_fleet(rig: Rig, pair: tuple[Running, Running]):
@@ -112,7 +112,7 @@ def test_who_does_not_answer_is_named_and_the_others_are_listed(
 
     assert result.returncode == 0
     assert {row["agent"] for row in json.loads(result.stdout)} == {"a"}
-    assert result.stderr == f"b ({rig.address(pair[1])}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"b ({rig.addresses(pair[1])[0]}) did not answer: nothing came within 1 s\n"
 
 
 def test_where_nobody_answers_the_exit_code_is_3(rig: Rig, freeze: Callable[[Running], None]):
@@ -122,11 +122,11 @@ def test_where_nobody_answers_the_exit_code_is_3(rig: Rig, freeze: Callable[[Run
     result = rig.pancakes("agent", "list", *QUICK)
     assert result.returncode == 3
     assert result.stdout == ""
-    assert result.stderr == f"a ({rig.address(agent)}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 1 s\n"
 
     result = rig.pancakes("task", "list", "a", *QUICK)
     assert result.returncode == 3
-    assert result.stderr == f"a ({rig.address(agent)}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 1 s\n"
 
 
 def test_where_nobody_is_there_it_says_where_it_looked(rig: Rig):
@@ -172,10 +172,10 @@ def test_an_agent_that_nobody_knows(rig: Rig):
 def test_an_agent_that_was_killed_leaves_nothing_behind(rig: Rig):
     agent = rig.ready("a")
     agent.signalled(signal.SIGKILL)
-    assert len(list(rig.runtime.iterdir())) == 1
+    assert len(list(rig.runtime.glob("*.json"))) == 1
 
     assert rig.pancakes("agent", "list").returncode == 3
-    assert list(rig.runtime.iterdir()) == []
+    assert list(rig.runtime.glob("*.json")) == []
 
 
 def test_bad_usage_is_exit_code_2(rig: Rig):

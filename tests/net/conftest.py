@@ -15,13 +15,14 @@ import pytest
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
+from pancakes.runtime.plugins import Plugins
 
 PATIENCE_S = 20.0
 
@@ -75,7 +76,7 @@ class TransportRig(ABC):
     def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
         """Returns a peer of an agent that is nothing but a link."""
         peer = BarePeer(self.clock.now, name, **more)
-        self.transport(name).dial(to.mesh.listen, peer)
+        self.transport(name).dial(to.address, peer)
         return peer
 
     @abstractmethod
@@ -91,11 +92,10 @@ class TransportRig(ABC):
         """Closes the transports."""
 
 
-class TcpRig(TransportRig):
-    """Transports over TCP on loopback; waits in real time."""
+class SocketRig(TransportRig):
+    """Transports on real sockets; waits in real time."""
 
     virtual = False
-    listen_at = "tcp://127.0.0.1:0"
 
     def __init__(self) -> None:
         self.clock: Clock = MonotonicClock()
@@ -103,7 +103,7 @@ class TcpRig(TransportRig):
         self._transports: list[Transport] = []
 
     def transport(self, name: str) -> Transport:
-        made = TcpTransport(self.clock, name, TcpTransport.Settings())
+        made = SocketTransport(self.clock, name, Plugins())
         self._transports.append(made)
         return made
 
@@ -122,6 +122,25 @@ class TcpRig(TransportRig):
     def close(self) -> None:
         for transport in self._transports:
             transport.close()
+
+
+class TcpRig(SocketRig):
+    """TCP on loopback."""
+
+    listen_at = "tcp://127.0.0.1:0"
+
+
+class LocalRig(SocketRig):
+    """Unix sockets; each agent listens at a name of its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._names = 0
+
+    @property
+    def listen_at(self) -> str:  # type: ignore[override]
+        self._names += 1
+        return f"local://agent{self._names}"
 
 
 class MemoryRig(TransportRig):
@@ -171,7 +190,7 @@ class BarePeer(ConnectionHandler):
         journal: str = "",
         boot: int = 1,
     ) -> None:
-        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listen)
+        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello([listen] if listen else [])
         self.told: list[tuple[str, ...]] = []
         self.packets: list[Packet] = []
         self.is_up = False
@@ -243,9 +262,9 @@ class Ear(ConnectionHandler):
         self._rig.note()
 
 
-@pytest.fixture(params=["tcp", "memory"])
+@pytest.fixture(params=["tcp", "local", "memory"])
 def rig(request: pytest.FixtureRequest) -> Iterator[TransportRig]:
-    made = TcpRig() if request.param == "tcp" else MemoryRig()
+    made = {"tcp": TcpRig, "local": LocalRig, "memory": MemoryRig}[request.param]()
     yield made
     made.close()
 
@@ -302,7 +321,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,
-            rig.listen_at if listen is None else listen,
+            [rig.listen_at] if listen is None else list(filter(None, [listen])),
             peers,
             random.Random(name),
             rig.clock,
@@ -316,6 +335,11 @@ class Agent:
             follows=follows,
         )
         self.mesh.start()
+
+    @property
+    def address(self) -> str:
+        """Where it can be dialled; empty where it listens at no address."""
+        return next(iter(self.mesh.listen), "")
 
     def _note(self, kept: list[Any], news: Any) -> None:
         kept.append(news)

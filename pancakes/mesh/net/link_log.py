@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.address import is_local
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.wire.link import Over
 from pancakes.mesh.wire.link_messages import Hello
@@ -52,7 +53,7 @@ class LinkLog:
     def not_made(self, session: Session, over: Over, now_s: float) -> None:
         """A connection did not become a link. Of those that come in from one place, one is told of each 5 s."""
         why = over.refused or over.refusing or ""
-        place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
+        place = session.address or f"a connection from {_place(session.remote)}"
         text = f"no link over {place}: {over.reason}"
         if len(self._last_reason) > _MOST_PLACES:
             self._last_reason.clear()
@@ -89,3 +90,8 @@ class LinkLog:
         text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
         name = getattr(function, "__qualname__", repr(function))
         self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+
+
+def _place(remote: str) -> str:
+    """Returns where a connection comes from, without the port, which says nothing."""
+    return remote if is_local(remote) else remote.rpartition(":")[0]

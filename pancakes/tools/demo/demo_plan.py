@@ -45,7 +45,7 @@ class DemoPlan:
 
     def peers(self) -> tuple[str, ...]:
         """Returns the addresses of all agents."""
-        return tuple(config.agent.listen for config in self.configs.values())
+        return tuple(config.agent.addresses[-1] for config in self.configs.values())
 
     def buses(self) -> tuple[str, ...]:
         """Returns the addresses of the hardware buses, which no fault of the network concerns."""

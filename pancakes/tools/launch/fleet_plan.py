@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -106,12 +107,13 @@ def check_free(members: Sequence[Member]) -> Claim:
     for member in members:
         agent = member.config.agent
         pid = running.get((agent.fleet, agent.name))
-        address = _place(member)
         if pid is not None:
             problems.append(f"the agent {agent.name} of the fleet {agent.fleet} runs already (process {pid})")
-        elif address is not None and (fault := listening_fault(address.host, address.port)):
-            problems.append(f"{agent.name} cannot listen at {agent.listen}: {fault}")
-    claim = Claim.to(address.port for member in members if (address := _place(member)))
+            continue
+        for address in _places(member):
+            if fault := listening_fault(address.host, address.port):
+                problems.append(f"{agent.name} cannot listen at {address}: {fault}")
+    claim = Claim.to(address.port for member in members for address in _places(member))
     if problems or claim is None:
         if claim is not None:
             claim.release()
@@ -191,21 +193,22 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
     for index, member in enumerate(members):
         for other in members[:index]:
             places = member.config.places
-            if _same_port(_place(member), _place(other)):
-                yield places.fault(("agent", "listen"), f"{other.name} ({other.path}) listens at this port already")
+            for one, another in product(_places(member), _places(other)):
+                if _same_port(one, another):
+                    problem = f"{other.name} ({other.path}) listens at this port already"
+                    yield places.fault(("agent", "listen"), problem)
             directory, taken = state_dir_of(member.config), state_dir_of(other.config)
             if directory is not None and taken is not None and directory.absolute() == taken.absolute():
                 key = ("agent", "state_dir")
                 yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
 
 
-def _place(member: Member) -> Address | None:
-    """The address that a member listens at; None where it does not, or at any free port."""
-    address = parse_address(member.config.agent.listen) if member.config.agent.listen else None
-    return address if address is not None and address.port else None
+def _places(member: Member) -> list[Address]:
+    """The addresses that a member listens at, as far as they have a port that is known beforehand."""
+    return [address for address in map(parse_address, member.config.agent.listen) if address.port]
 
 
-def _same_port(one: Address | None, other: Address | None) -> bool:
-    if one is None or other is None or one.port != other.port:
+def _same_port(one: Address, other: Address) -> bool:
+    if one.port != other.port:
         return False
     return one.host == other.host or one.host in _EVERYWHERE or other.host in _EVERYWHERE

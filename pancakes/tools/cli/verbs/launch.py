@@ -105,7 +105,7 @@ def _show(members: Sequence[Member], format_: str) -> None:
             "role": member.config.agent.role,
             "config": str(member.path),
             "set": list(member.sets),
-            "listen": member.config.agent.listen,
+            "listen": member.config.agent.addresses,
             "after": list(member.after),
             "restart": member.restart.policy,
         }
@@ -150,7 +150,7 @@ def let_begin(pids: Mapping[str, int]) -> list[str]:
     now = MonotonicClock().now
     problems = []
     try:
-        there = {entry.pid: entry.listen for entry in entries()}
+        there = {entry.pid: next(iter(entry.listen), "") for entry in entries()}
         places = {name: there.get(pid, "") for name, pid in pids.items()}
         problems += [
             f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]
