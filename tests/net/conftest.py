@@ -73,10 +73,10 @@ class TransportRig(ABC):
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
 
-    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
-        """Returns a peer of an agent that is nothing but a link."""
+    def bare_peer(self, name: str, to: Agent, at: str = "", **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link; `at` is where it dials, where not at the first one."""
         peer = BarePeer(self.clock.now, name, **more)
-        self.transport(name).dial(to.address, peer)
+        self.transport(name).dial(at or to.address, peer)
         return peer
 
     @abstractmethod
@@ -100,11 +100,11 @@ class SocketRig(TransportRig):
     def __init__(self) -> None:
         self.clock: Clock = MonotonicClock()
         self.changed = threading.Condition()
-        self._transports: list[Transport] = []
+        self.transports: list[Transport] = []
 
     def transport(self, name: str) -> Transport:
         made = SocketTransport(self.clock, name, Plugins())
-        self._transports.append(made)
+        self.transports.append(made)
         return made
 
     def note(self) -> None:
@@ -120,7 +120,7 @@ class SocketRig(TransportRig):
                 self.changed.wait(0.01)
 
     def close(self) -> None:
-        for transport in self._transports:
+        for transport in self.transports:
             transport.close()
 
 
@@ -305,6 +305,7 @@ class Agent:
         fleet: str = "default",
         role: Role = "agent",
         listen: str | None = None,
+        listens: Sequence[str] | None = None,
         times: LinkTimes | None = None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         follows: bool = False,
@@ -321,7 +322,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,
-            [rig.listen_at] if listen is None else list(filter(None, [listen])),
+            listens if listens is not None else list(filter(None, [rig.listen_at if listen is None else listen])),
             peers,
             random.Random(name),
             rig.clock,

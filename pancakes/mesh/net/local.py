@@ -29,7 +29,8 @@ _LONGEST_PATH: Final = 100
 _SO_PEERGROUPS: Final = 59
 """The groups of the process at the other end; Python does not name it."""
 _CREDENTIALS: Final = struct.Struct("3i")  # process, user, group
-_MOST_GROUPS: Final = 65_536
+_GROUPS_BYTES: Final = 1024
+"""Python asks for no more; they are 256 groups."""
 
 
 class LocalTransport(StreamTransport):
@@ -110,13 +111,15 @@ class LocalTransport(StreamTransport):
     def prepare(self, sock: socket.socket, dialled: str) -> str:
         try:
             process, user, group = _peer(sock)
-            if user in (os.getuid(), 0) or (dialled and user == os.stat(self._path(dialled).parent).st_uid):
-                return ""
-            if not dialled and self._group and _number(self._group) in (group, *_groups(sock)):
-                return ""
+            trusted = {os.getuid(), 0}
+            if dialled:  # a person who named the directory of another user trusts that user
+                trusted.add(os.stat(self._path(dialled).parent).st_uid)
+            members = not dialled and self._group and _number(self._group) in (group, *_groups(sock))
         except OSError as error:
             return f"the system does not say whose process is at its other end: {error.strerror or error}"
-        return f"the process {process} of another user (uid {user}) is at its other end"
+        if user in trusted or members:
+            return ""
+        return f"at its other end is the process {process} of another user (uid {user})"
 
 
 @contextlib.contextmanager
@@ -147,11 +150,12 @@ def _clear_away(path: Path, short: str) -> None:
     """Removes the socket of an agent that has died.
 
     Raises:
-        PancakesError: an agent that lives has it.
-        OSError: it is no socket.
+        PancakesError: an agent that lives has it, or it is no socket.
     """
     if not os.path.lexists(path):
         return
+    if not path.is_socket():
+        raise PancakesError(f"{path} is no socket, and no agent has put it there")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
@@ -186,7 +190,7 @@ def _peer(sock: socket.socket) -> tuple[int, int, int]:
 
 
 def _groups(sock: socket.socket) -> tuple[int, ...]:
-    found = sock.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, 4 * _MOST_GROUPS)
+    found = sock.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _GROUPS_BYTES)
     return struct.unpack(f"{len(found) // 4}I", found)
 
 
