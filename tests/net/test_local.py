@@ -88,9 +88,12 @@ def test_a_directory_in_which_others_may_write_is_refused(rig, tmp_path):
 def test_a_closed_socket_is_taken_away_and_that_of_a_dead_agent_is_taken_over(rig, tmp_path):
     first = rig.transport("a")
     first.listen("local://a", rig.ear)
-    path = tmp_path / "run" / "local" / "a.sock"
+    first.listen("local://field/a", rig.ear)
+    local = tmp_path / "run" / "local"
+    assert [it.name for it in (local / "field").iterdir()] == ["a.sock"]
     first.close()
-    assert not path.exists()
+    assert list(local.iterdir()) == []
+    path = local / "a.sock"
 
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
@@ -120,6 +123,7 @@ def test_a_path_that_is_too_long_for_a_socket_will_do(tmp_path, monkeypatch):
     rig.transport("a").listen("local://" + "n" * 64, lambda: there)
     rig.transport("b").dial("local://" + "n" * 64, here)
     rig.until(lambda: here.connection and there.connection)
+    assert here.connection is not None
     here.connection.send(b"hello")
     rig.until(lambda: there.data == b"hello")
     rig.close()
@@ -215,7 +219,7 @@ def test_who_listens_in_the_place_of_an_agent_is_not_believed(rig, tmp_path):
         "time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", listens, str(local)], stdout=subprocess.PIPE, text=True) as squatter:
-        assert squatter.stdout.readline() == "ready\n"
+        assert squatter.stdout is not None and squatter.stdout.readline() == "ready\n"
         ear = rig.ear()
         rig.transport("c").dial("local://b", ear)
         rig.until(lambda: ear.closed_for)

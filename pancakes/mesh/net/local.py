@@ -26,6 +26,8 @@ DIRECTORY: Final = "local"
 _SUFFIX: Final = ".sock"
 _LONGEST_PATH: Final = 100
 """The path of a Unix socket has 107 bytes on Linux, 103 elsewhere."""
+_TRIES: Final = 5
+"""The last agent of a fleet may take the fleet's directory away just when another one is about to listen there."""
 _SO_PEERGROUPS: Final = 59
 """The groups of the process at the other end; Python does not name it."""
 _CREDENTIALS: Final = struct.Struct("3i")  # process, user, group
@@ -56,9 +58,18 @@ class LocalTransport(StreamTransport):
         path, base = self._path(address), self._base()
         directories = [path.parent]
         if path.is_relative_to(base):
-            directories = [base, *(it for it in reversed(path.parents) if it != base and it.is_relative_to(base))]
-        for directory in directories:
-            make_directory(directory, self._group)
+            directories = [it for it in reversed(path.parents) if it.is_relative_to(base)]
+        for left in reversed(range(_TRIES)):
+            for directory in directories:
+                make_directory(directory, self._group)
+            try:
+                return self._bound(address, path)
+            except FileNotFoundError:
+                if not left:
+                    raise
+        raise AssertionError
+
+    def _bound(self, address: str, path: Path) -> Bound:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             with _alone_in(path.parent), _short(path) as short:
@@ -169,11 +180,13 @@ def _clear_away(path: Path, short: str) -> None:
 
 
 def _remove(path: Path, made: os.stat_result) -> None:
-    """Takes a socket away that is closed, unless another agent has put its own there."""
+    """Takes a socket away that is closed, unless another agent has put its own there, and the fleet's directory."""
     with contextlib.suppress(OSError):
         there = os.lstat(path)
         if (there.st_ino, there.st_dev) == (made.st_ino, made.st_dev):
             path.unlink()
+            if path.parent.parent.name == DIRECTORY:
+                path.parent.rmdir()
 
 
 def _peer(sock: socket.socket) -> tuple[int, int, int]:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
 from pancakes.runtime.config import Address, load, parse_address
 from pancakes.runtime.config.key_places import set_text
+from pancakes.runtime.config.override import apply_set
 from pancakes.runtime.config.toml_source import tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
 from pancakes.runtime.plugins import Plugins
@@ -20,6 +22,7 @@ from pancakes.tools.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
 from pancakes.tools.launch.member import Member, Policy, ProcessRestart
 from pancakes.tools.launch.overrides import overrides, whose
 from pancakes.tools.launch.ports import Claim, listening_fault
+from pancakes.tools.launch.within_machine import within_machine
 
 _EVERYWHERE = ("0.0.0.0", "::")
 
@@ -48,6 +51,7 @@ def make_fleet(
     plugins: Plugins | None,
     *,
     must_load: bool = False,
+    local: bool = False,
 ) -> list[Member]:
     """Reads a fleet; nothing is started, and what runs already is not looked at.
 
@@ -58,6 +62,7 @@ def make_fleet(
         policy: whether an agent is started again when it ends; None: as the fleet file says.
         plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked.
         must_load: whether it is a fault where one of these that a configuration names cannot be imported.
+        local: whether they speak within this machine alone, and take no TCP port.
 
     Raises:
         ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
@@ -73,6 +78,8 @@ def make_fleet(
             continue
         for agent in agents:
             sets[agent].append(rest)
+    if local:
+        _stay_within(drafts, sets)
     members: list[Member] = []
     for draft in drafts:
         changes = tuple(sets[draft.name])
@@ -119,6 +126,21 @@ def check_free(members: Sequence[Member]) -> Claim:
             claim.release()
         raise PancakesError("\n".join(problems) or "another launcher is about to use the ports of this fleet")
     return claim
+
+
+def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
+    """Changes what is set of the members' files so that they need no port. What is wrong in a file is said later."""
+    tables: dict[str, Any] = {}
+    for draft in drafts:
+        try:
+            tables[draft.name], places = tables_of(text_of(str(draft.path)), str(draft.path))
+        except ConfigError:
+            return
+        for change in sets[draft.name]:
+            apply_set(change, tables[draft.name], places)
+    fleets = {name: str(table.get("agent", {}).get("fleet", DEFAULT_FLEET)) for name, table in tables.items()}
+    for name, changes in within_machine(tables, fleets).items():
+        sets[name].extend(changes)
 
 
 def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:

@@ -46,6 +46,9 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     help="Begin from empty state: the agents forget how far their tasks were, and where they are."
     " Refused while another agent of the fleet runs.",
 )
+@click.option(
+    "--local", is_flag=True, help="Let the agents speak within this machine alone, by local://, without ports."
+)
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
 def launch(
@@ -55,6 +58,7 @@ def launch(
     hold: bool,
     traceback: bool,
     fresh: bool,
+    local: bool,
     dry_run: bool,
     format_: str,
 ) -> None:
@@ -84,7 +88,7 @@ def launch(
 
     if traceback:
         sets = (*sets, SHOW_TRACEBACKS)
-    members = make_fleet(paths, sets, policy, Plugins())
+    members = make_fleet(paths, sets, policy, Plugins(), local=local)
     claim = check_free(members)
     try:
         if fresh:
