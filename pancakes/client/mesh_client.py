@@ -18,10 +18,10 @@ from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, reachable_from
 from pancakes.mesh.net.peers import reachable
 from pancakes.mesh.net.socket_transport import SocketTransport
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET, Hello
+from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.plugins import Plugins
@@ -115,7 +115,8 @@ class Client:
         self._leads: list[Lead] = []
         self._at = where.addresses
         self._fleet = where.fleet
-        for lead in [Lead(address) for address in self._at] or self._running():
+        fleet = self._fleet or DEFAULT_FLEET
+        for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
             self._follow(lead)
 
     def __enter__(self) -> Client:

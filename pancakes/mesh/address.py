@@ -9,6 +9,8 @@ from typing import Final
 
 import msgspec
 
+DEFAULT_FLEET: Final = "default"
+"""The fleet of agents whose configuration names none."""
 LOCAL: Final = "local"
 """The scheme of addresses within one machine: `local://NAME`, `local://FLEET/NAME`, `local:///PATH`."""
 
@@ -107,9 +109,15 @@ def dialled(text: str) -> str:
     return address
 
 
-def local_address(fleet: str, name: str, default_fleet: str) -> str:
+def local_address(fleet: str, name: str) -> str:
     """Returns the address at which an agent is reached on its own machine."""
-    return f"{LOCAL}://{name}" if fleet == default_fleet else f"{LOCAL}://{fleet}/{name}"
+    return f"{LOCAL}://{name}" if fleet == DEFAULT_FLEET else f"{LOCAL}://{fleet}/{name}"
+
+
+def in_fleet(address: str, fleet: str) -> str:
+    """Returns what an address means to an agent of a fleet: `local://NAME` is a neighbour, not one of another fleet."""
+    name = address.removeprefix(f"{LOCAL}://")
+    return local_address(fleet, name) if is_local(address) and "/" not in name else address
 
 
 def is_local(address: str) -> bool:

@@ -199,6 +199,13 @@ class Rig:
             cwd=self.directory,
         )
 
+    def listed(self, *arguments: str) -> list[dict[str, Any]]:
+        """Runs a command that prints JSON and succeeds; returns that."""
+        result = self.pancakes(*arguments, "--format", "json")
+        assert result.returncode == 0, result.stderr
+        rows: list[dict[str, Any]] = json.loads(result.stdout)
+        return rows
+
     def close(self) -> None:
         """Ends what still runs."""
         for running in self._running:

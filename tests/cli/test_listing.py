@@ -4,21 +4,12 @@ import json
 import signal
 import socket
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from cli.processes import Rig, Running
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 QUICK = ("--timeout", "1")
-
-
-def listed(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
-    """Runs a command that prints JSON and succeeds."""
-    result = rig.pancakes(*arguments, "--format", "json")
-    assert result.returncode == 0, result.stderr
-    rows: list[dict[str, Any]] = json.loads(result.stdout)
-    return rows
 
 
 @pytest.fixture
@@ -33,7 +24,7 @@ def pair(rig: Rig) -> tuple[Running, Running]:
 def test_the_agents_of_this_machine_are_found(rig: Rig, pair: tuple[Running, Running]):
     first, second = pair
 
-    rows = listed(rig, "agent", "list")
+    rows = rig.listed("agent", "list")
 
     assert [row["agent"] for row in rows] == ["a", "b"]
     mission_s = rows[0].pop("mission_s")
@@ -54,15 +45,15 @@ def test_one_agent_leads_to_the_rest_of_its_fleet(rig: Rig, pair: tuple[Running,
     address = rig.address(pair[1]).removeprefix("tcp://")
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(rig.directory / "elsewhere")
 
-    assert [row["agent"] for row in listed(rig, "agent", "list", "--at", address, "--fleet", "test")] == ["a", "b"]
-    assert {row["agent"] for row in listed(rig, "task", "list", "a", "--at", address, "--fleet", "test")} == {"a"}
+    assert [row["agent"] for row in rig.listed("agent", "list", "--at", address, "--fleet", "test")] == ["a", "b"]
+    assert {row["agent"] for row in rig.listed("task", "list", "a", "--at", address, "--fleet", "test")} == {"a"}
 
 
 def test_agents_of_several_fleets_are_found_at_once(rig: Rig):
     rig.ready("a", fleet="north")
     rig.ready("b", fleet="south")
 
-    assert [(row["fleet"], row["agent"]) for row in listed(rig, "agent", "list")] == [("north", "a"), ("south", "b")]
+    assert [(row["fleet"], row["agent"]) for row in rig.listed("agent", "list")] == [("north", "a"), ("south", "b")]
 
 
 def test_agents_of_one_name_in_two_fleets_have_to_be_told_apart(rig: Rig):
@@ -73,13 +64,13 @@ def test_agents_of_one_name_in_two_fleets_have_to_be_told_apart(rig: Rig):
 
     assert result.returncode == 1
     assert "the fleets north and south both have an agent a" in result.stderr
-    assert listed(rig, "task", "list", "a", "--at", rig.address(north))
+    assert rig.listed("task", "list", "a", "--at", rig.address(north))
 
 
 def test_tasks_are_listed_with_what_they_do(rig: Rig):
     rig.ready("a", LOAD)
 
-    rows = listed(rig, "task", "list", "a")
+    rows = rig.listed("task", "list", "a")
 
     assert {
         "agent": "a",

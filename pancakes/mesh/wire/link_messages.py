@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from pancakes.errors import LocalProtocolError
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import DEFAULT_FLEET, parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
@@ -32,9 +32,6 @@ Refusal = Literal["version", "fleet", "name", "self", "old", "duplicate", "full"
 boot of that agent is connected. `duplicate`: another connection to that agent stays. `full`: no room for more
 peers. `protocol`: the peer broke the protocol.
 """
-
-DEFAULT_FLEET: Final = "default"
-"""The fleet of agents whose configuration names none."""
 
 MOST_LISTEN: Final = 8
 """Most addresses at which one agent listens."""

@@ -7,8 +7,10 @@ from math import inf
 from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
+from msgspec.structs import replace
+
 from pancakes.errors import ConfigError, Fault
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import in_fleet, parse_address
 from pancakes.packet import CORE_CHANNELS
 from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces
 from pancakes.runtime.config.override import apply_set
@@ -96,8 +98,13 @@ class _ConfigReader:
     def config(self) -> Config:
         self._check_top()
         services = self._tables("service", ServiceConfig, {name: {"type": name} for name in DEFAULT_SERVICES})
+        agent = self._single("agent", AgentConfig)
         config = Config(
-            agent=self._single("agent", AgentConfig),
+            agent=replace(
+                agent,
+                listen=tuple(in_fleet(address, agent.fleet) for address in agent.listen),
+                peers=tuple(in_fleet(address, agent.fleet) for address in agent.peers),
+            ),
             clock=self._single("clock", ClockConfig),
             record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),

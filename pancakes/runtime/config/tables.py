@@ -11,9 +11,9 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, field
 
-from pancakes.mesh.address import is_local, local_address
+from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET, MOST_LISTEN
+from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.tools.recording.settings import RecordingSettings
@@ -38,7 +38,8 @@ class AgentConfig(Struct, frozen=True):
             `local://FLEET/NAME` where its fleet is not `default`.
         local_group: members of this group of the machine may connect there as well, for an agent that runs as a system
             service; empty: the agent's own user alone.
-        peers: the addresses of agents to connect to. Its own among them is skipped, so that a fleet can share one list.
+        peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
+            machine. Its own among them is skipped, so that a fleet can share one list.
         role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
             person's tool); the last two are never asked to take a task.
         fleet: agents of different fleets refuse each other.
@@ -64,7 +65,7 @@ class AgentConfig(Struct, frozen=True):
         """All addresses where it listens, the one within its machine first."""
         local = tuple(it for it in self.listen if is_local(it))
         if not local and self.role != "client":
-            local = (local_address(self.fleet, self.name, DEFAULT_FLEET),)
+            local = (local_address(self.fleet, self.name),)
         return (*local, *(it for it in self.listen if not is_local(it)))
 
 

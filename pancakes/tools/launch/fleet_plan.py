@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pancakes.errors import ConfigError, Fault, PancakesError
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
+from pancakes.mesh.address import DEFAULT_FLEET
 from pancakes.runtime.config import Address, load, parse_address
 from pancakes.runtime.config.key_places import set_text
 from pancakes.runtime.config.override import apply_set

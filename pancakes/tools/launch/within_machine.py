@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from pancakes.mesh.address import LOCAL, Address, local_address
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
 from pancakes.tools.launch.table_addresses import addresses_in, moved
 
 
@@ -21,7 +20,7 @@ def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str,
         fleets: the agents' fleets, likewise.
     """
     at_port = {
-        address.port: local_address(fleets[agent], agent, DEFAULT_FLEET)
+        address.port: local_address(fleets[agent], agent)
         for agent, table in tables.items()
         for address in addresses_in(table.get("agent", {}).get("listen", ""))
     }
