@@ -125,6 +125,7 @@ def is_local(address: str) -> bool:
     return address.startswith(f"{LOCAL}://")
 
 
+@lru_cache(maxsize=1024)
 def is_loopback(address: str) -> bool:
     """Returns whether only this machine can reach an address, as far as can be seen."""
     try:
@@ -146,6 +147,18 @@ def reachable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
         return tuple(addresses)
     far = not is_loopback(remote)
     return tuple(it for it in addresses if not is_local(it) and not (far and is_loopback(it)))
+
+
+def nameable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
+    """Returns those addresses that a peer may name, so that this agent dials them.
+
+    A peer elsewhere names nothing of this machine. None names a path, where another program may listen.
+
+    Args:
+        remote: the address of the peer, as this agent sees it.
+        addresses: what it names.
+    """
+    return tuple(it for it in reachable_from(remote, addresses) if not it.startswith(f"{LOCAL}:///"))
 
 
 def _check_six(text: str, host: str) -> None:

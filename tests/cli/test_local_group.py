@@ -38,6 +38,7 @@ def test_a_group_finds_the_agent_and_its_socket(rig: Rig, group: str):
 def test_a_group_that_is_not_there_ends_the_agent_with_a_sentence(rig: Rig):
     agent = rig.agent(rig.config("a", agent='local_group = "pancakers"'))
     agent.hear(
-        "cannot listen at local://test/a: there is no group 'pancakers' on this machine, which [agent] local_group names"
+        "cannot listen at local://test/a: there is no group 'pancakers' on this machine,"
+        " which [agent] local_group names"
     )
     assert agent.process.wait(10.0) == 1

@@ -175,7 +175,7 @@ class BarePeer(ConnectionHandler):
     Args:
         now: the host clock.
         name: its name.
-        listen: the address that it names in its hello; nothing listens there.
+        listen: the address that it names in its hello, or several; nothing listens there.
         role: its role.
         journal: its journal; empty: one of its own.
         boot: the boot of that journal.
@@ -185,12 +185,13 @@ class BarePeer(ConnectionHandler):
         self,
         now: Callable[[], float],
         name: str,
-        listen: str = "",
+        listen: str | Sequence[str] = "",
         role: Role = "agent",
         journal: str = "",
         boot: int = 1,
     ) -> None:
-        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello([listen] if listen else [])
+        listens = list(filter(None, [listen] if isinstance(listen, str) else listen))
+        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listens)
         self.told: list[tuple[str, ...]] = []
         self.packets: list[Packet] = []
         self.is_up = False

@@ -62,3 +62,23 @@ def test_who_listens_on_all_interfaces_of_this_machine_is_dialled_elsewhere_at_t
     memory_rig.until(lambda: c.knows("a"))
     memory_rig.until(lambda: "tcp://a:2" in [it["address"] for it in c.mesh.describe()["addresses"]])
     assert "tcp://127.0.0.1:2" in [it["address"] for it in a.mesh.describe()["addresses"]]
+
+
+@pytest.mark.parametrize(
+    ("at", "dialled"),
+    [
+        ("local://a", ["local://victim", "tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]),
+        ("tcp://127.0.0.1:1", ["tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]),
+        ("tcp://a:1", ["tcp://10.0.0.9:9"]),
+    ],
+)
+@pytest.mark.parametrize("by", ["hello", "gossip"])
+def test_a_peer_elsewhere_sends_no_agent_to_places_of_its_own_machine(memory_rig, by, at, dialled):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://127.0.0.1:1", "tcp://a:1"))
+    named = ["local:///run/victim", "local://victim", "tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]
+    peer = memory_rig.bare_peer("z", a, at=at, listen=named if by == "hello" else "")
+    memory_rig.until(lambda: peer.is_up)
+    if by == "gossip":
+        peer.act(peer.link.gossip(tuple(named), memory_rig.clock.now()))
+    memory_rig.timeline.run_until(1.0)
+    assert [it["address"] for it in a.mesh.describe()["addresses"]] == dialled

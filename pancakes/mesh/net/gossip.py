@@ -25,7 +25,7 @@ class Says(Protocol):
         """Tells a peer these addresses."""
 
 
-class Gossip:
+class Gossiper:
     """What one agent tells its peers of others. In the transport's thread.
 
     Args:

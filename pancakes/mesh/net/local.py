@@ -55,12 +55,9 @@ class LocalTransport(StreamTransport):
         self._directory = settings.directory
 
     def bind(self, address: str) -> Bound:
-        path, base = self._path(address), self._base()
-        directories = [path.parent]
-        if path.is_relative_to(base):
-            directories = [it for it in reversed(path.parents) if it.is_relative_to(base)]
+        path = self._path(address)
         for left in reversed(range(_TRIES)):
-            for directory in directories:
+            for directory in self._directories(path):
                 make_directory(directory, self._group)
             try:
                 return self._bound(address, path)
@@ -105,9 +102,15 @@ class LocalTransport(StreamTransport):
             return Path(parts.path)
         return self._base() / DIRECTORY / f"{parts.path}{_SUFFIX}"
 
+    def _directories(self, path: Path) -> list[Path]:
+        """Returns the directories on the way to a socket that are Pancakes' own, the outermost first."""
+        found = [it for it in reversed(path.parents) if it.is_relative_to(self._base())]
+        return found or [path.parent]
+
     def connect(self, sock: socket.socket, place: Any) -> None:
         try:
-            usable(place.parent, named=not place.is_relative_to(self._base()))
+            for directory in self._directories(place):
+                usable(directory, named=not place.is_relative_to(self._base()))
             with _short(place) as short:
                 sock.connect(short)
         except FileNotFoundError:
@@ -122,13 +125,15 @@ class LocalTransport(StreamTransport):
     def prepare(self, sock: socket.socket, dialled: str) -> str:
         try:
             process, user, group = _peer(sock)
-            trusted = {os.getuid(), 0}
+            if user in (os.getuid(), 0):
+                return ""
             if dialled:  # a person who named the directory of another user trusts that user
-                trusted.add(os.stat(self._path(dialled).parent).st_uid)
-            members = not dialled and self._group and _number(self._group) in (group, *_groups(sock))
+                is_let_in = user == os.stat(self._path(dialled).parent).st_uid
+            else:
+                is_let_in = bool(self._group) and _number(self._group) in (group, *_groups(sock))
         except OSError as error:
             return f"the system does not say whose process is at its other end: {error.strerror or error}"
-        if user in trusted or members:
+        if is_let_in:
             return ""
         return f"at its other end is the process {process} of another user (uid {user})"
 

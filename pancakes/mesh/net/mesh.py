@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
-from pancakes.mesh.net.gossip import Gossip
+from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
@@ -108,7 +108,7 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._gossip = Gossip(identity.role, self._links, self._tell)
+        self._gossip = Gossiper(identity.role, self._links, self._tell)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)

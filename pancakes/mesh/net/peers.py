@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.mesh.address import is_local
+from pancakes.mesh.address import is_local, nameable_from
 from pancakes.mesh.net.address_book import MAX_LEARNT, AddressBook, KnownAddress
 from pancakes.mesh.net.client_places import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
 from pancakes.mesh.wire.link import LinkTimes
@@ -195,7 +195,8 @@ class Peers:
         machine = machine_of(remote)
         if machine != THIS_MACHINE:  # what listens here on all interfaces, others find at the address that they see
             hello = replace(hello, listen=listen)
-        learnt = [self._book.learn(it, now_s, name, name) for it in listen if hello.role != "client"]
+        named = nameable_from(remote, listen) if hello.role != "client" else ()
+        learnt = [self._book.learn(it, now_s, name, name) for it in named]
         self._asleep.pop(name, None)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine, any(learnt))
         if address:
@@ -324,7 +325,8 @@ class Peers:
             peer: the peer that did; empty: a person.
             remote: the address of that peer.
         """
-        addresses = [there for it in addresses if (there := reachable(it, remote))]
+        if peer:
+            addresses = nameable_from(remote, filter(None, (reachable(it, remote) for it in addresses)))
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
         new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]
