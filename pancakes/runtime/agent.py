@@ -9,6 +9,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -16,7 +17,7 @@ import msgspec
 from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
-from pancakes.mesh.address import LOCAL
+from pancakes.mesh.address import LOCAL, is_local
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
@@ -44,6 +45,7 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
@@ -175,7 +177,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
             transport,
-            config.agent.addresses,
+            config.agent.addresses if virtual is not None else self._addresses(),
             config.agent.peers,
             self.kernel.random_for("mesh"),
             self.kernel.host,
@@ -446,6 +448,18 @@ class Agent:
         given = self._network_settings().transports
         group = self.config.agent.local_group
         return {**given, LOCAL: {**given.get(LOCAL, {}), "group": group}} if group else given
+
+    def _addresses(self) -> tuple[str, ...]:
+        """Returns where it listens; without `local://` where another user has taken the place of its directory."""
+        agent = self.config.agent
+        directory = self._network_settings().transports.get(LOCAL, {}).get("directory")
+        try:
+            if not agent.local_group and not any(is_local(address) for address in agent.listen):
+                make_directory(Path(str(directory)) if directory else runtime_dir())
+        except (OSError, PancakesError) as error:
+            self.skipped.append(f"{self.name} cannot be reached at {agent.addresses[0]}: {error}")
+            return agent.listen
+        return agent.addresses
 
     def _network_settings(self) -> NetworkService.Settings:
         """Returns those settings of the network that are for transports and mesh, which are there before the service.

@@ -1,4 +1,4 @@
-"""An agent that lets a group of its machine in, as a service of the system does."""
+"""Agents at `local://`: whom they let in, and what they do where that cannot be."""
 
 from __future__ import annotations
 
@@ -33,6 +33,14 @@ def test_a_group_finds_the_agent_and_its_socket(rig: Rig, group: str):
     assert [row["agent"] for row in rig.listed("agent", "list")] == ["a"]
     assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://test/a", "--fleet", "test")] == ["a"]
     assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://a", "--fleet", "test")] == ["a"]
+
+
+def test_an_agent_whose_place_another_has_taken_runs_without_it_and_says_so(rig: Rig):
+    rig.runtime.mkdir(mode=0o777)
+    rig.runtime.chmod(0o777)
+    agent = rig.agent(rig.config("a"))
+    agent.hear("a/kernel: ready")
+    agent.hear("a cannot be reached at local://test/a: the runtime directory")
 
 
 def test_a_group_that_is_not_there_ends_the_agent_with_a_sentence(rig: Rig):
