@@ -46,6 +46,7 @@ from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import make_directory, runtime_dir
+from pancakes.runtime.services.actuator_fence import FencesOfAgent
 from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
@@ -197,7 +198,7 @@ class Agent:
             self.kernel.stream.open(channel)
         shared: dict[type[Service], dict[str, Any]] = {
             LogService: {"wanted": wanted_recordings(disk)},
-            DeviceService: {"fences": Fences(disk)},
+            DeviceService: {"fences": FencesOfAgent(Fences(disk), self.records, self.ledgers)},
             NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
             ClientService: {
                 "mesh": self.mesh,
