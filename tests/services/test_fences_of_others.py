@@ -1,14 +1,16 @@
 """No agent that never had a task keeps the task's own commands from an actuator."""
 
 import pytest
-from services.test_durable_fences import Circle, Still, Wheels
+from services.test_durable_fences import Circle, Wheels
 
 from pancakes.bodies.devices.types import Twist
 from pancakes.control import Describe, Migrate, Migrations, SetFence, Start
+from pancakes.mesh.net.memory import Quality
 from pancakes.packet import Fence, Packet
+from pancakes.runtime.services.fence_rule import Mark
 from pancakes.testing import FleetInTest
 
-CLASSES = {"test.Circle": Circle, "test.Still": Still}
+CLASSES = {"test.Circle": Circle}
 REMOTE = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
 
 
@@ -19,7 +21,7 @@ def fleet():
         yield made
 
 
-def forge(fleet, speaker, epoch, task_id="a/Circle", to="far/device/wheels"):
+def forge(fleet, speaker, epoch, task_id="a/Circle", to="far/device/wheels", for_s=0.3):
     """An agent commands an actuator of another as if a task of some epoch did."""
     agent = fleet.agents[speaker]
     source = f"{speaker}/device/wheels"
@@ -27,7 +29,7 @@ def forge(fleet, speaker, epoch, task_id="a/Circle", to="far/device/wheels"):
         "ctrl", "motors", source, to, agent.kernel.mission.now(), 1, Twist(9.0, 0.0), fence=Fence(task_id, epoch)
     )
     agent.agent.mesh.send(packet)
-    fleet.run_for(0.3)
+    fleet.run_for(for_s)
 
 
 def marks(agent):
@@ -172,3 +174,75 @@ def test_only_an_actuator_has_a_fence(fleet):
     assert a.ask(SetFence("load", "a/Circle")).reason == "a/device/load is no actuator: it has no fence"
     assert a.ask(SetFence("Circle", "a/Circle")).reason == "a/client/Circle is no actuator: it has no fence"
     assert a.ask(SetFence("device", "a/Circle")).reason == "a/device is a service: name one of its tasks"
+
+
+def test_an_answer_that_comes_late_lowers_no_fence(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    fleet.start("c", devices={"wheels": REMOTE})
+    fleet.connect()
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    assert a.ask(Migrate("Circle", to="c")).ok
+    fleet.network.set_quality("far", "a", Quality(latency_s=0.3))
+    asked: list[Packet] = []
+    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    fleet.network.heal()
+    assert fleet.run_until(lambda: asked, at_most_s=30.0)
+    fences = far.component("device").slots["wheels"].spec.arguments["fences"].fences
+    fences.write("wheels", "a/Circle", Mark(5, "x"), lambda: None, pytest.fail)
+    fleet.run_for(2.0)
+    assert marks(far) == {"a/Circle": (5, "far")}
+    assert "has passed, 5 has been seen" in far.events("command_refused", by="c/device/wheels")[-1]["reason"]
+
+
+def test_one_that_claims_all_the_time_costs_one_question_a_second_and_one_line(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a")
+    fleet.start("z")
+    fleet.connect()
+    asked: list[Packet] = []
+    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    for number in range(200):
+        forge(fleet, "z", (number + 5, "z"), for_s=0.01)
+    assert 1 <= len(asked) <= 3
+    assert len(far.events("command_refused", by="z/device/wheels")) == 1
+
+
+def test_one_that_claims_all_the_time_keeps_no_other_from_being_heard(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    fleet.start("c", devices={"wheels": REMOTE})
+    fleet.start("z")
+    fleet.connect()
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    assert a.ask(Migrate("Circle", to="c")).ok
+    fleet.network.set_quality("far", "a", Quality(latency_s=0.2))
+    fleet.network.heal()
+    assert fleet.run_until(lambda: {"a", "z"} <= set(far.agent.mesh.neighbours()), at_most_s=30.0)
+    for number in range(300):
+        forge(fleet, "z", (number + 5, "z"), for_s=0.01)
+    assert marks(far) == {"a/Circle": (1, "c")} and drives(fleet)
+
+
+def test_an_actuator_holds_while_its_fence_is_set_and_goes_on_after_that(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.run_for(0.5)
+    assert a.ask(SetFence("wheels", "a/Circle", dry_run=True)).ok
+    assert a.events("safe_hold") == []
+    assert a.ask(SetFence("wheels", "a/Circle")).ok
+    assert [event["reason"] for event in a.events("safe_hold")] == ["its fence is set"]
+    assert drives(fleet, "a")
+
+
+def test_an_agent_that_does_not_say_to_whom_it_gave_a_task_is_named(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a")
+    fleet.start("z")
+    fleet.connect()
+    a.kernel.stream.unsubscribe("a/kernel/Courier")
+    for _ in range(6):
+        forge(fleet, "z", (5, "z"))
+    (refused,) = far.events("command_refused", by="z/device/wheels")
+    assert refused["reason"].startswith("a does not say to whom it gave a/Circle; pancakes task fence")

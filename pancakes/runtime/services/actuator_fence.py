@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -33,6 +34,8 @@ from pancakes.runtime.services.fences import Fences
 
 ANSWER_S: Final = 1.0
 """So long other agents have to say where a task is, in host time."""
+AGAIN_S: Final = 1.0
+"""An agent whose claim was refused makes no other for so long, in host time: each one costs questions and a line."""
 SET_RIGHT: Final = "pancakes task fence shows who has it, and sets that right"
 
 Done = Callable[[str, Mapping[str, Any]], None]
@@ -53,13 +56,24 @@ class FencesOfAgent(msgspec.Struct, frozen=True):
     ledgers: Ledgers
 
 
-class _Search(msgspec.Struct):
-    """Agents are asked, one after the other, to whom they gave a task."""
+class _Pending(msgspec.Struct):
+    """The newest command of an agent under an epoch that is new, and what is being done about that.
+
+    Attributes:
+        claim: the epoch, and the agent.
+        packet: the command.
+        since_s: since when it waits, in mission time.
+        peer: the agent that is asked who has the task; empty: the epoch is being written down.
+        asked: how many agents have been asked.
+        until_s: how long that one has to answer, in host time.
+    """
 
     claim: Claim
-    peer: str
-    asked: int
-    until_s: float
+    packet: Packet
+    since_s: float
+    peer: str = ""
+    asked: int = 0
+    until_s: float = 0.0
 
 
 class _Setting(msgspec.Struct):
@@ -72,7 +86,7 @@ class _Setting(msgspec.Struct):
 
 
 class ActuatorFence:
-    """Lets the newest command under a new epoch wait until that is on disk. In the actuator's task.
+    """Lets the newest command of each agent under a new epoch wait until that is on disk. In the actuator's task.
 
     Args:
         task: the actuator's task, which speaks and waits for it.
@@ -100,9 +114,8 @@ class ActuatorFence:
         self._obey = obey
         self._refuse = refuse
         self._hold = hold
-        self._writing: Claim | None = None
-        self._waiting: tuple[Packet, float] | None = None  # and since when
-        self._search: _Search | None = None
+        self._pending: dict[str, _Pending] = {}  # by the agent that a command comes from
+        self._again_s: dict[str, float] = {}  # when an agent may make another claim, in host time
         self._setting: _Setting | None = None
 
     def passed(self, packet: Packet) -> str:
@@ -120,54 +133,57 @@ class ActuatorFence:
         fence = packet.fence
         if fence is None or self._marks.holds(self._task.name, fence):
             return True
-        self._waiting = (packet, self._task.now())
-        claim = Claim(fence, agent_of(packet.source))
-        if self._writing == claim:
-            return False
-        search, now_s = self._search, self._task.kernel.host.now()
-        if search is not None and search.claim == claim and now_s < search.until_s:
-            return False
-        if search is not None and search.claim == claim:
-            self._decide(claim, 0, Refused(f"{search.peer} does not say to whom it gave {fence.task_id}"))
-            return False
-        mark = self._marks.highest(self._task.name, fence.task_id)
-        agent = self._task.agent
-        self._decide(claim, 0, judged(agent, claim, mark, self._record(fence.task_id), self._linked()))
+        claim, now_s = Claim(fence, agent_of(packet.source)), self._task.kernel.host.now()
+        pending = self._pending.get(claim.peer)
+        if pending is not None and pending.claim == claim:
+            pending.packet, pending.since_s = packet, self._task.now()
+            if pending.peer and now_s >= pending.until_s:
+                self._give_up(claim.peer, f"{pending.peer} does not say to whom it gave {fence.task_id}; {SET_RIGHT}")
+        elif now_s >= self._again_s.get(claim.peer, 0.0):
+            self._pending[claim.peer] = _Pending(claim, packet, self._task.now())
+            mark, record = self._marks.highest(self._task.name, fence.task_id), self._record(fence.task_id)
+            self._decide(claim.peer, judged(self._task.agent, claim, mark, record, self._linked()))
         return False
 
     def drop(self) -> None:
-        """Forgets the command that waits."""
-        self._waiting = None
+        """Forgets the commands that wait, but not what is being done about their epochs."""
+        for pending in self._pending.values():
+            pending.since_s = -math.inf
 
     def told(self, packet: Packet) -> None:
         """An agent says who has a task."""
         by, at = agent_of(packet.source), packet.body
-        search, setting = self._search, self._setting
-        if search is not None and (search.peer, search.claim.fence.task_id) == (by, at.task_id):
-            self._decide(search.claim, search.asked, answered(search.claim, search.asked, by, at, self._linked()))
+        for peer, pending in list(self._pending.items()):
+            if (pending.peer, pending.claim.fence.task_id) == (by, at.task_id):
+                self._decide(peer, answered(pending.claim, pending.asked, by, at, self._linked()))
+        setting = self._setting
         if setting is not None and setting.body.task_id == at.task_id and by in setting.answers:
             setting.answers[by] = at
             if None not in setting.answers.values():
                 self._settle()
 
-    def _decide(self, claim: Claim, asked: int, verdict: Verdict) -> None:
-        self._search = None
+    def _decide(self, peer: str, verdict: Verdict) -> None:
+        pending = self._pending[peer]
         match verdict:
             case May():
-                self._raise(claim)
-            case Ask(peer):
-                self._search = _Search(claim, peer, asked + 1, self._task.kernel.host.now() + ANSWER_S)
-                self._ask(peer, claim.fence.task_id)
+                self._raise(pending)
+            case Ask(other):
+                pending.peer, pending.asked = other, pending.asked + 1
+                pending.until_s = self._task.kernel.host.now() + ANSWER_S
+                self._ask(other, pending.claim.fence.task_id)
             case Refused(reason):
-                self._give_up(f"{reason}; {SET_RIGHT}")
+                self._give_up(peer, f"{reason}; {SET_RIGHT}")
 
-    def _raise(self, claim: Claim) -> None:
-        self._writing = claim
-        task, fence = self._task, claim.fence
-        n, minter = fence.epoch
+    def _raise(self, pending: _Pending) -> None:
+        task, claim = self._task, pending.claim
+        if passed := self.passed(pending.packet):  # while others were asked
+            self._give_up(claim.peer, passed)
+            return
+        pending.peer = ""
+        n, minter = claim.fence.epoch
         self._marks.write(
             task.name,
-            fence.task_id,
+            claim.fence.task_id,
             Mark(n, minter, "" if claim.peer == task.agent else claim.peer),
             lambda: task.call(lambda: self._written(claim, "")),
             lambda why_not: task.call(lambda: self._written(claim, why_not)),
@@ -175,20 +191,21 @@ class ActuatorFence:
 
     def _written(self, claim: Claim, why_not: str) -> None:
         """An epoch is on disk, or is not: what has waited for it is obeyed, if it still may be."""
-        if self._writing != claim:
+        pending = self._pending.get(claim.peer)
+        if pending is None or pending.claim != claim:
             return  # a later one is being written
-        self._writing = None  # where it failed, the next command tries again
-        if why_not:
-            self._give_up(f"its epoch is not on disk: {why_not}")
+        if why_not:  # the next command tries again
+            self._give_up(claim.peer, f"its epoch is not on disk: {why_not}", again=True)
             return
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None and self._task.now() - waiting[1] < self._good_for_s:
-            self._obey(waiting[0])
+        del self._pending[claim.peer]
+        if self._task.now() - pending.since_s < self._good_for_s:
+            self._obey(pending.packet)
 
-    def _give_up(self, reason: str) -> None:
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            self._refuse(waiting[0], reason)
+    def _give_up(self, peer: str, reason: str, again: bool = False) -> None:
+        pending = self._pending.pop(peer)
+        if not again:
+            self._again_s[peer] = self._task.kernel.host.now() + AGAIN_S
+        self._refuse(pending.packet, reason)
 
     # By a person -----------------------------------------------------------------------------------------------
 
@@ -232,7 +249,8 @@ class ActuatorFence:
             setting.done("", result)
             return
         self._hold("its fence is set")
-        self._search = self._writing = None
+        self._pending.clear()
+        self._again_s.clear()
         self._marks.write(
             task.name,
             body.task_id,

@@ -10,7 +10,7 @@ from pancakes.control import Describe, SetFence
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.record import TaskId
 from pancakes.tools.cli.asking import accepted, order, placed
-from pancakes.tools.cli.name_types import TaskName, a_task
+from pancakes.tools.cli.name_types import TASK_NAME, TaskName
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
 
@@ -19,7 +19,7 @@ COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "o
 
 
 @click.command()
-@a_task
+@click.argument("name", metavar="AGENT/ACTUATOR", type=TASK_NAME)
 @click.option("--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task.")
 @dry_run_option
 @orders_agents
