@@ -330,9 +330,8 @@ class Service(Component):
         if isinstance(body, Describe):
             result = {**self.describe_in_detail(slot), **result}
         elif not body.dry_run:
-            self.event(
-                CHANGES[type(body)], task=slot.name, service=self.name, by=request.by, number=request.number, **result
-            )
+            told = {"service": self.name, "by": request.by, "number": request.number, **result}
+            self.event(CHANGES[type(body)], task=slot.name, **told)
         if changed.carried is not None:
             self.changed(slot, changed.carried)
         self.reply(request, result=result)

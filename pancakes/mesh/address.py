@@ -121,7 +121,7 @@ def in_fleet(address: str, fleet: str) -> str:
 
 
 def is_local(address: str) -> bool:
-    """Returns whether an address is for this machine alone, whoever may dial it."""
+    """Returns whether an address is for this machine alone, and names no port."""
     return address.startswith(f"{LOCAL}://")
 
 

@@ -43,5 +43,7 @@ def whereabouts(me: str, task_id: str, record: Record | None) -> TaskAt:
             return TaskAt(task_id, me, record.epoch)
         case Phase.COMMITTED:
             return TaskAt(task_id, record.peer, record.offer)
-        case _:
+        case Phase.RELEASED:
             return TaskAt(task_id, record.peer, record.seen)
+        case _:  # any agent may offer a task, and only one that gave it away knows to whom
+            return TaskAt(task_id)

@@ -317,7 +317,7 @@ class Peers:
         return []
 
     def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "", remote: str = "") -> list[Decision]:
-        """Somebody named addresses of agents.
+        """Addresses of agents were named.
 
         Args:
             addresses: the addresses.

@@ -51,8 +51,9 @@ class Ledgers:
 
         self._log = log
         self._boot = disk.journal.boot
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # guards the number of the last one
         self._accounts = RecordTable(disk, KIND, codecs.decoder(Kept), malformed)
+        self._last = max((kept.number for kept in self._accounts.newest.values()), default=0)
 
     def add(self, ledger: Ledger, reason: str, mission_s: float) -> None:
         """Keeps an account, and begins to write it down; that of a hand-off is kept once. Never waits.
@@ -66,16 +67,15 @@ class Ledgers:
         def failed(why: str) -> None:
             self._log("warning", f"the account of the move of {ledger.task_id} is not in the journal: {why}")
 
+        if ledger.offer and any(
+            (kept.ledger.task_id, kept.ledger.offer) == (ledger.task_id, ledger.offer) for kept in self._newest()
+        ):
+            # The agent was killed after it was written and before the task's record said so.
+            return
         with self._lock:
-            newest = self._newest()
-            if ledger.offer and any(
-                (kept.ledger.task_id, kept.ledger.offer) == (ledger.task_id, ledger.offer) for kept in newest
-            ):
-                # The agent was killed after it was written and before the task's record said so.
-                return
-            number = newest[-1].number + 1 if newest else 1
-            kept = Kept(number, self._boot, mission_s, reason, ledger)
-            self._accounts.write(f"{number % KEPT:02d}", kept, lambda: None, failed)
+            self._last = number = self._last + 1
+        kept = Kept(number, self._boot, mission_s, reason, ledger)
+        self._accounts.write(f"{number % KEPT:02d}", kept, lambda: None, failed)
 
     def _newest(self) -> list[Kept]:
         return sorted(self._accounts.newest.values(), key=lambda kept: kept.number)

@@ -19,12 +19,12 @@ from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.services.fence_rule import (
-    Ask,
-    Claim,
+    AskAgent,
+    ClaimRefused,
+    EpochClaim,
     Mark,
     May,
-    Owner,
-    Refused,
+    PresentOwner,
     Verdict,
     answered,
     judged,
@@ -68,7 +68,7 @@ class _Pending(msgspec.Struct):
         until_s: how long that one has to answer, in host time.
     """
 
-    claim: Claim
+    claim: EpochClaim
     packet: Packet
     since_s: float
     peer: str = ""
@@ -133,7 +133,7 @@ class ActuatorFence:
         fence = packet.fence
         if fence is None or self._marks.holds(self._task.name, fence):
             return True
-        claim, now_s = Claim(fence, agent_of(packet.source)), self._task.kernel.host.now()
+        claim, now_s = EpochClaim(fence, agent_of(packet.source)), self._task.kernel.host.now()
         pending = self._pending.get(claim.peer)
         if pending is not None and pending.claim == claim:
             pending.packet, pending.since_s = packet, self._task.now()
@@ -167,11 +167,11 @@ class ActuatorFence:
         match verdict:
             case May():
                 self._raise(pending)
-            case Ask(other):
+            case AskAgent(other):
                 pending.peer, pending.asked = other, pending.asked + 1
                 pending.until_s = self._task.kernel.host.now() + ANSWER_S
                 self._ask(other, pending.claim.fence.task_id)
-            case Refused(reason):
+            case ClaimRefused(reason):
                 self._give_up(peer, f"{reason}; {SET_RIGHT}")
 
     def _raise(self, pending: _Pending) -> None:
@@ -189,7 +189,7 @@ class ActuatorFence:
             lambda why_not: task.call(lambda: self._written(claim, why_not)),
         )
 
-    def _written(self, claim: Claim, why_not: str) -> None:
+    def _written(self, claim: EpochClaim, why_not: str) -> None:
         """An epoch is on disk, or is not: what has waited for it is obeyed, if it still may be."""
         pending = self._pending.get(claim.peer)
         if pending is None or pending.claim != claim:
@@ -234,7 +234,7 @@ class ActuatorFence:
         task, body = self._task, setting.body
         own = whereabouts(task.agent, body.task_id, self._record(body.task_id))
         found = present_owner(task.agent, body.task_id, own, setting.answers)
-        if isinstance(found, Refused):
+        if isinstance(found, ClaimRefused):
             setting.done(found.reason, {})
             return
         before = self._marks.highest(task.name, body.task_id)
@@ -259,7 +259,7 @@ class ActuatorFence:
             lambda why_not: task.call(lambda: setting.done(f"the fence is not on disk: {why_not}", {})),
         )
 
-    def _set(self, setting: _Setting, owner: Owner, result: dict[str, Any]) -> None:
+    def _set(self, setting: _Setting, owner: PresentOwner, result: dict[str, Any]) -> None:
         reason = (
             f"the fence of {result['actuator']} was at {result['before'] or 'nothing'}, and is at {result['now']} now"
         )

@@ -38,7 +38,7 @@ class Mark(msgspec.Struct, frozen=True, array_like=True):
     peer: str = ""
 
 
-class Claim(msgspec.Struct, frozen=True):
+class EpochClaim(msgspec.Struct, frozen=True):
     """A command under an epoch that is new to an actuator.
 
     Attributes:
@@ -54,22 +54,22 @@ class May(msgspec.Struct, frozen=True):
     """The fence is raised."""
 
 
-class Refused(msgspec.Struct, frozen=True):
+class ClaimRefused(msgspec.Struct, frozen=True):
     """It is not; the reason is a clause for people."""
 
     reason: str
 
 
-class Ask(msgspec.Struct, frozen=True):
+class AskAgent(msgspec.Struct, frozen=True):
     """This agent had the task, and is asked to whom it gave it."""
 
     peer: str
 
 
-Verdict = May | Refused | Ask
+Verdict = May | ClaimRefused | AskAgent
 
 
-def judged(me: str, claim: Claim, mark: Mark | None, record: Record | None, linked: Collection[str]) -> Verdict:
+def judged(me: str, claim: EpochClaim, mark: Mark | None, record: Record | None, linked: Collection[str]) -> Verdict:
     """Returns what becomes of a claim.
 
     Args:
@@ -84,12 +84,12 @@ def judged(me: str, claim: Claim, mark: Mark | None, record: Record | None, link
         return May()
     known_n = max(mark.n if mark is not None else 0, record.seen.n if record is not None else 0)
     if n > known_n + MOST_STEP:
-        return Refused(f"the epoch {n} of {task_id} is further from {known_n} than any task comes")
+        return ClaimRefused(f"the epoch {n} of {task_id} is further from {known_n} than any task comes")
     last = mark.peer if mark is not None else ""
     if claim.peer == last:
         return May()
     if record is not None and record.phase in (Phase.OWNER, Phase.FROZEN):
-        return Refused(f"{task_id} is here, under epoch {record.epoch.n}")
+        return ClaimRefused(f"{task_id} is here, under epoch {record.epoch.n}")
     # An agent may offer any task: only what this one has given away itself says who has it.
     given = record.peer if record is not None and record.phase in (Phase.COMMITTED, Phase.RELEASED) else ""
     birthplace = _birthplace(task_id)
@@ -98,12 +98,12 @@ def judged(me: str, claim: Claim, mark: Mark | None, record: Record | None, link
     had = [agent for agent in dict.fromkeys((last, given, birthplace)) if agent not in ("", me)]
     for agent in had:
         if agent in linked:
-            return Ask(agent)
+            return AskAgent(agent)
     why = f", and {' and '.join(had)}, which had it, cannot be asked" if had else ""
-    return Refused(f"{claim.peer} is not known to have been given {task_id}{why}")
+    return ClaimRefused(f"{claim.peer} is not known to have been given {task_id}{why}")
 
 
-def answered(claim: Claim, asked: int, by: str, at: TaskAt, linked: Collection[str]) -> Verdict:
+def answered(claim: EpochClaim, asked: int, by: str, at: TaskAt, linked: Collection[str]) -> Verdict:
     """Returns what becomes of a claim once an agent that had the task has said who has it.
 
     Args:
@@ -117,22 +117,24 @@ def answered(claim: Claim, asked: int, by: str, at: TaskAt, linked: Collection[s
     if at.peer == claim.peer:
         return May()
     if at.peer == by:
-        return Refused(f"{by} has {task_id}, under epoch {at.epoch.n}, and not {claim.peer}")
+        return ClaimRefused(f"{by} has {task_id}, under epoch {at.epoch.n}, and not {claim.peer}")
     if not at.peer:
-        return Refused(f"{by} does not know that {claim.peer} was given {task_id}")
+        return ClaimRefused(f"{by} does not know that {claim.peer} was given {task_id}")
     if at.peer in linked and asked < MOST_ASKED:
-        return Ask(at.peer)
-    return Refused(f"{by} gave {task_id} to {at.peer}, and not to {claim.peer}")
+        return AskAgent(at.peer)
+    return ClaimRefused(f"{by} gave {task_id} to {at.peer}, and not to {claim.peer}")
 
 
-class Owner(msgspec.Struct, frozen=True):
+class PresentOwner(msgspec.Struct, frozen=True):
     """The agent that has a task now, and the mark that follows from that."""
 
     name: str
     mark: Mark
 
 
-def present_owner(me: str, task_id: str, own: TaskAt, answers: Mapping[str, TaskAt | None]) -> Owner | Refused:
+def present_owner(
+    me: str, task_id: str, own: TaskAt, answers: Mapping[str, TaskAt | None]
+) -> PresentOwner | ClaimRefused:
     """Returns who has a task now: of several that say so, the one with the highest epoch.
 
     Args:
@@ -143,13 +145,17 @@ def present_owner(me: str, task_id: str, own: TaskAt, answers: Mapping[str, Task
     """
     silent = sorted(peer for peer, at in answers.items() if at is None)
     if silent:
-        return Refused(f"{' and '.join(silent)} did not say whether {task_id} is there: ask again, or end it first")
+        return ClaimRefused(
+            f"{' and '.join(silent)} did not say whether {task_id} is there: ask again, or end it first"
+        )
     claims = {peer: at.epoch for peer, at in {me: own, **answers}.items() if at is not None and at.peer == peer}
     if not claims:
-        return Refused(f"no agent that is connected has {task_id}, so its fence stays as it is: adopt the task first")
+        return ClaimRefused(
+            f"no agent that is connected has {task_id}, so its fence stays as it is: adopt the task first"
+        )
     name = max(claims, key=lambda peer: claims[peer])
     epoch: Epoch = claims[name]
-    return Owner(name, Mark(epoch.n, epoch.minter, "" if name == me else name))
+    return PresentOwner(name, Mark(epoch.n, epoch.minter, "" if name == me else name))
 
 
 def _birthplace(task_id: str) -> str:
