@@ -8,10 +8,12 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pancakes.mesh.net.certified import CertifiedRole
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
@@ -23,6 +25,7 @@ from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 from pancakes.runtime.plugins import Plugins
+from pancakes.security.authority import Authority
 
 PATIENCE_S = 20.0
 
@@ -128,6 +131,29 @@ class TcpRig(SocketRig):
     """TCP on loopback."""
 
     listen_at = "tcp://127.0.0.1:0"
+
+
+class TlsRig(TcpRig):
+    """TCP on loopback, with keys of one fleet."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__()
+        self.directory = directory
+        self.authority = Authority.founded("default", directory / "authority")
+
+    def transport(self, name: str) -> Transport:
+        return self.with_keys(self.enrol(name))
+
+    def enrol(self, name: str, role: CertifiedRole = "agent", **more: Any) -> Path:
+        """Makes keys; returns the folder that they are in."""
+        return self.authority.enrol(self.directory / f"{role}-{name}-{len(self.transports)}", role, name, **more)
+
+    def with_keys(self, folder: Path | None) -> Transport:
+        """Returns a transport that shows these keys; None: none."""
+        settings = {"tcp": {"keys": str(folder)}} if folder is not None else None
+        made = SocketTransport(self.clock, folder.name if folder is not None else "none", Plugins(), settings)
+        self.transports.append(made)
+        return made
 
 
 class LocalRig(SocketRig):
@@ -263,9 +289,10 @@ class Ear(ConnectionHandler):
         self._rig.note()
 
 
-@pytest.fixture(params=["tcp", "local", "memory"])
-def rig(request: pytest.FixtureRequest) -> Iterator[TransportRig]:
-    made = {"tcp": TcpRig, "local": LocalRig, "memory": MemoryRig}[request.param]()
+@pytest.fixture(params=["tcp", "tls", "local", "memory"])
+def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TransportRig]:
+    kinds = {"tcp": TcpRig, "tls": lambda: TlsRig(tmp_path), "local": LocalRig, "memory": MemoryRig}
+    made = kinds[request.param]()
     yield made
     made.close()
 

@@ -128,6 +128,12 @@ class StreamTransport(SchemeTransport):
             dialled: the address that was dialled; empty where it came in.
         """
 
+    def connection(
+        self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
+    ) -> StreamConnection:
+        """Makes the connection of a socket that stands."""
+        return StreamConnection(self, sock, remote, handler)
+
     def connect(self, sock: socket.socket, place: Any) -> None:
         """Connects a socket that does not block.
 
@@ -282,4 +288,4 @@ def _begin(
         sock.close()
         handler.closed(refusal)
     else:
-        StreamConnection(transport, sock, remote, handler).begin()
+        transport.connection(sock, remote, handler, bool(dialled)).begin()

@@ -4,17 +4,57 @@ from __future__ import annotations
 
 import os
 import socket
+from pathlib import Path
 from typing import Any, Final
 
 from pancakes.mesh.address import parse_address
 from pancakes.mesh.net.buffers import bound_buffers
+from pancakes.mesh.net.handshakes import Handshakes
+from pancakes.mesh.net.keys import Keys
+from pancakes.mesh.net.loop import Loop
+from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
+from pancakes.mesh.net.tls_connection import TlsConnection
+from pancakes.mesh.net.transport import ConnectionHandler
 
 _USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for so long
 
 
 class TcpTransport(StreamTransport):
-    """Connections over TCP."""
+    """Connections over TCP: encrypted, and between bearers of the fleet's certificates, where it has keys.
+
+    Args:
+        loop: the transport's thread.
+        settings: see `Settings`.
+
+    Raises:
+        PancakesError: the keys cannot be used; the sentence says why.
+    """
+
+    class Settings(StreamTransport.Settings):
+        """How it connects.
+
+        Attributes:
+            keys: the directory with this agent's keys; empty: it has none, and nothing is encrypted.
+        """
+
+        keys: str = ""
+
+    def __init__(self, loop: Loop, settings: Settings) -> None:
+        super().__init__(loop, settings)
+        self._keys = Keys(Path(settings.keys)) if settings.keys else None
+        self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
+
+    def connection(
+        self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
+    ) -> StreamConnection:
+        if self._keys is None:
+            return super().connection(sock, remote, handler, dialled)
+        context = self._keys.dialling if dialled else self._keys.listening
+        made = TlsConnection(self, sock, remote, handler, context, dialled, lambda certified: "", self._handshakes.over)
+        if not dialled and (oldest := self._handshakes.begun(made)) is not None:
+            oldest.dispose("it was slow to say who it is, and others wait")
+        return made
 
     def bind(self, address: str) -> Bound:
         family, place = self.places(address, look_up=True)[0]
@@ -46,6 +86,8 @@ class TcpTransport(StreamTransport):
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
         bound_buffers(sock)
+        if self._keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
+            return "too many begin at once to say who they are"
         return ""
 
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 import msgspec
 
+from pancakes.mesh.net.certified import Certified
 from pancakes.mesh.net.loop import Loop
 from pancakes.runtime.kernel.guest import Guest
 
@@ -22,6 +23,8 @@ class Connection(ABC):
 
     remote: str
     """Address of the other end, for messages to people."""
+    certified: Certified | None = None
+    """What the certificate at the other end says; None: the connection has none."""
 
     @abstractmethod
     def send(self, data: bytes) -> int:
