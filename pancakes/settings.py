@@ -30,6 +30,11 @@ from pancakes.runtime.foundation.suggestion import suggestion
 
 _T = TypeVar("_T")
 
+_PATH: Final = {"format": "path"}
+FilePath = Annotated[str, msgspec.Meta(extra_json_schema=_PATH)]
+"""The type of a setting that is the path of a file, or of a folder. A control packet, or a task that comes from another
+agent, sets it below the folders alone that the agent's own configuration names."""
+
 UNKNOWN_KEY: Final = "unknown key"
 
 _LEAVES: Final = frozenset((str, int, float, bool, type(None)))
@@ -192,6 +197,37 @@ def known_keys(cls: type) -> tuple[str, ...]:
 def required_keys(cls: type) -> list[str]:
     """Returns the keys of a dataclass that have no default, in their order."""
     return [field.name for field in codecs.type_info(cls).fields if field.required]  # type: ignore[attr-defined]
+
+
+def paths_in(kind: Any, plain: Any, key: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yields the paths of files among plain values (see `FilePath`), each behind the keys that lead to it.
+
+    Args:
+        kind: the class of the settings.
+        plain: the values.
+        key: the keys that lead to them.
+    """
+    if get_origin(kind) is Annotated:
+        if isinstance(plain, str) and _PATH in [getattr(meta, "extra_json_schema", None) for meta in get_args(kind)]:
+            yield key, plain
+        yield from paths_in(get_args(kind)[0], plain, key)
+    elif get_origin(kind) in (Union, types.UnionType):
+        yield from dict.fromkeys(found for arm in get_args(kind) for found in paths_in(arm, plain, key))
+    elif isinstance(plain, Mapping):
+        for name, value in plain.items():
+            yield from paths_in(_kind_at(kind, name), value, (*key, str(name)))
+    elif isinstance(plain, (list, tuple)):
+        for index, value in enumerate(plain):
+            yield from paths_in(_item_kind(get_origin(kind), get_args(kind), index), value, (*key, index))
+
+
+def _kind_at(kind: Any, name: Any) -> Any:
+    """Returns the type of what a table has under a name."""
+    if isinstance(kind, type) and has_fields(kind):
+        return _hints(kind).get(name, Any)
+    origin, arguments = get_origin(kind), get_args(kind)
+    is_mapping = isinstance(origin, type) and issubclass(origin, Mapping) and len(arguments) == 2
+    return arguments[1] if is_mapping else Any
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:

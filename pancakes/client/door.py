@@ -57,6 +57,7 @@ class Door:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
+            follows=True,
         )
         self._mesh.start()
 
@@ -159,7 +160,8 @@ class Door:
     def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         for packet in packets:
             if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
-                self._settle(packet.cause[1], packet.body)
+                if self._asked.get(packet.cause[1]) == peer:
+                    self._settle(packet.cause[1], packet.body)
             else:
                 for listener, _ in self._listeners:
                     listener(peer, packet)
@@ -167,7 +169,8 @@ class Door:
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
         if body_class(packet.type) is Reply and packet.cause is not None and packet.cause[0] == self.name:
-            self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
+            if self._asked.get(packet.cause[1]) == peer:
+                self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
         else:
             for _, unread in self._listeners:
                 unread(peer, packet, reason)

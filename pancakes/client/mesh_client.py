@@ -17,9 +17,9 @@ from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PluginError, Unreachable
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PluginError, Unreachable
 from pancakes.mesh.net.transport import Transport
-from pancakes.mesh.wire.link_messages import Hello
+from pancakes.mesh.wire.link_messages import DEFAULT_FLEET, Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.plugins import Plugins
@@ -110,6 +110,7 @@ class Client:
         self._no_news = threading.Lock()
         self._no_news.acquire()
         self._doors: dict[tuple[str, str], Door] = {}
+        self._greeted = 0
         self._leads: list[Lead] = []
         self._at = where.addresses
         self._fleet = where.fleet
@@ -290,7 +291,16 @@ class Client:
                 self._met(lead, scheme, transport, what)
             self._changed()
 
-        Greeting(transport, lead.address, self._clock, told)
+        self._greeted += 1
+        Greeting(transport, lead.address, f"{self.name}.{self._greeted}", self._fleet_at(lead), self._clock, told)
+
+    def _fleet_at(self, lead: Lead) -> str:
+        """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
+        if lead.fleet or self._fleet:
+            return lead.fleet or self._fleet
+        with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
+            return next((entry.fleet for entry in entries() if entry.listen == lead.address), DEFAULT_FLEET)
+        return DEFAULT_FLEET
 
     def _met(self, lead: Lead, scheme: str, transport: Transport, what: Hello | str) -> None:
         if isinstance(what, str):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.address import dialled
+from pancakes.runtime.foundation.names import fault_of_name
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +27,11 @@ class Where:
         """Returns the place that is meant by an address, by several, or by what is one already.
 
         Raises:
-            PancakesError: one of them is no address at which an agent could be.
+            PancakesError: one of them is no address at which an agent could be, or the fleet has no name.
         """
         if isinstance(at, Where):
+            if at.fleet and (fault := fault_of_name(at.fleet)):
+                raise PancakesError(fault)
             return cls(_addresses(at.addresses), at.fleet)
         return cls(_addresses((at,) if isinstance(at, str) else at))
 

@@ -181,7 +181,6 @@ class Agent:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            on_refused=self._stop_for,
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
@@ -204,7 +203,9 @@ class Agent:
                 "catalogue": installed,
             },
         }
-        self._specs = Composition(config, self._plugins, installed, shared, arguments, self.skipped).services()
+        composition = Composition(config, self._plugins, installed, shared, arguments, self.skipped)
+        self._specs = composition.services()
+        self.kernel.folders = composition.folders(self._specs)
 
     # Life ------------------------------------------------------------------------------------------------------
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import asdict
 
 from pancakes.errors import PluginError
 from pancakes.runtime.config import Config, DeviceConfig, ServiceConfig, TaskConfig
+from pancakes.runtime.folders import Folders
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.services.device import DeviceService, DeviceSpec
@@ -16,7 +17,9 @@ from pancakes.runtime.services.log import LogService
 from pancakes.runtime.services.network import NetworkService
 from pancakes.runtime.services.service_spec import ServiceSpec
 from pancakes.service import Service
+from pancakes.settings import paths_in
 from pancakes.task import TaskSpec
+from pancakes.tools.recording.settings import RecordingSettings
 
 FIRST: tuple[type[Service], ...] = (LogService, DeviceService, NetworkService)
 """Services of these classes start before all others, in this order; the tasks of the user need them."""
@@ -67,6 +70,18 @@ class Composition:
                     f"the device {device.name} does not run: no device service {device.service!r} does"
                 )
         return specs
+
+    def folders(self, specs: Sequence[ServiceSpec]) -> Folders:
+        """Returns the folders that the configuration names, and the files in the settings of these services."""
+        agent = self._config.agent
+        given: list[tuple[type, Mapping[str, Any]]] = []
+        for spec in specs:
+            given.append((spec.cls.Settings, spec.settings))
+            given += [(task.cls.Settings, task.settings) for task in spec.tasks]
+            given += [(device.cls.Settings, device.settings) for device in spec.arguments.get("devices", ())]
+            given.append((RecordingSettings, spec.arguments.get("record") or {}))
+        files = [path for cls, settings in given for _, path in paths_in(cls, settings) if path]
+        return Folders(agent.name, agent.folders, files)
 
     def _service(self, config: ServiceConfig, tasks: tuple[TaskSpec, ...]) -> ServiceSpec | None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -66,6 +67,7 @@ def parts(
 
     clock = {key: agent[key] for key in ("speed", "hold") if key in agent}
     others = {key: value for key, value in agent.items() if key not in clock}
+    others.setdefault("folders", config.agent.folders or (tempfile.gettempdir(),))  # where pytest's tmp_path lies
     config = replace(
         config,
         agent=replace(config.agent, **{"seed": 1 if config.agent.seed is None else config.agent.seed, **others}),

@@ -156,25 +156,21 @@ def test_the_settings_of_a_transport_reach_it(tmp_path):
     assert Noted.made_with == [TcpTransport.Settings(dial_s=2.5)]
 
 
-def test_two_agents_of_one_name_do_not_both_stay():
-    """The newcomer learns of it and says why it must end."""
+def test_of_two_agents_of_one_name_the_newcomer_says_so_and_runs_on_without_links():
     with FleetInTest(1) as fleet:
         fleet.start("b")
         fleet.start("a")
         fleet.connect()
         other = VirtualFleet(9)
         other.dispatcher, other.network = fleet.fleet.dispatcher, fleet.network
-        reasons: list[str] = []
         config = config_of("a", listen="tcp://elsewhere:7400", peers=("tcp://b:7400",))
         newcomer = other.start(config)
-        newcomer.on_fatal(reasons.append)
-        fleet.run_for(5.0)
-        assert len(reasons) == 1
-        assert newcomer.fatal == reasons[0]
-        late: list[str] = []
-        newcomer.on_fatal(late.append)
-        assert late == reasons
-        assert fleet.agents["a"].agent.fatal == ""
+        said: list[str] = []
+        newcomer.kernel.stream.tap("log", lambda packet: said.append(str(packet.body)))
+        fleet.run_for(15.0)
+        assert any("the name a is already borne by another agent" in line for line in said)
+        assert newcomer.fatal == "" and newcomer.mesh.neighbours() == []
+        assert fleet.agents["a"].agent.fatal == "" and fleet.agents["a"].agent.mesh.neighbours() == ["b"]
         other.close()
 
 

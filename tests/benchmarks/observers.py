@@ -35,7 +35,7 @@ import psutil
 from benchmarks.agent_process import listening_at, offer_tasks, ready_process
 from benchmarks.figure import Figure, Plan
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Begin, Configure, Describe, Start, Stop
 from pancakes.tools.launch.ports import claim_ports
 from pancakes.tools.web.feed import Feed
@@ -230,6 +230,7 @@ def running_demo(fleet: str) -> Iterator[Demo]:
         for agent, path in files.items():
             sets = [
                 f'agent.fleet="{fleet}"',
+                f'agent.folders=["{directory}"]',
                 f'agent.state_dir="{directory}/state-{agent}"',
                 f"clock.speed={SPEED}",
                 "service.log.settings.console=false",
@@ -242,7 +243,7 @@ def running_demo(fleet: str) -> Iterator[Demo]:
             command += [part for one in sets for part in ("--set", one)]
             processes[agent] = stack.enter_context(ready_process(command, environment))
         address = listening_at(environment, "world", processes["world"])
-        client = stack.enter_context(Client((address,), READY_S))
+        client = stack.enter_context(Client(Where((address,), fleet), READY_S))
         for agent in AGENTS:
             client.request(agent, Begin(0.5), READY_S)
         demo = Demo(directory, client, processes)

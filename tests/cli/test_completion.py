@@ -132,13 +132,14 @@ def test_agents_at_an_address_on_the_line_are_asked(rig: Rig, pair: tuple[Runnin
     address = rig.address(pair[1])
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(rig.directory / "elsewhere")
 
+    there = ("--fleet", "test", "--at", address)
     assert completed(rig, "agent", "info", "") == []
-    assert completed(rig, "agent", "info", "--at", address, "") == ["bee"]
-    assert completed(rig, "service", "stop", "--at", address, "bee/n") == ["bee/network"]
+    assert completed(rig, "agent", "info", *there, "") == ["bee"]
+    assert completed(rig, "service", "stop", *there, "bee/n") == ["bee/network"]
     # Bash breaks words at colons and equal signs, and the words it hands over with them.
     broken = [piece for part in address.split(":") for piece in (part, ":")][:-1]
-    assert completed(rig, "agent", "info", "--at", *broken, "") == ["bee"]
-    assert completed(rig, "agent", "info", "--at", "=", *broken, "") == ["bee"]
+    assert completed(rig, "agent", "info", *there[:2], "--at", *broken, "") == ["bee"]
+    assert completed(rig, "agent", "info", *there[:2], "--at", "=", *broken, "") == ["bee"]
     assert completed(rig, "agent", "info", "--format", "=", "js") == ["json"]
 
 

@@ -261,6 +261,9 @@ def task(name: str = "Scan", **other: Any) -> dict[str, Any]:
     return {**plain, "lateness_max_s": 0.0, "dropped": 0, **other}
 
 
+PEER = {"name": "b", "role": "agent", "remote": "tcp://192.0.2.7:40000", "refused": 0}
+
+
 def service(**other: Any) -> dict[str, Any]:
     return {"service": "camera", "state": "running", "reason": "", **other}
 
@@ -276,7 +279,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "dead_letters": 0,
         "neighbours": ["b"],
         "process": {"version": __version__},
-        "mesh": {"peers": [{"name": "b", "role": "agent", "dropped": {}}], "asleep": [], "addresses": []},
+        "mesh": {"peers": [{**PEER, "dropped": {}}], "asleep": [], "addresses": []},
         **other,
     }
 
@@ -289,7 +292,7 @@ def test_a_healthy_agent_is_in_order():
     assert levels(found_in(agent())) == [("ok", "a")]
 
 
-STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3}
+STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "refused": ""}
 
 
 @pytest.mark.parametrize(
@@ -338,7 +341,19 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3}
             "is not connected to its peer c at tcp://x:1",
         ),
         (
-            {"mesh": {"peers": [{"name": "b", "role": "agent", "dropped": {"log": 3}}], "asleep": [], "addresses": []}},
+            {"mesh": {"peers": [], "asleep": [], "addresses": [{**STATIC, "refused": "it is not of the fleet 'x'"}]}},
+            "warning",
+            "a",
+            "is not connected to its peer c at tcp://x:1: it is not of the fleet 'x'",
+        ),
+        (
+            {"mesh": {"peers": [{**PEER, "dropped": {}, "refused": 2}], "asleep": [], "addresses": []}},
+            "warning",
+            "a",
+            "refused 2 packets that b sent under another name",
+        ),
+        (
+            {"mesh": {"peers": [{**PEER, "dropped": {"log": 3}}], "asleep": [], "addresses": []}},
             "warning",
             "a",
             "dropped 3 packets to b, which is too slow for them: 3 of log",

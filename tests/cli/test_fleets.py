@@ -111,7 +111,7 @@ def test_what_is_wrong_with_a_fleet_is_said(
 def test_an_agent_of_another_fleet_at_an_address_is_named(rig: Rig, fleets: tuple[Running, Running]):
     result = rig.pancakes("agent", "list", "--at", f"127.0.0.1:{rig.port(fleets[0])}", "--fleet", "south")
     assert result.returncode == 3
-    assert "it is a of the fleet north, not of south" in result.stderr
+    assert "it is not of the fleet 'south'; --fleet names another" in result.stderr
 
 
 def test_a_client_takes_an_address_as_a_person_writes_it(rig: Rig, fleets: tuple[Running, Running]):
@@ -149,7 +149,7 @@ def test_a_fleet_can_share_one_list_of_peers(rig: Rig, tmp_path: Path):
     a.hear(READY)
     b = rig.ready("b", agent=peers)
     a.hear("peer=b")
-    with Client(f"127.0.0.1:{port}", 10.0) as client:
+    with Client(Where((f"127.0.0.1:{port}",), "test"), 10.0) as client:
         (found,) = client.survey("a").agents
 
     assert not [it for it in found["mesh"]["addresses"] if it["static"]], "its own address is no peer"

@@ -54,8 +54,8 @@ def test_one_agent_leads_to_the_rest_of_its_fleet(rig: Rig, pair: tuple[Running,
     address = rig.address(pair[1]).removeprefix("tcp://")
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(rig.directory / "elsewhere")
 
-    assert [row["agent"] for row in listed(rig, "agent", "list", "--at", address)] == ["a", "b"]
-    assert {row["agent"] for row in listed(rig, "task", "list", "a", "--at", address)} == {"a"}
+    assert [row["agent"] for row in listed(rig, "agent", "list", "--at", address, "--fleet", "test")] == ["a", "b"]
+    assert {row["agent"] for row in listed(rig, "task", "list", "a", "--at", address, "--fleet", "test")} == {"a"}
 
 
 def test_agents_of_several_fleets_are_found_at_once(rig: Rig):

@@ -9,6 +9,7 @@ import pytest
 from cli.processes import PATIENCE_S, Rig
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 50\n'
+HERE = 'folders = ["."]'
 IDLE = """
 from pancakes.task import Task
 
@@ -40,7 +41,7 @@ def grown(path, size):
 
 def test_recordings_are_started_listed_stopped_and_looked_at(rig):
     for name in ("a", "b"):
-        rig.ready(name, LOAD)
+        rig.ready(name, LOAD, agent=HERE)
     assert rows(rig, "start", "--dry-run") == [
         {"agent": "a", "done": "dry run", "path": None},
         {"agent": "b", "done": "dry run", "path": None},
@@ -69,8 +70,8 @@ def test_recordings_are_started_listed_stopped_and_looked_at(rig):
 
 
 def test_a_channel_that_nobody_has_is_refused_and_of_one_that_some_have_it_is_told(rig):
-    rig.ready("a", "[channel.map]\n")
-    rig.ready("b")
+    rig.ready("a", "[channel.map]\n", agent=HERE)
+    rig.ready("b", agent=HERE)
     result = rig.pancakes("record", "start", "--channel", "mapp")
     assert (result.returncode, result.stderr.partition(",")[0]) == (1, "no agent has a channel 'mapp'")
     assert {row["path"] for row in rows(rig, "list")} == {None}
@@ -80,7 +81,7 @@ def test_a_channel_that_nobody_has_is_refused_and_of_one_that_some_have_it_is_to
 
 def test_of_a_task_that_runs_nowhere_it_is_told(rig):
     rig.install("records", "[pancakes.tasks]\nrecords.Idle = plugin_records:Idle\n", IDLE)
-    rig.ready("a", '[task.Idle]\ntype = "records.Idle"\n')
+    rig.ready("a", '[task.Idle]\ntype = "records.Idle"\n', agent=HERE)
     told = "no task {} runs there now: of it nothing is recorded before it comes\n"
     for task in ("b/Idle", "a/Idel"):
         result = rig.pancakes("record", "start", "--task", task, "--path", "r.mcap")
@@ -90,12 +91,12 @@ def test_of_a_task_that_runs_nowhere_it_is_told(rig):
 
 
 def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):
-    agent = rig.ready("a", LOAD)
+    agent = rig.ready("a", LOAD, agent=HERE)
     rows(rig, "start", "--path", "run/{agent}.mcap")
     grown(rig.directory / "run" / "a.mcap", 4000)
     os.kill(agent.pid, signal.SIGKILL)
     agent.ended()
-    agent = rig.ready("a", LOAD)
+    agent = rig.ready("a", LOAD, agent=HERE)
     grown(rig.directory / "run" / "a.002.mcap", 4000)
     assert [(row["done"], row["path"]) for row in rows(rig, "list")] == [
         ("recording", str(rig.directory / "run" / "a.mcap"))
@@ -103,13 +104,13 @@ def test_a_recording_goes_on_by_itself_after_a_kill_and_not_after_a_stop(rig):
     assert [row["done"] for row in rows(rig, "stop")] == ["complete"]
     os.kill(agent.pid, signal.SIGKILL)
     agent.ended()
-    rig.ready("a", LOAD)
+    rig.ready("a", LOAD, agent=HERE)
     assert [row["done"] for row in rows(rig, "list")] == ["stopped"]
     assert not (rig.directory / "run" / "a.003.mcap").exists()
 
 
 def test_too_little_room_is_said_at_once(rig):
-    rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n")
+    rig.ready("a", "[record]\nstart = false\nfree_mib = 1e9\n", agent=HERE)
     result = rig.pancakes("record", "start", "--path", "r.mcap")
     assert result.returncode == 1
     assert "r.mcap does not begin: less than 1e+09 MiB are free on the disk of . (" in result.stderr
@@ -117,7 +118,7 @@ def test_too_little_room_is_said_at_once(rig):
 
 
 def test_a_bad_setting_is_refused_before_anything_is_recorded(rig):
-    rig.ready("a")
+    rig.ready("a", agent='folders = ["/proc"]')
     result = rig.pancakes("record", "start", "--path", "/proc/nowhere/a.mcap")
     assert result.returncode == 1
     assert result.stderr.startswith("a/log/Recorder failed to start: the recording /proc/nowhere/a.mcap cannot be")

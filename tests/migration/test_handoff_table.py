@@ -266,6 +266,32 @@ class TestSource:
         assert at_source(OWNER, RUNNING, from_agent2(Prepared(SCAN, Epoch(1, "agent3")))) == []
 
 
+ANSWERS = [Activated(SCAN, OFFER), Nak(SCAN, OFFER, "no"), Unknown(SCAN, OFFER)]
+
+
+class TestOthers:
+    """An agent that is no party to a hand-off changes nothing of it."""
+
+    @pytest.mark.parametrize("message", [Commit(SCAN, OFFER), Abort(SCAN, OFFER), Unknown(SCAN, OFFER)], ids=repr)
+    def test_what_is_prepared_is_given_and_taken_back_by_its_source_alone(self, message: object) -> None:
+        assert at_destination(PREPARED, Received("agent3", message)) == []  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("record", [FROZEN, COMMITTED], ids=["frozen", "committed"])
+    @pytest.mark.parametrize(
+        "message", [Activated(SCAN, OFFER), Nak(SCAN, OFFER, "no"), Unknown(SCAN, OFFER)], ids=repr
+    )
+    def test_what_is_given_away_is_taken_and_declined_by_its_destination_alone(
+        self, record: Record, message: object
+    ) -> None:
+        assert at_source(record, REST, Received("agent3", message)) == []  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("record", [FROZEN, COMMITTED], ids=["frozen", "committed"])
+    def test_another_that_says_it_is_prepared_is_told_to_drop_that(self, record: Record) -> None:
+        assert at_source(record, REST, Received("agent3", Prepared(SCAN, OFFER))) == [
+            Send("agent3", Abort(SCAN, OFFER))
+        ]
+
+
 class TestDestination:
     @pytest.mark.parametrize("record", [ABSENT, DROPPED], ids=["absent", "released"])
     def test_reserve_is_answered(self, record: Record) -> None:

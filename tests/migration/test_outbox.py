@@ -36,7 +36,7 @@ def test_each_task_that_sends_has_a_stream_and_all_others_have_one():
 def test_a_new_stream_begins_where_the_others_know_the_task_to_be(box):
     assert box.host_of(ME, SINK) == ""
     post(box, b"1")
-    box.forwarded(ForwardTo("a/Sink", "b", 3), 0.0)
+    box.forwarded(ForwardTo("a/Sink", "b", 3), "a", 0.0)
     assert box.host_of("s/Other", SINK) == "b"
 
 

@@ -9,17 +9,14 @@ from pancakes.errors import MailboxFull
 from pancakes.mesh.migration.post import (
     IN_FLIGHT,
     LONGEST_S,
-    MOST_HOPS,
     RESEND_S,
     STREAMS,
     WINDOW,
     WINDOW_BYTES,
     ForwardTo,
     Incoming,
-    Letter,
     Outgoing,
     Receipt,
-    onward,
 )
 from pancakes.mesh.migration.record import TaskId
 
@@ -95,10 +92,19 @@ class TestTheSender:
 
     def test_follows_a_task_that_moved_and_believes_no_older_news(self, out):
         post(out, 2)
-        assert seqs(out.forwarded(ForwardTo("a/Scan", "b", 3), 0.1)) == [("b", 1), ("b", 2)]
-        assert out.forwarded(ForwardTo("a/Scan", "c", 2), 0.1) == []
-        assert out.forwarded(ForwardTo("a/Scan", "b", 3), 0.1) == []
+        assert seqs(out.forwarded(ForwardTo("a/Scan", "b", 3), "a", 0.1)) == [("b", 1), ("b", 2)]
+        assert out.forwarded(ForwardTo("a/Scan", "c", 2), "b", 0.1) == []
+        assert out.forwarded(ForwardTo("a/Scan", "b", 3), "b", 0.1) == []
         assert seqs(post(out, 1)) == [("b", 3)]
+
+    def test_believes_an_agent_only_that_it_has_asked(self, out):
+        post(out, 1)
+        assert out.forwarded(ForwardTo("a/Scan", "thief", 9), "thief", 0.1) == []
+        asked = [("a", 1)]
+        for round_ in range(1, 10):
+            asked = seqs(out.due(10.0 * round_))
+        assert asked == [("a", 1), ("", 1)], "nothing is heard of it, so all are asked"
+        assert seqs(out.forwarded(ForwardTo("a/Scan", "b", 9), "c", 200.0)) == [("b", 1)]
 
     def test_learns_from_a_receipt_where_the_task_is(self, out):
         post(out, 2)
@@ -141,13 +147,6 @@ class TestTheReceiver:
         assert filter_.is_old("s0", 2) and not filter_.is_old("s1", 1)
 
 
-def test_a_letter_does_not_wander_for_ever():
-    letter, hops = Letter("a/Scan", STREAM, 1, 1, b"", "me"), 0
-    while (further := onward(letter)) is not None:
-        letter, hops = further, hops + 1
-    assert hops == MOST_HOPS
-
-
 @pytest.mark.parametrize("seed", range(50))
 def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effect_once_and_in_order(seed):
     """The receiver moves, with its filter; and at times it goes back to a checkpoint of all that it acknowledged."""
@@ -177,7 +176,7 @@ def test_over_a_network_that_loses_doubles_and_reorders_everything_has_its_effec
             dispatch = wire.pop(source.randrange(len(wire)) if source.random() < 0.3 else 0)
             letter, peer = dispatch.letter, dispatch.peer or host
             if peer != host:
-                lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), now_s))
+                lose_and_double(out.forwarded(ForwardTo("a/Scan", host, epoch_n), peer, now_s))
                 continue
             if filter_.is_next(letter.stream, letter.seq, letter.first):
                 effects.append(int(letter.packet))

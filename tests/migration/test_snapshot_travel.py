@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from pancakes.errors import MigrationError, RemoteProtocolError
 from pancakes.mesh.migration import messages
 from pancakes.mesh.migration.messages import Abort, Piece, Reserve, Solicit, Transfer, addressed, is_for
-from pancakes.mesh.migration.pieces import PIECE_BYTES, Assembly, cut
+from pancakes.mesh.migration.pieces import MOST_BYTES, MOST_HALF, PIECE_BYTES, Assembly, cut
 from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.snapshot import LIMIT_BYTES, Heard, Posted, PostedTo, Snapshot, TimerPhase
 from pancakes.packet import body_from_plain, known_types, type_name
@@ -176,3 +176,25 @@ def test_a_piece_of_another_whole_does_not_fit() -> None:
     assembly.add("agent1", first)
     with pytest.raises(RemoteProtocolError, match="does not fit"):
         assembly.add("agent1", other)
+
+
+def test_of_each_peer_so_many_snapshots_may_be_on_their_way() -> None:
+    assembly = Assembly()
+    begun = [cut(Transfer(TaskId("agent1", f"T{number}"), OFFER, bytes(2 * PIECE_BYTES))) for number in range(5)]
+    for pieces in begun[:MOST_HALF]:
+        assembly.add("agent1", pieces[0])
+    with pytest.raises(RemoteProtocolError, match="while 4 of its snapshots are on their way"):
+        assembly.add("agent1", begun[MOST_HALF][0])
+    assert assembly.add("agent2", begun[MOST_HALF][0]) is None, "another peer has a count of its own"
+    assert assembly.add("agent1", begun[0][1]) is not None
+    assembly.drop("agent2")
+    assert assembly.add("agent1", begun[MOST_HALF][0]) is None
+
+
+def test_of_each_peer_so_many_bytes_may_be_on_their_way() -> None:
+    assembly = Assembly()
+    large = [cut(Transfer(TaskId("agent1", f"T{number}"), OFFER, bytes(LIMIT_BYTES)))[0] for number in range(3)]
+    for piece in large[:2]:
+        assembly.add("agent1", piece)
+    with pytest.raises(RemoteProtocolError, match=f"of {MOST_BYTES} bytes"):
+        assembly.add("agent1", large[2])

@@ -288,6 +288,7 @@ class Agent:
         listen: str | None = None,
         times: LinkTimes | None = None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
+        follows: bool = False,
     ) -> None:
         self._rig = rig
         self.name = name
@@ -295,7 +296,6 @@ class Agent:
         self.unfit: list[tuple[str, Packet, str]] = []
         self.ups: list[str] = []
         self.downs: list[tuple[str, str, float | None]] = []
-        self.refusals: list[str] = []
         self.lines: list[tuple[str, str]] = []
         self._seq = 0
         self.transport = rig.transport(name)
@@ -310,10 +310,10 @@ class Agent:
             on_unfit=lambda *news: self._note(self.unfit, news),
             on_peer_up=lambda hello: self._note(self.ups, hello.name),
             on_peer_down=lambda *news: self._note(self.downs, news),
-            on_refused=lambda reason: self._note(self.refusals, reason),
             on_log=lambda *line: self._note(self.lines, line),
             defer=defer,
             times=times,
+            follows=follows,
         )
         self.mesh.start()
 

@@ -12,6 +12,8 @@ from pancakes.mesh.net.peers import (
     MAX_AGENTS,
     MAX_CLIENTS,
     MAX_LEARNT,
+    MOST_DIALS,
+    MOST_OF_PEER,
     Admit,
     Dial,
     Peers,
@@ -204,13 +206,36 @@ def test_a_new_journal_is_taken_once_the_old_one_has_gone():
     assert it.met(it.new_link(), hello("z", journal="a new disk"), "", 2.0) == [Admit(2)]
 
 
-def test_we_notice_when_we_dial_ourselves_and_never_do_so_again():
+def test_we_notice_when_we_dial_ourselves_and_look_again_now_and_then():
     it = peers("tcp://alias:1")
     (dial,) = it.tick(0.0)
+    (turned,) = it.met(it.new_link(), hello("m"), "tcp://there:9", 0.0)  # at its other end
+    assert turned.code == "self"
     (turned,) = it.met(dial.link, hello("m"), "tcp://alias:1", 0.0)
     assert turned.code == "self"
     it.over(dial.link, 0.0, refused="self")
-    assert it.tick(1000.0) == [] and addresses(it) == []
+    assert addresses(it) == [] and it.tick(9.9) == []
+    (dial,) = it.tick(10.0)
+    it.met(dial.link, hello("z", listen="tcp://alias:1"), "tcp://alias:1", 10.0)
+    assert addresses(it) == ["tcp://alias:1"], "another agent is there now"
+
+
+def test_an_address_at_which_a_program_repeats_our_hello_is_not_ours():
+    it = peers("tcp://squatter:1")
+    (dial,) = it.tick(0.0)
+    (turned,) = it.met(dial.link, hello("m"), "tcp://squatter:1", 0.0)
+    assert (turned.code, turned.reason) == ("name", "what listens there repeats what m says")
+    it.over(dial.link, 0.0, refused="name")
+    assert [(known["address"], known["refused"]) for known in it.describe()] == [("tcp://squatter:1", turned.reason)]
+    assert dials(it.tick(10.0)) == ["tcp://squatter:1"]
+
+
+def test_who_says_that_it_listens_at_a_static_address_keeps_nobody_from_dialling_it():
+    it = peers("tcp://true:1")
+    (dial,) = it.tick(0.0)
+    it.over(dial.link, 0.0)
+    connect(it, "z", listen="tcp://true:1")
+    assert dials(it.tick(10.0)) == ["tcp://true:1"]
 
 
 def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
@@ -228,6 +253,38 @@ def test_the_book_of_learnt_addresses_is_bounded():
     it = peers("tcp://a:1")
     it.learnt([f"tcp://x:{number}" for number in range(10_000)], 0.0)
     assert len(addresses(it)) == MAX_LEARNT + 1
+
+
+def test_of_each_peer_so_many_addresses_are_kept_at_which_no_agent_is_connected():
+    it = peers()
+    named = [f"tcp://x:{number}" for number in range(1, 40)]
+    it.learnt(named, 0.0, "a")
+    assert addresses(it) == named[:MOST_OF_PEER]
+    it.learnt(named, 0.0, "b")
+    assert addresses(it) == named[: 2 * MOST_OF_PEER], "each peer has a count of its own"
+    connect(it, "z", listen=named[0])
+    it.learnt(named[35:37], 0.0, "a")
+    assert addresses(it) == [*named[: 2 * MOST_OF_PEER], named[35]], "z is there, so a may name one more"
+
+
+def test_so_many_learnt_addresses_are_dialled_at_a_time_and_each_static_one_at_once():
+    it = peers("tcp://s:1")
+    first = dials(it.learnt([f"tcp://x:{number}" for number in range(1, 17)], 0.0, "a"))
+    assert first == ["tcp://s:1", *(f"tcp://x:{number}" for number in range(1, MOST_DIALS + 1))]
+    assert it.tick(0.0) == [] and it.due_s() == math.inf
+    it.over(2, 0.0)
+    assert it.due_s() <= 0.0
+    assert dials(it.tick(0.0)) == [f"tcp://x:{MOST_DIALS + 1}"]
+
+
+def test_a_peer_may_name_no_address_that_must_be_looked_up_and_a_person_may():
+    it = Peers(hello("m"), (), random.Random(1), LinkTimes(), 0.0, looks_up=lambda address: "name" in address)
+    it.learnt(["tcp://name:1", "tcp://192.0.2.1:1"], 0.0, "a")
+    assert addresses(it) == ["tcp://192.0.2.1:1"]
+    it.met(it.new_link(), hello("z", listen="tcp://name:2"), "tcp://there:9", 0.0)
+    assert addresses(it) == ["tcp://192.0.2.1:1"]
+    it.learnt(["tcp://name:1"], 0.0)
+    assert addresses(it) == ["tcp://192.0.2.1:1", "tcp://name:1"]
 
 
 def test_a_learnt_address_that_always_fails_is_forgotten_a_static_one_never():

@@ -20,6 +20,20 @@ def test_what_is_no_address_of_tcp_is_said(tcp_rig, address):
         tcp_rig.transport("a").listen(address, tcp_rig.ear)
 
 
+@pytest.mark.parametrize(
+    ("address", "is_name"),
+    [
+        ("tcp://192.0.2.1:7401", False),
+        ("tcp://[::1]:7401", False),
+        ("tcp://localhost:7401", True),
+        ("tcp://robot1.local:7401", True),
+        ("no address", True),
+    ],
+)
+def test_it_is_known_which_addresses_have_names(tcp_rig, address, is_name):
+    assert tcp_rig.transport("a").looks_up(address) is is_name
+
+
 def test_names_are_looked_up_beside_the_loop(tcp_rig):
     here, there = tcp_rig.ear(), tcp_rig.ear()
     address = tcp_rig.transport("b").listen(tcp_rig.listen_at, lambda: there)

@@ -276,3 +276,17 @@ def test_only_a_client_may_follow_what_others_send(fleet):
     fleet.connect()
     reply = agent.ask(Follow("system", foreign=True), to="b")
     assert reply.reason == "a is no client, so it cannot follow what others send to b"
+
+
+def test_a_simulated_world_may_not_follow_what_others_send_and_a_client_may(fleet):
+    agent = fleet.start("a")
+    world = fleet.start("world", role="environment")
+    page = fleet.start("page", role="client")
+    fleet.connect()
+    reply = world.ask(Follow("system", foreign=True), to="a")
+    assert reply.reason == "world is no client, so it cannot follow what others send to a"
+    assert page.ask(Follow("system", foreign=True), to="a").ok
+    world.publish("system", Load(0.5), to="a")
+    fleet.run_for(0.1)
+    assert [packet.body.cpu for packet in page.probe.packets(Load, source="world/test/Probe")] == [0.5]
+    assert agent.kernel.stream.followers("system") == ["page/test/Probe"]

@@ -307,6 +307,18 @@ def test_when_its_task_stops_it_holds_at_once(fleet):
     assert agent.events("safe_hold")[0]["reason"] == "Driving let go of it"
 
 
+def test_a_hold_stops_the_device_that_it_names_and_one_that_names_none_stops_none(fleet):
+    agent = fleet.start("a", devices={"wheels": Wheels, "cpu": Thermometer}, tasks={"Driving": Driving})
+    fleet.run_for(0.45)
+    agent.publish("ctrl", Hold("to all"))
+    agent.publish("ctrl", Hold("to another"), to="a/device/cpu")
+    fleet.run_for(0.01)
+    assert agent.events("safe_hold") == []
+    agent.publish("ctrl", Hold("to the wheels"), to="a/device/wheels")
+    fleet.run_for(0.01)
+    assert [event["reason"] for event in agent.events("safe_hold")] == ["to the wheels"]
+
+
 def test_when_its_task_fails_for_good_it_holds_at_once(fleet):
     class Crashing(Driving):
         @on("system", Battery)

@@ -83,3 +83,13 @@ def test_who_follows_no_more_gets_nothing_of_what_waits(fleet):
     fleet.run_for(20.0)
     assert loads(a) == [0.1]
     assert b.kernel.stream.followers("system") == []
+
+
+def test_of_a_fast_rate_the_first_packet_waits_no_longer_than_a_quarter_of_its_period(fleet):
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    assert a.ask(Follow("system", most_hz=100.0), to="b").ok
+    b.publish("system", Load(0.1))
+    fleet.run_for(0.002)
+    assert loads(a) == []
+    fleet.run_for(0.001)
+    assert loads(a) == [0.1]

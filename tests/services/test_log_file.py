@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pancakes.control import Configure, History, Stop
+from pancakes.events import LogLine
 from pancakes.runtime.services.log import LogService
 from pancakes.settings import check_settings
 from pancakes.task import Task, every
@@ -177,3 +178,33 @@ def test_where_the_file_goes_and_how_large_it_becomes_may_be_changed_while_it_ru
     assert texts(path, "a/client/Careful")[-1] == "the wheel is loose at 2"
     assert sorted(found.name for found in tmp_path.iterdir()) == ["a.jsonl", "b.jsonl", "b.jsonl.1"]
     assert texts(other, "a/client/Careful") or texts(tmp_path / "b.jsonl.1", "a/client/Careful")
+
+
+def test_what_was_left_out_is_told_5_s_after_it_began_each_time_also_where_nothing_follows(fleet, tmp_path):
+    path = tmp_path / "a.jsonl"
+    agent = fleet.start("a", services=log_of(file=str(path), share_kib_s=0.01))
+    for times in (1, 2):
+        fleet.run_for(1.0)
+        for number in range(10):
+            agent.publish("log", LogLine("info", f"line {number} {'x' * 100}"))
+        fleet.run_for(4.9)
+        assert len(texts(path, "a/test/Probe")) == 2 * times - 1
+        fleet.run_for(0.2)
+        told = texts(path, "a/test/Probe")
+        assert len(told) == 2 * times and told[-1] == "9 more lines in the last 5 s were left out"
+
+
+def test_a_line_that_could_not_be_written_takes_nothing_of_the_share(fleet, tmp_path):
+    blocked = tmp_path / "logs"
+    blocked.write_text("no directory")
+    path = blocked / "a.jsonl"
+    agent = fleet.start("a", services=log_of(file=str(path), share_kib_s=0.0001))
+    fleet.run_for(6.0)
+    for number in range(3):
+        agent.publish("log", LogLine("info", f"line {number}"))
+    fleet.run_for(0.1)
+    blocked.unlink()
+    fleet.run_for(5.0)
+    agent.publish("log", LogLine("info", "line 3"))
+    fleet.run_for(0.1)
+    assert texts(path, "a/test/Probe") == ["line 3"]

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 
 from pancakes.bodies.devices.types import Pose
 from pancakes.control import Configure, Describe, History, Start, Stop
@@ -11,6 +12,7 @@ from pancakes.events import Event, LogLine
 from pancakes.packet import Packet, packet_type
 from pancakes.runtime.services.log import REMEMBERED_BYTES
 from pancakes.runtime.services.log_record import line_of, record_of
+from pancakes.runtime.weight import weigh
 from pancakes.task import Task, every
 from pancakes.testing import FleetInTest, threaded_agent
 
@@ -168,3 +170,61 @@ def test_the_console_goes_on_as_it_was_set():
         assert agent.ask(Stop("log/Console")).ok
         assert agent.ask(Start("log/Console")).ok
         assert agent.ask(Describe("log/Console")).result["settings"]["level"] == "error"
+
+
+@pytest.mark.parametrize(("length", "said"), [(20_000, "line"), (20_001, "20001 characters left out")])
+def test_a_line_is_told_up_to_20_000_characters(length, said):
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a")
+        empty = agent.publish("log", LogLine("info", ""))
+        agent.publish("log", LogLine("info", "line".ljust(length - len(line_of(record_of(empty))))))
+        assert agent.ask(History()).result[-1]["text"].rstrip() == said
+
+
+@pytest.mark.parametrize(("last", "count"), [(15_000, 4), (15_001, 3)])
+def test_a_page_has_up_to_60_000_characters(last, count):
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": False, "remembered": 4}}})
+        empty = line_of(record_of(agent.publish("log", LogLine("info", ""))))
+        for length in (15_000, 15_000, 15_000, last):
+            agent.publish("log", LogLine("info", "x" * (length - len(empty))))
+        assert len(agent.ask(History()).result) == count
+
+
+def test_what_takes_4_mib_to_the_byte_is_remembered():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"console": False}}})
+        quarter = REMEMBERED_BYTES // 4
+        image = bytes(quarter - weigh(Event("said", {"image": b""})))
+        for _ in range(4):
+            agent.publish("log", Event("said", {"image": image}))
+        assert weigh(Event("said", {"image": image})) == quarter == 1024 * 1024
+        assert len(agent.ask(History()).result) == 4
+
+
+def test_a_console_that_is_slow_for_a_moment_shows_4096_lines_and_loses_the_oldest_of_more(capsys):
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", services={"log": {"settings": {"share_kib_s": 0.0}}})
+        for count, first in ((4096, 0), (4097, 1)):
+            capsys.readouterr()
+            for number in range(count):
+                agent.publish("log", LogLine("info", f"line {number}"))
+            fleet.run_for(0.1)
+            shown = [line for line in capsys.readouterr().err.splitlines() if "a/test/Probe: line" in line]
+            assert [int(line.rpartition(" ")[2]) for line in shown] == list(range(first, count))
+
+
+def test_a_recording_that_goes_on_keeps_its_settings_and_the_file_and_the_console_keep_theirs(tmp_path):
+    with FleetInTest(1) as fleet:
+        settings = {"level": "error", "file": str(tmp_path / "a.jsonl")}
+        agent = fleet.start("a", services={"log": {"settings": settings}})
+        path = str(tmp_path / "r.mcap")
+        assert agent.ask(Start("log/Recorder", {"path": path, "channels": ["system"]})).ok
+        fleet.run_for(0.1)
+        fleet.stop("a")
+        agent = fleet.restart("a")
+        assert agent.running("log") == ["Console", "File", "Recorder"]
+        recorder = agent.ask(Describe("log/Recorder")).result["settings"]
+        assert (recorder["path"], recorder["channels"]) == (path, ("system",))
+        assert agent.ask(Describe("log/Console")).result["settings"]["level"] == "error"
+        assert sorted(found.name for found in tmp_path.iterdir()) == ["a.jsonl", "r.002.mcap", "r.mcap"]

@@ -24,7 +24,7 @@ from pancakes.packet import SYSCTRL
 from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec, every
-from pancakes.testing import FleetInTest, assert_published, no_thread_left, threaded_agent
+from pancakes.testing import FleetInTest, Probe, assert_published, no_thread_left, threaded_agent
 
 
 def said(reply):
@@ -422,6 +422,19 @@ def test_a_held_mission_begins_by_a_packet(fleet):
     assert agent.ask(Begin(1.0)).ok
     fleet.run_for(2.05)
     assert agent.task("Count").state.n == 10
+
+
+def test_who_starts_a_service_of_which_a_task_is_stuck_hears_that_and_it_starts_once_that_has_ended(fleet):
+    agent = with_mapper(fleet)
+    assert agent.ask(Stop("mapper")).ok
+    old = agent.kernel.spawn(Probe, "a/mapper/Old")
+    asked_s = fleet.now()
+    reply = agent.ask(Start("mapper"))
+    assert reply.reason == "a/mapper waits for the end of a/mapper/Old, which is stuck"
+    assert 2.0 < fleet.now() - asked_s < 2.1
+    assert states(agent)["mapper"] == "starting"
+    old.stop()
+    agent.wait_until(lambda: states(agent)["mapper"] == "running")
 
 
 # On threads ----------------------------------------------------------------------------------------------------

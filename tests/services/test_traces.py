@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import pytest
+
 from pancakes.bodies.devices.types import Load, Pose, Twist
 from pancakes.control import Reply, Traces
 from pancakes.packet import Packet
@@ -220,3 +222,39 @@ def test_who_waits_for_an_answer_gets_it_when_the_service_stops():
             tracing.answer(Traces(), "page", told.append)
         tracing.end()
         assert [len(answer["rows"]) >= 20 for answer in told] == [True, True]
+
+
+def test_what_small_packets_say_is_kept_however_many_of_their_type_have_come():
+    traced = TracedPackets("a")
+    reaction(traced, 100, 1)
+    traced.answer(Traces(), 200 * MS)
+    reaction(traced, 300, 2)
+    told = [row[8] for row in traced.answer(Traces(200 * MS), 400 * MS)["rows"]]
+    assert told == ["x_m 1, y_m 2, theta_rad 0", "x_m 1, y_m 2, theta_rad 0", "v_mps 0.1, omega_radps 0"]
+
+
+def test_a_packet_is_known_for_8_s():
+    traced = TracedPackets("a")
+    heard(traced, 100, "a/client/Scan", 1, "motors", None, "ctrl", Twist(0.1, 0.0))
+    assert names(traced.answer(Traces(), 8_100 * MS)) == [("a/client/Scan", 1)]
+    assert names(traced.answer(Traces(), 8_101 * MS)) == []
+
+
+@pytest.mark.parametrize(("count", "more_steps"), [(0, 0), (STEP - 1, 0), (STEP, 1), (2 * STEP, 2)])
+def test_old_packets_are_forgotten_in_short_steps_and_a_few_in_none_of_their_own(count, more_steps):
+    traced = TracedPackets("a")
+    for seq in range(count):
+        heard(traced, 1, "a/device/pose", seq)
+    traced.answer(Traces(), 2 * MS)
+    at_rest = len(list(TracedPackets("a").answering(Traces(), 20_000 * MS)))
+    assert len(list(traced.answering(Traces(), 20_000 * MS))) == at_rest + more_steps
+
+
+def test_packets_are_noted_for_10_s_after_the_last_question():
+    with FleetInTest(1) as fleet:
+        agent = fleet.start("a", tasks={"Read": Read, "Steer": Steer})
+        assert agent.ask(Traces()).result["rows"] == []
+        fleet.run_for(9.5)
+        assert agent.ask(Traces()).result["rows"] != []
+        fleet.run_for(10.5)
+        assert agent.ask(Traces()).result["rows"] == []

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 
 CONNECTED: Final = " is connected"
 SWEPT: Final = "/client/Sweeper: soak_swept pieces="
@@ -235,7 +235,7 @@ def bytes_sent(fleet: Fleet) -> tuple[int, float]:
     Returns:
         The sum of all, without the headers of TCP and IP, and the time at which they were asked.
     """
-    with Client([agent.address for agent in fleet.alive()], PATIENCE_S) as client:
+    with Client(Where(tuple(agent.address for agent in fleet.alive()), "soak"), PATIENCE_S) as client:
         rows = client.survey().agents
         peers = [peer for row in rows for peer in row["mesh"]["peers"] if peer["role"] != "client"]
         return sum(peer["bytes_out"] for peer in peers), time.monotonic()

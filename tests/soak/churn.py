@@ -16,7 +16,7 @@ from soak.judgement import Sample, Trend, leaks, lost_pieces, memory_fault
 from soak.tasks import SWEPT_S
 from soak.vitals import vitals_of
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Configure, Follow, Migrate, Reschedule, Restart, Start, Stop, Unfollow
 from pancakes.errors import PancakesError
 
@@ -192,7 +192,7 @@ class Churn:
             case "look":
                 # Somebody at a terminal, who comes under a name that was never heard before.
                 self.outcome.counts["look"] += 1
-                with Client(self._addresses(), 2.0) as client:
+                with Client(Where(tuple(self._addresses()), "soak"), 2.0) as client:
                     self._survey(client)
 
     def _ask(self, kind: str, agent: str, body: Any) -> None:
@@ -213,7 +213,7 @@ class Churn:
 
     @contextmanager
     def _asking(self) -> Iterator[None]:
-        with Client(self._addresses(), 3.0) as client:
+        with Client(Where(tuple(self._addresses()), "soak"), 3.0) as client:
             self._client = client
             try:
                 yield

@@ -14,7 +14,7 @@ from torture.cuts import wait_for_link
 from torture.grounds import Survey, on_loopback
 from torture.live import LiveFleet
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Migrate
 
 NAMES = ("left", "right")
@@ -87,7 +87,7 @@ class _Attempt(NamedTuple):
 def _move(fleet: LiveFleet, moves: int, move_s: float) -> list[_Attempt]:
     attempts = []
     never = threading.Event()
-    with Client(at=list(fleet.addresses.values()), timeout_s=move_s) as client:
+    with Client(Where(tuple(fleet.addresses.values()), "torture"), move_s) as client:
         wait_for_link(client, *NAMES)
         at, to = NAMES
         for number in range(moves):

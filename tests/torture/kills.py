@@ -24,7 +24,7 @@ from torture.tally import Tally, total
 from torture.traps import Field, Trap
 from torture.waits import Waits
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Migrate
 from pancakes.errors import PancakesError
 from pancakes.mesh.migration.record import TaskId
@@ -60,7 +60,7 @@ class _Mover(threading.Thread):
         self.asked = 0
 
     def run(self) -> None:
-        with Client(at=list(self._fleet.addresses.values()), timeout_s=2.0) as client:
+        with Client(Where(tuple(self._fleet.addresses.values()), "torture"), 2.0) as client:
             while not self.ended.is_set():
                 if self._calm.is_set():
                     self.resting.set()

@@ -12,7 +12,7 @@ from cli.processes import READY, Rig, Running
 from torture import load_tasks
 from torture.live import free_ports
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Configure
 
 ENTRY_POINTS = "[pancakes.packets]\nload = plugin_load\n\n[pancakes.tasks]\n" + "".join(
@@ -64,7 +64,7 @@ class LoadedFleet:
                 self.start(name)
             for running in self.running.values():
                 running.hear(READY)
-            self.client = Client(list(self.addresses.values()), timeout_s=PATIENCE_S)
+            self.client = Client(Where(tuple(self.addresses.values()), "load"), timeout_s=PATIENCE_S)
         except BaseException:  # nobody has it yet who could close it
             self.rig.close()
             raise

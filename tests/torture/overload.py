@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from torture.load_fleet import LoadedFleet, Tasks
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.control import Describe
 
 TIMES: Final = 10
@@ -178,7 +178,7 @@ def watching(fleet: LoadedFleet, agents: list[str]) -> Iterator[tuple[list[float
     over = threading.Event()
 
     def watch() -> None:
-        with Client(list(fleet.addresses.values())) as client:
+        with Client(Where(tuple(fleet.addresses.values()), "load")) as client:
             for name in agents:
                 client.request(name, Describe("client/Pulse"))  # finds the way
             while not over.wait(0.02):

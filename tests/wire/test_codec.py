@@ -13,10 +13,11 @@ import numpy
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from pancakes.bodies.devices.types import Infrared, Pose
 from pancakes.errors import LocalProtocolError, RemoteProtocolError
-from pancakes.mesh.wire.codec import Encoder, packet_from_row, rows_from_payload
+from pancakes.mesh.wire.codec import Encoder, of_agent, packet_from_row, rows_from_payload
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, frame
 from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip, Hello, Identity, Ping
 from pancakes.mesh.wire.packet_bodies import MAX_ARRAY_LENGTH, MAX_DEPTH, MAX_MAP_LENGTH, encodable
@@ -79,6 +80,14 @@ ROW = ["system", "t", "a/b/c", "d", 1.5, 7, None, {}, None]
 def test_all_of_a_packet_travels():
     it = packet(Pose(1.0, -2.0, 0.5), "pose", cause=("x/y/z", 3), fence=Fence("a/GoHome", (2, "b")))
     assert there_and_back(it) == it
+
+
+def test_the_source_of_a_packet_that_waits_moves_to_another_agent_and_nothing_else_changes():
+    sent = Packet("chat", "words", "a/client/T", "task:a/Sink", 1.5, 7, {"n": [1, 2]}, ("a/client/S", 3), None)
+    moved = of_agent(Encoder().packet(sent), "b")
+    assert moved == Encoder().packet(replace(sent, source="b/client/T")) == of_agent(moved, "b")
+    for no_packet in (b"", b"\xc1", b"\x91\x01", b"\x93\x01\x02\x03"):
+        assert of_agent(no_packet, "b") == no_packet
 
 
 def test_nested_dataclasses_enums_and_tuples_become_what_they_were():

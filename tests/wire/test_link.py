@@ -48,8 +48,8 @@ def rest(actions):
     return [action for action in actions if not isinstance(action, SendMessage)]
 
 
-def opened(name="a", now_s=0.0, **more):
-    link = Link(hello(name, **more), LinkTimes(), now_s)
+def opened(name="a", now_s=0.0, answers=False, **more):
+    link = Link(hello(name, **more), LinkTimes(), now_s, answers)
     link.open(now_s)
     return link
 
@@ -118,7 +118,7 @@ def test_the_packets_of_a_run_come_together():
     assert up().receive(frame([run(PACKET, *others)]), 1.0) == [received(PACKET, *others)]
 
 
-@pytest.mark.parametrize("early", [PACKET, Welcome(), Gossip(())])
+@pytest.mark.parametrize("early", [PACKET, Welcome(), Gossip(()), Ping(1), Pong(1)])
 def test_nothing_may_come_before_the_hello(early):
     link = opened("b")
     over = link.receive(wire(early), 0.0)[-1]
@@ -141,17 +141,40 @@ def test_what_came_before_the_fault_is_delivered_and_the_peer_is_told():
 
 
 @pytest.mark.parametrize(
-    ("more", "code", "words"),
+    ("more", "code", "logged", "told"),
     [
-        ({"version": 1}, "version", f"version {VERSION} of the protocol and the other side version 1"),
-        ({"fleet": "east"}, "fleet", "'default' and b of 'east'"),
+        (
+            {"version": 1},
+            "version",
+            f"version {VERSION} of the protocol and the other side version 1",
+            f"version {VERSION} of the protocol and is spoken to in version 1",
+        ),
+        ({"fleet": "east"}, "fleet", "a is of the fleet 'default' and b of 'east'", "it is not of the fleet 'east'"),
     ],
 )
-def test_strangers_are_refused_with_a_typed_reason(more, code, words):
-    link = opened("a")
+@pytest.mark.parametrize("answers", [False, True])
+def test_strangers_are_refused_with_a_typed_reason(more, code, logged, told, answers):
+    link = opened("a", answers=answers)
     refuse, over = link.receive(wire(hello("b", **more)), 0.0)
     assert (over.refusing, over.broken) == (code, False)
-    assert words in over.reason and words.encode() in refuse.message
+    assert logged in over.reason and told.encode() in refuse.message
+    assert b"default" not in refuse.message and b"journal" not in refuse.message
+
+
+def test_a_terminal_of_another_fleet_is_told_what_to_do():
+    refuse, _ = opened("a", answers=True).receive(wire(hello("cli-1.a", fleet="east", role="client")), 0.0)
+    assert b"it is not of the fleet 'east'; --fleet names another" in refuse.message
+
+
+def test_the_side_that_was_dialled_answers_with_its_hello_and_sends_no_heartbeat_before():
+    link = Link(hello("a"), LinkTimes(), 0.0, answers=True)
+    assert link.open(0.0) == [] and link.due_s() == LinkTimes().hello_s
+    assert link.tick(1.9) == []
+    assert link.receive(wire(hello("b")), 1.9) == [Greeted(hello("b"))], "it is for the mesh to accept it"
+    assert link.answer(1.9) == [SendMessage(Encoder().link_message(hello("a")))]
+    assert link.answer(1.9) == []
+    assert link.due_s() == pytest.approx(1.9 + LinkTimes().heartbeat_s)
+    assert [type(action) for action in link.tick(2.5)] == [SendMessage]
 
 
 def test_a_hello_of_another_version_may_have_any_form():
@@ -162,8 +185,24 @@ def test_a_hello_of_another_version_may_have_any_form():
 
 def test_being_refused_is_told_with_its_code():
     link = opened("a")
-    (over,) = link.receive(wire(RefuseLink("name", "the name a is taken")), 0.1)
-    assert over.refused == "name" and "the name a is taken" in over.reason
+    _, over = link.receive(wire(hello("b"), RefuseLink("name", "the name a is taken")), 0.1)
+    assert (over.refused, over.turned_away) == ("name", False) and "b refused" in over.reason
+
+
+@pytest.mark.parametrize("words", [RefuseLink("name", "the name a is taken"), Goodbye("sleep", 30.0)])
+def test_what_comes_before_the_hello_ends_the_link_and_counts_for_nothing(words):
+    (over,) = opened("a").receive(wire(words), 0.1)
+    assert (over.refused, over.goodbye, over.broken) == (None, None, False)
+    assert over.turned_away == isinstance(words, RefuseLink)
+    assert over.reason in (
+        "what listens there refused the link: the name a is taken",
+        "what listens there left before it said hello",
+    )
+
+
+def test_what_a_stranger_says_stands_in_one_line():
+    (over,) = opened("a").receive(wire(RefuseLink("name", "no\n  0.000 error   all is lost")), 0.1)
+    assert "\n" not in over.reason
 
 
 def test_goodbye_says_for_how_long():

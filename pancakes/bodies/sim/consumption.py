@@ -11,6 +11,7 @@ import msgspec
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.bodies.sim.state import WorldState
 from pancakes.bodies.sim.state_file import StateFile
+from pancakes.settings import FilePath
 
 HEADER: Final = "t_s,name,idle_j,motion_j,sensing_j,listening_j,sending_j"
 """The first row. Energies are counted from the beginning of the world."""
@@ -30,7 +31,7 @@ class Consumption(StateFile):
             rows_hz: how often each robot gets a row, at most as often as the world publishes its state.
         """
 
-        path: str = "consumption.csv"
+        path: FilePath = "consumption.csv"
         rows_hz: Positive = 1.0
 
     def rows(self, state: WorldState) -> Sequence[str]:

@@ -9,6 +9,7 @@ from typing import ClassVar, TextIO
 
 from pancakes.bodies.devices.pace import Pace
 from pancakes.bodies.sim.quantities import Positive
+from pancakes.settings import FilePath
 from pancakes.task import Task, Tick, every
 
 
@@ -32,7 +33,7 @@ class RowFile(Task):
             rows_hz: how often there are rows, at most as often as there is news.
         """
 
-        path: str
+        path: FilePath
         rows_hz: Positive
 
     settings: Settings

@@ -9,6 +9,7 @@ from typing import Final
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.bodies.sim.state import BodyState, WorldState
 from pancakes.bodies.sim.state_file import StateFile
+from pancakes.settings import FilePath
 
 MOTION: Final = "%.6f,%.6f,%.6f,%.6f,%.6f"
 """Where a body is, and how fast."""
@@ -39,7 +40,7 @@ class Trajectory(StateFile):
             rows_hz: how often each body gets a row, at most as often as the world publishes its state.
         """
 
-        path: str = "trajectory.csv"
+        path: FilePath = "trajectory.csv"
         rows_hz: Positive = 10.0
 
     def rows(self, state: WorldState) -> Sequence[str]:

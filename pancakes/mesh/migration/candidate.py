@@ -61,6 +61,8 @@ def commit(record: Record, event: Received, message: Commit) -> list[Effect]:
     """Becomes the owner: on disk first, then in deed, and then says so."""
     answer = Send(event.peer, Activated(record.task_id, message.offer))
     if record.phase is Phase.PREPARED and record.offer == message.offer:
+        if record.peer != event.peer:
+            return []
         own = Record(record.task_id, Phase.OWNER, epoch=message.offer, seen=message.offer, snapshot=record.snapshot)
         return [
             Persist(own),

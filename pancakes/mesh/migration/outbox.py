@@ -26,11 +26,12 @@ class Outbox:
 
     Attributes:
         name: the same name.
+        agent: the same agent.
     """
 
     def __init__(self, name: str, agent: str) -> None:
         self.name = name
-        self._agent = agent
+        self.agent = agent
         self._begun = 0
         self._common = Outgoing(name, agent)
         self._streams: dict[str, Outgoing] = {name: self._common}
@@ -70,9 +71,9 @@ class Outbox:
         self._drop_done(stream)
         return follows
 
-    def forwarded(self, news: ForwardTo, now_s: float) -> list[OutgoingLetter]:
-        """Learns where a task has gone, and returns what waits for it."""
-        return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, now_s)]
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
+        """Learns of a peer where a task has gone, and returns what waits for it."""
+        return [dispatch for stream in self._streams.values() for dispatch in stream.forwarded(news, peer, now_s)]
 
     def due(self, now_s: float) -> list[OutgoingLetter]:
         """Returns what is to be sent again."""
@@ -131,7 +132,7 @@ class Outbox:
         former = [self._left.pop(sender, None), self._of.pop(sender, None)]
         if posted is not None:
             if fresh or posted.stream not in self._streams:
-                self._streams[posted.stream] = Outgoing.of(posted, self._agent)
+                self._streams[posted.stream] = Outgoing.of(posted, self.agent)
             stream = self._streams[posted.stream]
             if fresh:
                 self._of[sender] = stream
@@ -147,7 +148,7 @@ class Outbox:
         if stream is None:
             self._begun += 1
             name = f"{self.name}/{self._begun}"
-            stream = self._of[sender] = self._streams[name] = Outgoing(name, self._agent)
+            stream = self._of[sender] = self._streams[name] = Outgoing(name, self.agent)
         return stream
 
     def _drop_done(self, stream: Outgoing) -> None:

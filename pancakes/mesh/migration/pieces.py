@@ -11,6 +11,10 @@ from pancakes.mesh.migration.snapshot import LIMIT_BYTES, digest
 
 PIECE_BYTES: Final = 64 * 1024
 """How much of a snapshot travels in one packet."""
+MOST_HALF: Final = 4
+"""So many snapshots of one peer may be on their way at a time."""
+MOST_BYTES: Final = 2 * LIMIT_BYTES
+"""So many bytes these may have."""
 
 
 def cut(transfer: Transfer) -> list[Piece]:
@@ -58,6 +62,7 @@ class Assembly:
             )
         parts = self._parts.get(piece.task_id)
         if parts is None or parts.peer != peer or piece.offer > parts.offer:
+            self._check_room(peer, piece)
             parts = self._parts[piece.task_id] = _Parts(peer, piece)
         elif piece.offer < parts.offer:
             return None
@@ -77,6 +82,15 @@ class Assembly:
         if digest(whole) != piece.digest:
             raise RemoteProtocolError(f"the snapshot of {piece.task_id} from {peer} was damaged on its way")
         return Transfer(piece.task_id, piece.offer, whole)
+
+    def _check_room(self, peer: str, first: Piece) -> None:
+        """Raises `RemoteProtocolError` where too many snapshots of a peer are on their way, or too large ones."""
+        others = [parts for task_id, parts in self._parts.items() if parts.peer == peer and task_id != first.task_id]
+        if len(others) >= MOST_HALF or sum(parts.size_bytes for parts in others) + first.size_bytes > MOST_BYTES:
+            raise RemoteProtocolError(
+                f"{peer} sends {first.task_id} while {len(others)} of its snapshots are on their way: at most"
+                f" {MOST_HALF} may be, of {MOST_BYTES} bytes"
+            )
 
     def drop(self, peer: str) -> None:
         """Forgets what has come in so far from a peer whose link broke."""

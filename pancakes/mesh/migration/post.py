@@ -2,7 +2,8 @@
 
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next one of each stream, so that what comes late, twice or out of order has no effect twice and overtakes nothing.
-Where the task has moved, the agent that had it says where it went (`docs/protocol.md`, packets).
+Where the task has moved, the agent that had it says where it went, and the sender sends it there itself: nobody speaks
+for another (`docs/protocol.md`, packets).
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from collections.abc import Mapping
 from typing import Final
 
 import msgspec
-from msgspec.structs import replace
 
 from pancakes.errors import MailboxFull
 from pancakes.mesh.migration.record import TaskId
@@ -31,8 +31,6 @@ LONGEST_S: Final = 2.4
 """... up to this; from then on all agents are asked, because the one that knew where the task is may be gone."""
 STREAMS: Final = 1024
 """Most streams that a task's duplicate filter remembers; of more, the one not heard from for longest is forgotten."""
-MOST_HOPS: Final = 8
-"""A letter is forwarded so often at most: after that its sender knows better."""
 
 
 @packet_type("post.letter")
@@ -46,7 +44,6 @@ class Letter(msgspec.Struct, frozen=True):
         first: the lowest number that was not acknowledged when this was sent; nothing before it comes again.
         packet: the packet, as the wire writes it.
         sender: the agent that sends it, and wants to hear what became of it.
-        hops: how often it was forwarded.
     """
 
     task_id: str
@@ -55,7 +52,6 @@ class Letter(msgspec.Struct, frozen=True):
     first: int
     packet: bytes
     sender: str
-    hops: int = 0
 
 
 @packet_type("post.receipt")
@@ -205,10 +201,13 @@ class Outgoing:
             to.due_s = now_s + RESEND_S
         return self._fill(receipt.task_id, to)
 
-    def forwarded(self, news: ForwardTo, now_s: float) -> list[OutgoingLetter]:
-        """Learns where a task has gone, and returns what waits for it. Older news than what is known is ignored."""
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> list[OutgoingLetter]:
+        """Learns of a peer where a task has gone, and returns what waits for it.
+
+        Older news than what is known is ignored, and so is that of an agent that was not asked.
+        """
         to = self._to.get(news.task_id)
-        if to is None or news.epoch_n <= to.epoch_n:
+        if to is None or news.epoch_n <= to.epoch_n or (peer != to.host and to.pause_s < LONGEST_S):
             return []
         moved = news.peer != to.host
         to.host, to.epoch_n = news.peer, news.epoch_n
@@ -254,11 +253,6 @@ class Outgoing:
 
     def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
         return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)
-
-
-def onward(letter: Letter) -> Letter | None:
-    """Returns the letter for the next host, or None where it has wandered enough."""
-    return replace(letter, hops=letter.hops + 1) if letter.hops < MOST_HOPS else None
 
 
 class Incoming:

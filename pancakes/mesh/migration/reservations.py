@@ -35,6 +35,15 @@ class Reservations:
         """Gives the slot for a task up, if there is one: it has arrived, or does not come."""
         self._slots.pop(task_id, None)
 
+    def peer_of(self, task_id: TaskId, now_s: float) -> str:
+        """Returns the agent that a slot for a task is kept for at `now_s` (host time); empty: none is."""
+        slot = self._slots.get(task_id)
+        return slot.peer if slot is not None and slot.until_s > now_s else ""
+
+    def number(self, peer: str, now_s: float) -> int:
+        """Returns how many slots are kept for a peer at `now_s` (host time)."""
+        return sum(slot.peer == peer and slot.until_s > now_s for slot in self._slots.values())
+
     def kept(self, now_s: float) -> tuple[TaskId, ...]:
         """Returns the tasks that a slot is kept for at `now_s` (host time), in order; drops what has expired."""
         self._slots = {task_id: slot for task_id, slot in self._slots.items() if slot.until_s > now_s}

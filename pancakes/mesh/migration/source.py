@@ -154,7 +154,7 @@ def concluded(record: Record) -> list[Effect]:
 
 def unknown(record: Record, peer: str, message: Unknown) -> list[Effect]:
     """Tells people that the other side has lost its disk. Nothing here can undo that."""
-    if record.offer != message.offer or record.phase not in (Phase.COMMITTED, Phase.PREPARED):
+    if (record.peer, record.offer) != (peer, message.offer) or record.phase not in (Phase.COMMITTED, Phase.PREPARED):
         return []
     return [
         Warn(

@@ -6,6 +6,7 @@ of the fleet.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -15,7 +16,7 @@ from pancakes.mesh.wire.link import Over
 from pancakes.mesh.wire.link_messages import Hello
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
-"""The log names a slow peer at most that often, in seconds of host time."""
+"""The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
 _MOST_PLACES: Final = 256
 _NEWS: Final = ("version", "fleet", "name", "full", "protocol")
 
@@ -31,7 +32,8 @@ class LinkLog:
     def __init__(self, say: Callable[[str, str], None], static: Sequence[str]) -> None:
         self._say = say
         self._static = static
-        self._last_reason: dict[str, str] = {}  # by the place that it is about
+        # The last that was told, when that was, and how many were not told of since; by the place that it is about.
+        self._last_reason: dict[str, tuple[str, float, int]] = {}
 
     def stood_up(self, session: Session, hello: Hello) -> None:
         """A link stands."""
@@ -47,19 +49,25 @@ class LinkLog:
         level = "warning" if over.broken or not is_usual else "debug" if is_client else "info"
         self._say(level, f"the link to {session.peer} has ended: {over.reason}")
 
-    def not_made(self, session: Session, over: Over) -> None:
-        """A connection did not become a link."""
+    def not_made(self, session: Session, over: Over, now_s: float) -> None:
+        """A connection did not become a link. Of those that come in from one place, one is told of each 5 s."""
         why = over.refused or over.refusing or ""
         place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
         text = f"no link over {place}: {over.reason}"
         if len(self._last_reason) > _MOST_PLACES:
             self._last_reason.clear()
-        if self._last_reason.get(place) == text:
+        last, said_s, untold = self._last_reason.get(place, ("", -math.inf, 0))
+        if last == text:
             return
-        self._last_reason[place] = text
+        if not session.address and now_s < said_s + DROPS_REPORTED_EVERY_S:
+            self._last_reason[place] = (last, said_s, untold + 1)
+            return
+        self._last_reason[place] = (text, now_s, 0)
+        if untold:
+            text += f" (and {untold} others, that were not told of)"
         # That one of two links goes is usual.
         quiet = "info" if session.address in self._static and not why else "debug"
-        self._say("warning" if over.broken or why in _NEWS else quiet, text)
+        self._say("warning" if over.broken or over.turned_away or why in _NEWS else quiet, text)
 
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""
@@ -68,6 +76,13 @@ class LinkLog:
             lost = ", ".join(f"{count} on {channel}" for channel, count in sorted(session.counters.dropped.items()))
             self._say("warning", f"{session.peer} is slow; packets given up so far: {lost}")
             session.reported_drops, session.reported_s = dropped, now_s
+
+    def false_source(self, session: Session, fault: str, number: int, now_s: float) -> None:
+        """Packets came that their peer may not send: `number` more."""
+        session.refused += number
+        if now_s - session.refused_said_s >= DROPS_REPORTED_EVERY_S:
+            self._say("warning", f"{fault}; packets refused so far: {session.refused}")
+            session.refused_said_s = now_s
 
     def failed(self, function: Callable[..., Any], error: Exception) -> None:
         """A function that the mesh was given has failed."""

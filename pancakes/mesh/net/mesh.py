@@ -15,9 +15,10 @@ from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
-from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers
+from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, TurnDown
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
+from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
 from pancakes.mesh.wire.link import (
     Action,
@@ -36,9 +37,7 @@ from pancakes.packet import Packet, agent_of
 from pancakes.runtime.clock import Clock
 
 MAX_HANDSHAKES: Final = 256
-"""Most connections from others that have not yet come to be links; a whole fleet may come at once. One more takes the
-place of the oldest that has not said hello.
-"""
+"""Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
 GOSSIP_ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
 TOGETHER: Final = 0.1
@@ -64,11 +63,11 @@ class Mesh:
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
-        on_refused: takes the reason when another agent of our name is in the mesh and we are the newcomer.
         on_log: takes (level, text).
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
+        follows: whether it is a terminal, which takes packets of any source.
     """
 
     def __init__(
@@ -83,10 +82,10 @@ class Mesh:
         on_unfit: Callable[[str, Packet, str], None],
         on_peer_up: Callable[[Hello], None] = lambda peer: None,
         on_peer_down: Callable[[str, str, float | None], None] = lambda name, reason, asleep_s: None,
-        on_refused: Callable[[str], None] = lambda reason: None,
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
+        follows: bool = False,
     ) -> None:
         self.identity = identity
         self._transport = transport
@@ -98,8 +97,8 @@ class Mesh:
         self._on_unfit = on_unfit
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
-        self._on_refused = on_refused
         self._times = times or LinkTimes()
+        self._follows = follows
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
@@ -107,7 +106,6 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
-        self._established = False
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -236,7 +234,8 @@ class Mesh:
         if self._state != "new":
             return
         self._state = "running"
-        self._peers = Peers(self._own, self._static, self._random, self._times, self._now(), self._quiet_s)
+        times, looks_up = self._times, self._transport.looks_up
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, looks_up)
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -315,7 +314,7 @@ class Mesh:
             session.end("it is no longer wanted")
             return
         now_s = self._now()
-        session.link = Link(self._own, self._times, now_s)
+        session.link = Link(self._own, self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)
 
@@ -332,9 +331,6 @@ class Mesh:
             if rivals:
                 self._carry_out(rivals)
         self._act(session, actions)
-        if was_up and session.is_up:
-            # Of two agents the one with the lower name takes a link to stand before the other has had its say.
-            self._established = True
 
     def session_closed(self, session: Session, reason: str) -> None:
         """See `Owner`."""
@@ -384,39 +380,50 @@ class Mesh:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
                 session.counters.packets_in += len(action.packets)
-                self._call(self._on_packets, session.peer, action.packets, action.size)
+                if self._may_send(session, action.packets[0], len(action.packets)):
+                    self._call(self._on_packets, session.peer, action.packets, action.size)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
             elif isinstance(action, Unfit):
                 session.counters.packets_in += 1
-                self._call(self._on_unfit, session.peer, action.packet, action.reason)
+                if self._may_send(session, action.packet, 1):
+                    self._call(self._on_unfit, session.peer, action.packet, action.reason)
             elif isinstance(action, Greeted):
                 self._met(session, action.hello)
             elif isinstance(action, Up):
                 self._stood_up(session)
             elif isinstance(action, Learnt):
-                decisions = self._peers.learnt(action.addresses, self._now())
+                decisions = self._peers.learnt(action.addresses, self._now(), session.peer)
                 if decisions:
                     self._carry_out(decisions)
             else:
                 self._over(session, action)
 
+    def _may_send(self, session: Session, first: Packet, number: int) -> bool:
+        """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
+        if self._follows or not (fault := fault_of_source(session.peer, session.role, first.channel, first.source)):
+            return True
+        self._log.false_source(session, fault, number, self._now())
+        return False
+
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
+        if not any(isinstance(it, TurnDown) and (it.link, it.code) == (session.number, "name") for it in decisions):
+            self._act(session, session.link.answer(now_s))
         if self._state == "running":
             self._carry_out(decisions)
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
+        self._watch(session)  # from now on it sends heartbeats
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
         self._carry_out(self._peers.up(session.number, self._now()))
         if session.number not in self._sessions:
             return
-        name = session.link.peer.name
-        hello = next(peer for peer in self._peers.connected() if peer.name == name)
+        hello = next(peer for peer in self._peers.connected() if peer.name == session.link.peer.name)
         self._links.add(session, hello)
         self._sending.change(self._links.by_name(), self._links.neighbours())
         self._log.stood_up(session, hello)
@@ -434,7 +441,7 @@ class Mesh:
         del self._sessions[session.number]
         session.end(over.reason)
         why = over.refused or over.refusing
-        refusal = over.reason if over.refused is not None else ""
+        refusal = over.reason if over.refused is not None or over.turned_away else ""
         decisions = self._peers.over(session.number, self._now(), why, over.goodbye, over.broken, refusal)
         if session.is_up:
             self._links.remove(session)
@@ -445,9 +452,7 @@ class Mesh:
             self._log.ended(session, over)
             self._call(self._on_peer_down, session.peer, over.reason, asleep_s)
         elif self._state == "running":
-            self._log.not_made(session, over)
-        if over.refused == "name" and not self._established:
-            self._call(self._on_refused, over.reason)
+            self._log.not_made(session, over, self._now())
         if self._state == "running":
             self._carry_out(decisions)
 

@@ -28,6 +28,10 @@ MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.net.client_places` for the next one."""
 MAX_LEARNT: Final = 512
 """Most addresses kept that were learnt from others."""
+MOST_OF_PEER: Final = 16
+"""Most addresses that one peer has named and at which no agent is connected."""
+MOST_DIALS: Final = 8
+"""So many learnt addresses are dialled at a time."""
 BEACON_ADDRESSES: Final = 8
 """So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what all agents know: a new link gets them all.
@@ -70,6 +74,7 @@ class _KnownAddress(msgspec.Struct):
     failures: int = 0
     ours: bool = False  # it is this agent's own
     refused: str = ""  # why the agent there will not have us, in its words
+    by: str = ""  # the peer that named it; empty: the configuration, or a person
 
 
 class _Candidate(msgspec.Struct):
@@ -95,6 +100,7 @@ class Peers:
         now_s: host time.
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
             infinite where none ever came in.
+        looks_up: returns whether an address has a name that must be looked up, as none has that a peer may name.
     """
 
     def __init__(
@@ -105,11 +111,13 @@ class Peers:
         times: LinkTimes,
         now_s: float,
         quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
+        looks_up: Callable[[str], bool] = lambda address: False,
     ) -> None:
         self._own = own
         self._random = source
         self._times = times
         self._quiet_s = quiet_s
+        self._looks_up = looks_up
         self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
         self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
@@ -118,6 +126,7 @@ class Peers:
         self._up: dict[str, _Candidate] = {}
         self._asleep: dict[str, float] = {}
         self._last_link = 0
+        self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
         self._beacons = 0
 
     def new_link(self) -> int:
@@ -170,7 +179,9 @@ class Peers:
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
-        dials = [it.due_s for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        busy = self._learnt_dials() >= MOST_DIALS
+        wanted = [it for address, it in self._book.items() if it.link is None and self._wanted(address, it)]
+        dials = [it.due_s for it in wanted if not (busy and it.by)]
         if len(self._candidates) == len(self._up):  # as nearly always
             return min(dials, default=math.inf)
         holds = [candidate.until_s for candidate in self._candidates.values() if candidate.up_s is None]
@@ -179,8 +190,10 @@ class Peers:
     def tick(self, now_s: float) -> list[Decision]:
         """Dials what is due, and admits what has waited long enough for a dial of our own."""
         decisions: list[Decision] = []
+        free = MOST_DIALS - self._learnt_dials()
         for address, it in self._book.items():
-            if self._wanted(address, it) and now_s >= it.due_s:
+            if self._wanted(address, it) and now_s >= it.due_s and not (it.by and free <= 0):
+                free -= bool(it.by)
                 it.link = self.new_link()
                 self._dials[it.link] = address
                 decisions.append(Dial(address, it.link))
@@ -206,9 +219,9 @@ class Peers:
         if name == own.name:
             return self._namesake(link, hello, address, now_s)
         if address:
-            self._book[address].name = name
+            self._book[address].name, self._book[address].ours = name, False
         hello = replace(hello, listen=reachable(hello.listen, remote))
-        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name)
+        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name, name)
         self._asleep.pop(name, None)
         candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
         if address:
@@ -217,7 +230,7 @@ class Peers:
         known = self._up.get(name)
         room: list[Decision] = []
         if known is not None and known.hello.journal != hello.journal:
-            decisions.append(TurnDown(link, "name", _taken(name, own.name)))
+            decisions.append(TurnDown(link, "name", _taken(name)))
         elif known is not None and known.hello.boot > hello.boot:
             decisions.append(TurnDown(link, "old", f"a later boot of {name} is connected to {own.name}"))
         elif known is None and (full := self._full(hello)) and not (room := self._make_room(candidate, now_s)):
@@ -251,7 +264,7 @@ class Peers:
         name = candidate.hello.name
         known = self._up.get(name)
         if known is not None and known.hello.journal != candidate.hello.journal:
-            return [TurnDown(link, "name", _taken(name, self._own.name))]
+            return [TurnDown(link, "name", _taken(name))]
         candidate.up_s = now_s
         candidate.until_s = math.inf
         self._up[name] = candidate
@@ -291,7 +304,7 @@ class Peers:
             if not address:
                 return []
             self._book[address].link = None
-            self._book[address].refused = refusal if hopeless else ""
+            self._book[address].refused = refusal
             self._failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
@@ -300,6 +313,8 @@ class Peers:
         was_up = self._up.get(name) is candidate
         if was_up:
             del self._up[name]
+        if goodbye is not None and name in self._up:
+            goodbye = None  # another agent says so, under the name of one that is here
         if goodbye is not None and goodbye.why == "sleep":
             self._asleep.pop(name, None)
             self._asleep[name] = now_s + (math.inf if goodbye.for_s is None else goodbye.for_s)
@@ -326,11 +341,11 @@ class Peers:
             return self._admit_if_free(heirs[-1], now_s)
         return []
 
-    def learnt(self, addresses: Sequence[str], now_s: float) -> list[Decision]:
-        """A peer named addresses of other agents."""
+    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
+        """A peer named addresses of other agents; empty: a person did."""
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
-        new = [address for address in unknown if self._learn(address, now_s)]
+        new = [address for address in unknown if self._learn(address, now_s, by=peer)]
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
@@ -343,10 +358,14 @@ class Peers:
             it.failures, it.due_s = 0, now_s
 
     def _wanted(self, address: str, it: _KnownAddress) -> bool:
-        if it.link is not None or it.ours or it.name in self._up or it.due_s == math.inf:
+        if it.link is not None or it.name in self._up or it.due_s == math.inf:
             return False
         # The peer that we met there has still to say whether the link stands, or when to dial again.
         return address not in self._met_at
+
+    def _learnt_dials(self) -> int:
+        """Returns how many addresses are dialled now that peers have named."""
+        return sum(bool(self._book[address].by) for address in self._dials.values())
 
     def _dialling(self, listen: str) -> bool:
         it = self._book.get(listen)
@@ -355,14 +374,18 @@ class Peers:
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
         own = self._own
         self._freed(address, now_s)
+        it = self._book[address] if address else _KnownAddress(False, now_s)
+        it.due_s = now_s + self._times.retry_longest_s
         if hello.journal == own.journal:
-            if address:
-                self._book[address].ours = True
-            return [TurnDown(link, "self", f"{own.name} dialled itself")]
+            # Where we have not heard ourselves at the other end, some program repeats what it is told.
+            it.ours = not address or self._self_dials > 0
+            self._self_dials += -1 if address and it.ours else 0 if address else 1
+            it.refused = "" if it.ours else f"what listens there repeats what {own.name} says"
+            return [TurnDown(link, "self" if it.ours else "name", it.refused or f"{own.name} dialled itself")]
         if address:  # the agent that dials is the newcomer, and waits to be told
-            self._book[address].due_s = now_s + self._times.retry_longest_s
+            it.refused = _taken(own.name)
             return []
-        return [TurnDown(link, "name", _taken(own.name, own.name))]
+        return [TurnDown(link, "name", _taken(own.name))]
 
     def _full(self, hello: Hello) -> str:
         """Returns why there is no room for one more peer, or an empty string."""
@@ -404,17 +427,24 @@ class Peers:
             if address and candidate.until_s < math.inf and candidate.hello.listen == address:
                 candidate.until_s = now_s
 
-    def _learn(self, address: str, now_s: float, name: str = "") -> bool:
-        """Writes an address down; returns whether it is a new one."""
+    def _learn(self, address: str, now_s: float, name: str = "", by: str = "") -> bool:
+        """Writes an address down that a peer has named; returns whether it is a new one."""
         it = self._book.get(address)
         is_new = it is None
         if it is None:
             if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
                 return False
-            it = self._book[address] = _KnownAddress(False, now_s)
+            if by and (self._looks_up(address) or self._unmet(by) >= MOST_OF_PEER):
+                return False
+            it = self._book[address] = _KnownAddress(False, now_s, by=by)
             self._learnt += 1
-        it.name = name or it.name
+        if not it.static:  # whose name is that of the agent that we have met there
+            it.name = name or it.name
         return is_new
+
+    def _unmet(self, peer: str) -> int:
+        """Returns at how many addresses that a peer has named no agent is connected."""
+        return sum(it.by == peer and it.name not in self._up for it in self._book.values())
 
     def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
         it = self._book[address]
@@ -444,5 +474,5 @@ def reachable(listen: str, remote: str) -> str:
     return f"{scheme}://{seen}:{port}" if seen else ""
 
 
-def _taken(name: str, by: str) -> str:
-    return f"the name {name} is already borne by another agent, as {by} knows: give one of the two another name"
+def _taken(name: str) -> str:
+    return f"the name {name} is already borne by another agent: give one of the two another name"

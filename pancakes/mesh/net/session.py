@@ -109,6 +109,8 @@ class Session(ConnectionHandler):
         self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
+        self.refused = 0  # packets that the peer may not send
+        self.refused_said_s = float("-inf")
         self._owner = owner
         self._now = now
         self._connection: Connection | None = None
@@ -145,6 +147,7 @@ class Session(ConnectionHandler):
             "bytes_out": counters.bytes_out,
             "bytes_in": counters.bytes_in,
             "dropped": dict(sorted(counters.dropped.items())),
+            "refused": self.refused,
             "waiting": self.waiting(),
         }
 

@@ -105,6 +105,13 @@ class TcpTransport(Transport):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
 
+    def looks_up(self, address: str) -> bool:
+        try:
+            _resolve(*_host_and_port(address), socket.AI_NUMERICHOST)
+        except (OSError, ValueError):
+            return True
+        return False
+
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
 

@@ -104,6 +104,10 @@ class Transport(ABC):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
+    def looks_up(self, address: str) -> bool:
+        """Returns whether a name must be looked up before `address` can be dialled. Peers may name no such address."""
+        return False
+
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""

@@ -6,7 +6,7 @@ runs, see `pancakes.mesh.wire.runs`.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import msgspec
 
@@ -14,13 +14,20 @@ from pancakes.errors import LocalProtocolError, RemoteProtocolError, WireError
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES, MAX_PAYLOAD_BYTES
 from pancakes.mesh.wire.link_messages import LinkMessage
 from pancakes.mesh.wire.packet_bodies import encodable, received_body, unpacked
-from pancakes.packet import Fence, Packet
+from pancakes.packet import Fence, Packet, agent_of
 from pancakes.runtime.foundation import codecs
+from pancakes.runtime.foundation.malformed import MALFORMED
 
 Text = Annotated[str, msgspec.Meta(max_length=256)]
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=256)]
 Stamp = Annotated[float, msgspec.Meta(ge=0, le=1e15)]
 Seq = Annotated[int, msgspec.Meta(ge=0)]
+
+
+_PARTS: Final = codecs.decoder(list[msgspec.Raw])
+_TEXT: Final = codecs.decoder(str)
+_SOURCE: Final = 2
+"""Where in the array the source stands."""
 
 
 class _PacketRow(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
@@ -77,6 +84,20 @@ class Encoder:
     def link_message(self, message: LinkMessage) -> bytes:
         """Returns a message of the link as one message of a frame."""
         return codecs.encode_small(message)
+
+
+def of_agent(packet: bytes, agent: str) -> bytes:
+    """Returns a packet, as `Encoder.packet` made it, with the agent in its source replaced: its source has moved.
+
+    What is no packet stays as it is.
+    """
+    try:
+        row = _PARTS(packet)
+        source = _TEXT(row[_SOURCE])
+    except (*MALFORMED, IndexError):
+        return packet
+    row[_SOURCE] = msgspec.Raw(codecs.encode_small(agent + source[len(agent_of(source)) :]))
+    return codecs.encode_small(row)
 
 
 def rows_from_payload(payload: bytes) -> list[list[Any]]:

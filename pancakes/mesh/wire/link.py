@@ -2,10 +2,14 @@
 
     GREETING --hello--> MET --welcome--> UP --refuse, goodbye, silence, broken protocol--> OVER
 
-Both sides say hello. Two agents may be joined by several connections for a moment (both dialled, or one
-came back before the other noticed that it had gone), so one of them chooses: the one with the lower name sends
-`Welcome` on the connection that stays, and only then do packets flow, on either side. No packet is ever sent
-on a connection that will be given up for another, so none is lost or overtaken.
+The side that dialled says hello first. The other one tells a stranger nothing of itself: it answers with its own hello
+once it has accepted that one. A refusal or a goodbye that comes before any hello ends the attempt and counts for
+nothing else, as any program may listen there.
+
+Two agents may be joined by several connections for a moment (both dialled, or one came back before the other noticed
+that it had gone), so one of them chooses: the one with the lower name sends `Welcome` on the connection that stays, and
+only then do packets flow, on either side. No packet is ever sent on a connection that will be given up for another, so
+none is lost or overtaken.
 
 The caller sends, and says what time it is.
 """
@@ -86,7 +90,7 @@ class SendMessage(msgspec.Struct, frozen=True):
 
 
 class Greeted(msgspec.Struct, frozen=True):
-    """The peer said who it is; answer with `Link.admit` (the lower name, once) or `Link.refuse`."""
+    """The peer said who it is; call `Link.answer`, then `Link.admit` (the lower name, once), or else `Link.refuse`."""
 
     hello: Hello
 
@@ -118,10 +122,11 @@ class Over(msgspec.Struct, frozen=True):
 
     Attributes:
         reason: a sentence for people.
-        refused: the peer's refusal of us, where that was the end.
+        refused: the peer's refusal of us, where that was the end, and the peer had said hello.
         refusing: our refusal of the peer, likewise.
         goodbye: the peer's goodbye, likewise.
         broken: whether the peer broke the protocol.
+        turned_away: whether the other side refused us and had not said hello.
     """
 
     reason: str
@@ -129,6 +134,7 @@ class Over(msgspec.Struct, frozen=True):
     refusing: Refusal | None = None
     goodbye: Goodbye | None = None
     broken: bool = False
+    turned_away: bool = False
 
 
 Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | Over
@@ -141,6 +147,7 @@ class Link:
         own: what we say about ourselves.
         times: its times.
         now_s: host time at which the connection was opened.
+        answers: whether the other side dialled, so that it says hello first.
 
     Attributes:
         state: where it is.
@@ -149,12 +156,13 @@ class Link:
         sent_s: when something was last sent, which makes a heartbeat needless; set by each thread that sends packets.
     """
 
-    def __init__(self, own: Hello, times: LinkTimes, now_s: float) -> None:
+    def __init__(self, own: Hello, times: LinkTimes, now_s: float, answers: bool = False) -> None:
         self.state = LinkState.GREETING
         self.peer: Hello | None = None
         self.rtt_s: float | None = None
         self._own = own
         self._times = times
+        self._answers = answers
         self._quiet_s = times.heartbeat_s  # so long this side is silent before it sends a ping
         self._opened_s = now_s
         self._heard_s = now_s
@@ -169,12 +177,14 @@ class Link:
 
     def open(self, now_s: float) -> list[Action]:
         """Begins: to be called once, when the connection stands."""
-        return [self._send(self._own, now_s)]
+        return [] if self._answers else [self._send(self._own, now_s)]
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do, if nothing comes in before."""
         if self.state is LinkState.OVER:
             return float("inf")
+        if self.state is LinkState.GREETING:
+            return self._end_s()
         return min(self.sent_s + self._quiet_s, self._pinged_s + self._times.measure_s, self._end_s())
 
     def _set_quiet(self) -> None:
@@ -202,6 +212,8 @@ class Link:
                 return []
             # We are late ourselves, for want of processor time, and so perhaps is what the peer has sent.
             self._patient_until_s = now_s + self._times.heartbeat_s
+        if self.state is LinkState.GREETING:  # a heartbeat would tell a stranger what listens here
+            return []
         quiet = now_s >= self.sent_s + self._quiet_s
         if quiet or now_s >= self._pinged_s + self._times.measure_s:
             self._pings += 1
@@ -228,6 +240,13 @@ class Link:
             actions.extend(self._over(f"{self._who()} broke the protocol: {error}", broken=True))
         return actions
 
+    def answer(self, now_s: float) -> list[Action]:
+        """Says hello, after `Greeted`, where the other side has dialled and its hello is accepted."""
+        if self.state is not LinkState.MET or not self._answers:
+            return []
+        self._answers = False
+        return [self._send(self._own, now_s)]
+
     def admit(self, now_s: float) -> list[Action]:
         """Makes this the link that stays. Only the lower name does so, after `Greeted`."""
         if self.state is not LinkState.MET:
@@ -240,6 +259,10 @@ class Link:
         if self.state is LinkState.OVER:
             return []
         return [self._send(RefuseLink(code, reason[:1000]), now_s), *self._over(reason, refusing=code)]
+
+    def _turn_away(self, code: Refusal, told: str, reason: str, now_s: float) -> list[Action]:
+        """Refuses a side that may be a stranger: `told` says nothing of this agent, the log has the `reason`."""
+        return [self._send(RefuseLink(code, told), now_s), *self._over(reason, refusing=code)]
 
     def leave(self, goodbye: Goodbye, now_s: float) -> list[Action]:
         """Says goodbye, and ends the link."""
@@ -287,9 +310,10 @@ class Link:
         refusing: Refusal | None = None,
         goodbye: Goodbye | None = None,
         broken: bool = False,
+        turned_away: bool = False,
     ) -> list[Action]:
         self.state = LinkState.OVER
-        return [Over(reason, refused, refusing, goodbye, broken)]
+        return [Over(reason, refused, refusing, goodbye, broken, turned_away)]
 
     def _payload(self, payload: memoryview, now_s: float, actions: list[Action]) -> None:
         try:
@@ -314,27 +338,42 @@ class Link:
                 return
 
     def _other_version(self, theirs: object, now_s: float) -> list[Action]:
-        own = self._own
-        reason = f"{own.name} speaks version {own.version} of the protocol and the other side version {theirs}"
-        return self.refuse("version", reason, now_s)
+        own = self._own.version
+        told = f"it speaks version {own} of the protocol and is spoken to in version {theirs}"
+        reason = f"{self._own.name} speaks version {own} of the protocol and the other side version {theirs}"
+        return self._turn_away("version", told, reason, now_s)
+
+    def _from_stranger(self, message: LinkMessage, now_s: float) -> list[Action]:
+        match message:
+            case Hello():
+                return self._hello(message, now_s)
+            case RefuseLink(_, reason):
+                one_line = " ".join(reason.split())
+                return self._over(f"what listens there refused the link: {one_line}", turned_away=True)
+            case Goodbye():
+                return self._over("what listens there left before it said hello")
+        raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
 
     def _hello(self, hello: Hello, now_s: float) -> list[Action]:
-        if self.state is not LinkState.GREETING:
-            raise RemoteProtocolError("a second hello came")
         own = self._own
         if hello.version != own.version:
             return self._other_version(hello.version, now_s)
         if fault := fault_of_hello(hello):
             raise RemoteProtocolError(f"its hello cannot be taken: {fault}")
+        if hello.fleet != own.fleet:
+            told = f"it is not of the fleet {hello.fleet!r}"
+            if hello.role == "client":
+                told += "; --fleet names another"
+            reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
+            return self._turn_away("fleet", told, reason, now_s)
         self.peer = hello
         self._set_quiet()
-        if hello.fleet != own.fleet:
-            reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
-            return self.refuse("fleet", reason, now_s)
         self.state = LinkState.MET
         return [Greeted(hello)]
 
     def _message(self, message: LinkMessage, now_s: float) -> list[Action]:
+        if self.state is LinkState.GREETING:
+            return self._from_stranger(message, now_s)
         match message:
             case Ping(token):
                 return [self._send(Pong(token), now_s)]
@@ -342,15 +381,13 @@ class Link:
                 self._pong(token, now_s)
                 return []
             case Hello():
-                return self._hello(message, now_s)
+                raise RemoteProtocolError("a second hello came")
             case RefuseLink(code, reason):
                 return self._over(f"{self._who()} refused the link: {reason}", refused=code)
             case Goodbye(why, for_s):
                 until = "" if for_s is None else f" for {for_s:g} s"
                 reason = f"{self._who()} sleeps{until}" if why == "sleep" else f"{self._who()} stopped"
                 return self._over(reason, goodbye=message)
-        if self.state is LinkState.GREETING:
-            raise RemoteProtocolError(f"{type(message).__name__} came before the hello")
         if isinstance(message, Welcome):
             if self.state is not LinkState.MET or self.peer is None or self._own.name < self.peer.name:
                 raise RemoteProtocolError("a welcome came that was not the peer's to send")

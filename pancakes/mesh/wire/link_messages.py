@@ -15,7 +15,7 @@ from pancakes.mesh.address import parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
-VERSION: Final = 5
+VERSION: Final = 6
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -32,6 +32,9 @@ boot of that agent is connected. `duplicate`: another connection to that agent s
 peers. `protocol`: the peer broke the protocol.
 """
 
+DEFAULT_FLEET: Final = "default"
+"""The fleet of agents whose configuration names none."""
+
 Name = Annotated[str, msgspec.Meta(max_length=256)]
 """Of an agent or a fleet; `fault_of_hello` checks its letters."""
 Address = Annotated[str, msgspec.Meta(max_length=256)]
@@ -41,7 +44,7 @@ Duration = Annotated[float, msgspec.Meta(ge=0, le=1e9)]
 
 
 class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
-    """The first message on a link, from both sides: what its sender is.
+    """The first message on a link, from both sides, first from the one that dialled: what its sender is.
 
     Attributes:
         version: version of the wire protocol.
@@ -127,7 +130,7 @@ class Identity(msgspec.Struct, frozen=True):
     name: str
     journal: str
     boot: int = 0
-    fleet: str = "default"
+    fleet: str = DEFAULT_FLEET
     role: Role = "agent"
 
     def hello(self, listen: str = "") -> Hello:

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.tools.recording.settings import RecordingSettings
@@ -40,15 +41,18 @@ class AgentConfig(Struct, frozen=True):
         state_dir: the directory for what must outlive the process; a relative one counts from the working
             directory; empty for the agent's default place.
         seed: where the agent's randomness starts; None draws it afresh at each start.
+        folders: a command, or a task from another agent, sets a path of a file below these folders alone, or as the
+            configuration has it; a relative one counts from the working directory.
     """
 
     name: str
     listen: str = ""
     peers: tuple[str, ...] = ()
     role: Literal["agent", "environment", "client"] = "agent"
-    fleet: str = "default"
+    fleet: str = DEFAULT_FLEET
     state_dir: str = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
+    folders: tuple[str, ...] = ()
 
 
 class ClockConfig(Struct, frozen=True):

@@ -84,7 +84,10 @@ class Arrivals:
         """
         record = place.standing.record
         if isinstance(message, Reserve):
-            return Received(peer, message, self._state.reserve(peer, message))
+            refusal = self._state.reserve(peer, message)
+            if not refusal:
+                place.promised = (peer, message.offer)
+            return Received(peer, message, refusal)
         if isinstance(message, Transfer):
             self._state.free(message.task_id)
             if not would_take(record, message.offer):
@@ -108,6 +111,8 @@ class Arrivals:
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
+            if outside := self._host.kernel.folders.refusal_of(spec.cls.Settings, snapshot.settings):
+                return f"bad settings for {spec.name}: {outside}"
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)
         slot = self._host.slots.get(message.task_id.name)

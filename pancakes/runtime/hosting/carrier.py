@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pancakes.errors import PancakesError, RemoteProtocolError
+from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.messages import (
     Abort,
     Commit,
@@ -17,6 +18,7 @@ from pancakes.mesh.migration.messages import (
 from pancakes.mesh.migration.pieces import Assembly, cut
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.hosting.place import Place
 from pancakes.runtime.kernel.component import Component
 
 
@@ -56,8 +58,8 @@ class Carrier:
         except PancakesError as error:
             self._service.log("debug", f"{type(message).__name__} did not reach {peer}: {error}")
 
-    def take(self, packet: Packet) -> HandOffMessage | None:
-        """Takes a message in.
+    def take(self, packet: Packet, place: Place | None) -> HandOffMessage | None:
+        """Takes a message in; `place`: that of its task, if there is one.
 
         Returns:
             The message; None: there is none yet, or it was meant for this agent with another disk.
@@ -66,13 +68,18 @@ class Carrier:
         if not is_for(message, self._mesh.identity.journal):
             return None
         if isinstance(message, Piece):
-            return self._add(peer, message)
+            return self._add(peer, message, place)
         if isinstance(message, (Commit, Abort)):
             self._assembly.end(peer, message.task_id)
         whole: HandOffMessage = message
         return whole
 
-    def _add(self, peer: str, piece: Piece) -> Transfer | None:
+    def _add(self, peer: str, piece: Piece, place: Place | None) -> Transfer | None:
+        if place is None or place.promised != (peer, piece.offer):
+            # Where it is no news, its sender hears by another message what became of it.
+            if place is None or would_take(place.standing.record, piece.offer):
+                self._send(peer, Nak(piece.task_id, piece.offer, "was not asked for a place for it first"))
+            return None
         try:
             return self._assembly.add(peer, piece)
         except RemoteProtocolError as error:

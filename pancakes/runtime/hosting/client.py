@@ -14,7 +14,7 @@ from pancakes import control
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import messages
-from pancakes.mesh.migration.record import Phase, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
 from pancakes.mesh.net.mesh import Mesh
@@ -37,6 +37,7 @@ from pancakes.runtime.hosting.places import Places
 from pancakes.runtime.hosting.records import Records, RecordWritten
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
 from pancakes.runtime.hosting.snapshots import carried_of, snapshot_of
+from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.waiters import Waiters
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.kernel.handlers import on
@@ -388,10 +389,14 @@ class ClientService(Service):
     @on(NETWORK, messages.Unknown, keep=KEEP, addressed=True)
     def on_hand_off(self, packet: Packet) -> None:
         """Takes a hand-off message in."""
-        message = self._carrier.take(packet)
+        place = self.places.get(packet.body.task_id)
+        message = self._carrier.take(packet, place)
         if message is not None:
-            place = self.places[message.task_id]
+            # Of a task that no agent has asked a place for nothing is kept: a peer may make up as many as it likes.
+            place = place or Place(message.task_id, Standing(Record(message.task_id)))
             received = self._arrivals.receive(agent_of(packet.source), message, place)
+            if place.promised is not None:
+                self.places.keep(place)
             if received is not None:
                 self.feed_place(place, received)
 

@@ -81,18 +81,18 @@ class Courier(Component):
             except PancakesError as error:
                 self.log("debug", f"{type(body).__name__} for {body.task_id} did not reach {peer}: {error}")
         elif isinstance(body, Letter):
-            self._arrived(body)
+            self._arrived(body, peer)
         elif isinstance(body, Receipt):
             self._acknowledged(body, self.agent)
         else:
-            self._forwarded(body)
+            self._forwarded(body, peer)
 
     # What other couriers say -----------------------------------------------------------------------------------
 
     @on(NETWORK, Letter, keep=KEEP, addressed=True)
     def on_letter(self, packet: Packet) -> None:
         """A packet has come for a task that is, or was, here."""
-        self._arrived(packet.body)
+        self._arrived(packet.body, agent_of(packet.source))
 
     @on(NETWORK, Receipt, keep=KEEP, addressed=True)
     def on_receipt(self, packet: Packet) -> None:
@@ -102,9 +102,9 @@ class Courier(Component):
     @on(NETWORK, ForwardTo, keep=KEEP, addressed=True)
     def on_forward_to(self, packet: Packet) -> None:
         """A task is not where it was thought to be."""
-        self._forwarded(packet.body)
+        self._forwarded(packet.body, agent_of(packet.source))
 
-    def _arrived(self, letter: Letter) -> None:
+    def _arrived(self, letter: Letter, peer: str) -> None:
         try:
             task_id = TaskId.parse(letter.task_id)
         except MigrationError as error:
@@ -118,14 +118,18 @@ class Courier(Component):
             packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])
         except RemoteProtocolError as error:
             self.log("warning", f"a packet for {task_id} cannot be read: {error}")
+        false = letter.sender if letter.sender != peer else packet.source if packet is not None else peer
+        if agent_of(false) != peer:
+            self.log("warning", f"a packet for {task_id} was refused: {peer} speaks for {false}")
+            return
         tell(service, CameFor(letter, packet))
 
     def _acknowledged(self, receipt: Receipt, peer: str) -> None:
         self._outbox.acknowledged(receipt, peer, self.kernel.host.now())
         self._send()
 
-    def _forwarded(self, news: ForwardTo) -> None:
-        self._outbox.forwarded(news, self.kernel.host.now())
+    def _forwarded(self, news: ForwardTo, peer: str) -> None:
+        self._outbox.forwarded(news, peer, self.kernel.host.now())
         self._send()
 
     # Sending ---------------------------------------------------------------------------------------------------

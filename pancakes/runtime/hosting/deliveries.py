@@ -1,4 +1,4 @@
-"""What comes for hosted tasks that are addressed wherever they are: given to them, or sent after them."""
+"""Letters that come for hosted tasks: given to the task, or answered with where it went."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from pancakes.mesh.migration.core import handle
 from pancakes.mesh.migration.effect import Deliver, Forward
 from pancakes.mesh.migration.event import Arrived, PacketId
-from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt, onward
+from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import Packet
 from pancakes.runtime.hosting.courier_messages import CameFor, Say
@@ -49,9 +49,6 @@ class Deliveries:
                     self._deliver(place, letter, came.packet)
                 case Forward():
                     self._say(letter.sender, ForwardTo(letter.task_id, effect.peer, effect.epoch.n))
-                    further = onward(letter)
-                    if further is not None:
-                        self._say(effect.peer, further)
 
     def _deliver(self, place: Place, letter: Letter, packet: Packet | None) -> None:
         slot = place.slot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -23,6 +23,8 @@ from pancakes.runtime.kernel.reference import Reference
 
 UNDER_WAY = frozenset((Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED))
 """The phases in which a hand-off is under way."""
+MOST_SLOTS: Final = 64
+"""Most slots that are kept for the tasks of one peer."""
 
 
 class HostState:
@@ -87,11 +89,19 @@ class HostState:
 
     def reserve(self, peer: str, message: Reserve) -> str:
         """Keeps a slot for a task that is about to come; says why that cannot be."""
-        self.free(message.task_id)
+        now_s, task_id = self._kernel.host.now(), message.task_id
+        if message.request.task_id != task_id:
+            return f"was asked for a place for {task_id} and told of {message.request.task_id}"
+        with self._lock:
+            other_peer = self._reservations.peer_of(task_id, now_s)
+            if other_peer not in ("", peer):
+                return f"keeps a place for it for {other_peer}"
+        self.free(task_id)
         if refusal := self.refusal_of(message.request):
             return refusal
-        now_s, task_id = self._kernel.host.now(), message.task_id
         with self._lock:
+            if self._reservations.number(peer, now_s) >= MOST_SLOTS:
+                return f"keeps {MOST_SLOTS} places for tasks of {peer} already"
             # Another service may have kept the name since.
             for other in self._reservations.kept(now_s):
                 if other.name == task_id.name and other != task_id:

@@ -6,7 +6,7 @@ import msgspec
 
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.record import Epoch, TaskId
 from pancakes.runtime.hosting.bidding_messages import HasMoved
 from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing
@@ -65,6 +65,7 @@ class Place(msgspec.Struct):
         standing: its record, and what its hand-off is about to do.
         letters: what is known of the letters that have come for it; None: none has.
         written: what was written down of it last; None: nothing since it began.
+        promised: the agent to which this one said RESERVED last, and its offer; None: to none since it began.
         came_from: the agent that it is on its way from; empty: none.
         move: the move that was asked for; None: none.
         ask_again_s: its rule leaves it alone until this host time.
@@ -79,6 +80,7 @@ class Place(msgspec.Struct):
     slot: Slot | None = None
     letters: TaskLetters | None = None
     written: LastCheckpoint | None = None
+    promised: tuple[str, Epoch] | None = None
     came_from: str = ""
     move: Move | None = None
     ask_again_s: float = 0.0

@@ -35,9 +35,15 @@ class Places(dict[TaskId, Place]):
 
     def open(self, record: Record) -> Place:
         """Makes a place for a task of which there is a record."""
-        place = self[record.task_id] = Place(record.task_id, Standing(record))
-        self._by_name.setdefault(place.task_id.name, []).append(place)
+        place = Place(record.task_id, Standing(record))
+        self.keep(place)
         return place
+
+    def keep(self, place: Place) -> None:
+        """Takes a place in, unless it is there."""
+        if place.task_id not in self:
+            self[place.task_id] = place
+            self._by_name.setdefault(place.task_id.name, []).append(place)
 
     def named(self, name: str) -> list[Place]:
         """Returns the places of all tasks of a name: each birthplace may have one."""

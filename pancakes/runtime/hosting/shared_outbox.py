@@ -6,12 +6,14 @@ import threading
 from collections.abc import Sequence
 from typing import Final
 
+from msgspec.structs import replace
+
 from pancakes.errors import LocalProtocolError, MigrationError
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.post import ForwardTo, OutgoingLetter, Receipt
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted
-from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.codec import Encoder, of_agent
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES
 from pancakes.packet import TO_TASK, Packet
 
@@ -68,10 +70,10 @@ class SharedOutbox:
         with self._lock:
             self._unsent += self._outbox.acknowledged(receipt, peer, now_s)
 
-    def forwarded(self, news: ForwardTo, now_s: float) -> None:
-        """Learns where a task has gone."""
+    def forwarded(self, news: ForwardTo, peer: str, now_s: float) -> None:
+        """Learns of a peer where a task has gone."""
         with self._lock:
-            self._unsent += self._outbox.forwarded(news, now_s)
+            self._unsent += self._outbox.forwarded(news, peer, now_s)
 
     def look(self, now_s: float) -> None:
         """Looks for what was not acknowledged for too long: that is to be sent again."""
@@ -112,7 +114,14 @@ class SharedOutbox:
             self._outbox.ended(sender)
 
     def arrive(self, sender: TaskId, posted: Posted | None, fresh: bool, now_s: float) -> None:
-        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken."""
+        """A task begins from a snapshot; `fresh`: nothing of it has run since that was taken.
+
+        What it sent from another agent goes on from here under its address here, as no agent takes it otherwise.
+        """
+        if posted is not None:
+            here = self._outbox.agent
+            to = [replace(it, packets=tuple(of_agent(packet, here) for packet in it.packets)) for it in posted.to]
+            posted = replace(posted, to=tuple(to))
         with self._lock:
             self._outbox.arrive(str(sender), posted, fresh)
             if posted is not None:

@@ -14,6 +14,7 @@ from pancakes.errors import PancakesError
 from pancakes.events import LogLine
 from pancakes.packet import LOG, Packet, type_name
 from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock
+from pancakes.runtime.folders import Folders
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.dispatch import Dispatcher
@@ -53,6 +54,7 @@ class Kernel:
         letters: packets whose handlers failed.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
+        folders: where files may be written at the word of another; the agent sets it.
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
         links: says what is to be known about each link to another agent, as plain values; the agent sets it.
@@ -80,6 +82,7 @@ class Kernel:
         self.task_timers = TimerTable()
         self.letters = DeadLetters(self.log)
         self.transport: Any = None
+        self.folders = Folders(agent)
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple

@@ -33,6 +33,7 @@ from pancakes.runtime.supervision.slot import Slot
 from pancakes.runtime.supervision.task_messages import Carried
 from pancakes.runtime.weight import weigh
 from pancakes.service import Service
+from pancakes.settings import FilePath
 from pancakes.task import TaskSpec
 from pancakes.tools.recording.recorder import Recorder, RecordingBegan
 
@@ -125,7 +126,7 @@ class LogService(Service):
         console: bool = True
         level: Literal["debug", "info", "warning", "error"] = "info"
         traceback: bool = False
-        file: str = ""
+        file: FilePath = ""
         file_limit_mib: Annotated[float, Meta(gt=0.0)] = 4.0
         files: Annotated[int, Meta(ge=2, le=1000)] = 5
         share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0

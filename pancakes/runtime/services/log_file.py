@@ -13,6 +13,7 @@ from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.services.log_record import line_of, record_of
 from pancakes.runtime.services.log_writer import LogWriter
 from pancakes.runtime.services.rotated_file import RotatedFile
+from pancakes.settings import FilePath
 
 MIB: Final = 1024 * 1024
 RETRY_S: Final = 5.0
@@ -28,7 +29,7 @@ class LogFile(LogWriter):
     class Settings(msgspec.Struct):
         """Where to, and how much; see `LogService.Settings`."""
 
-        path: str = "agent.jsonl"
+        path: FilePath = "agent.jsonl"
         limit_mib: Annotated[float, Meta(gt=0.0)] = 4.0
         files: Annotated[int, Meta(ge=2, le=1000)] = 5
         share_kib_s: Annotated[float, Meta(ge=0.0)] = 16.0

@@ -172,7 +172,6 @@ class Tracing:
         self._owner = owner
         self._packets: TracedPackets | None = None
         self._taps: dict[str, Callable[[Packet], None]] = {}
-        self._epoch_ns = 0
         self._asked_s: dict[str, float] = {}
         self._questions: deque[tuple[Traces, Told]] = deque()
         self._steps: Generator[None, None, dict[str, Any]] | None = None
@@ -208,7 +207,7 @@ class Tracing:
     def end(self) -> None:
         """Notes nothing any more, and tells now what is still to be answered."""
         while self._questions:
-            self._go_on(later=False)
+            self._step()
         if self._packets is None:
             return
         self._packets = None
@@ -218,8 +217,14 @@ class Tracing:
         stream.untap_outgoing(self._tap)
         self._taps = {}
 
-    def _go_on(self, later: bool = True) -> None:
-        """Does one step for the question that came first; all others are done `later`."""
+    def _go_on(self) -> None:
+        """Does one step, and all others in later turns."""
+        self._step()
+        if self._questions:
+            self._owner.call(self._go_on)
+
+    def _step(self) -> None:
+        """Does one step for the question that came first."""
         if self._packets is None or not self._questions:
             return
         asked, told = self._questions[0]
@@ -231,8 +236,6 @@ class Tracing:
             self._steps = None
             self._questions.popleft()
             told(end.value)
-        if later and self._questions:
-            self._owner.call(self._go_on)
 
     def _begin(self, now_s: float) -> None:
         kernel = self._owner.kernel

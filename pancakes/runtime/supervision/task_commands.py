@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.runtime.kernel.keep import reliable
+from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.life import State
 from pancakes.runtime.life.life_event import StartAsked, StopAsked
@@ -25,6 +26,8 @@ more is refused, and told so: none may be lost without a word."""
 
 class Commanded(Protocol):
     """What the commands need of a service."""
+
+    kernel: Kernel
 
     @property
     def address(self) -> str: ...
@@ -59,6 +62,7 @@ def start(service: Commanded, slot: Slot, body: Start, request: Request) -> None
         raise ControlRefused(f"{slot.address} is {life.word} already")
     carried = service.carried_of(slot)
     if body.settings is not None:
+        _check_paths(service, slot, body.settings)
         change_plain(service.settings_class(slot), carried.settings, body.settings, slot.name)
         carried = replace(carried, settings={**carried.settings, **body.settings})
     if body.dry_run:
@@ -102,13 +106,21 @@ def change(service: Commanded, slot: Slot, body: Reschedule | Configure | Descri
     """Has a running task change, or say how it stands, in its own turn; the answer comes after that.
 
     Raises:
-        ControlRefused: the task does not run.
+        ControlRefused: the task does not run, or a path of a file lies where none may be set.
     """
     if slot.task is None or slot.life.state is not State.RUNNING:
         raise ControlRefused(f"{slot.address} is {slot.life.word}, not running")
+    if isinstance(body, Configure):
+        _check_paths(service, slot, body.settings)
     slot.changing = (*slot.changing, request)
     lasting = not isinstance(body, Describe) and not body.dry_run
     tell(slot.task, ChangeTask(request, body, carry=lasting and service.keeps_changes))
+
+
+def _check_paths(service: Commanded, slot: Slot, settings: Mapping[str, Any]) -> None:
+    """Raises `ControlRefused` where settings have a path outside of the folders that the configuration names."""
+    if reason := service.kernel.folders.refusal_of(service.settings_class(slot), settings):
+        raise ControlRefused(f"bad settings for {slot.name}: {reason}")
 
 
 def tell_of(service: Commanded, slot: Slot, body: Describe, request: Request) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from pancakes.client import Client
+from pancakes.client import Client, Where
 from pancakes.errors import PancakesError, Unreachable
 from pancakes.runtime.config import Config
 from pancakes.runtime.journal import empty
@@ -36,8 +36,9 @@ def check_alone(configs: Iterable[Config]) -> None:
         if entry.fleet in fleets and entry.role == "agent"
     }
     own = {agent.listen for agent in agents}
-    for fleet, name, address in _at([peer for agent in agents for peer in agent.peers if peer not in own]):
-        if fleet in fleets:
+    for fleet in fleets:
+        peers = [peer for agent in agents if agent.fleet == fleet for peer in agent.peers if peer not in own]
+        for name, address in _at(fleet, peers):
             others.setdefault((fleet, name), address)
     if others:
         raise PancakesError(
@@ -62,13 +63,13 @@ def empty_state(config: Config) -> Path | None:
     return directory.absolute() if directory is not None and empty(directory) else None
 
 
-def _at(addresses: Sequence[str]) -> list[tuple[str, str, str]]:
-    """Returns fleet, name and address of the agents that answer at addresses, and of those that these know."""
+def _at(fleet: str, addresses: Sequence[str]) -> list[tuple[str, str]]:
+    """Returns name and address of the agents of a fleet that answer at addresses, and of those that these know."""
     if not addresses:
         return []
     try:
-        with Client(addresses, ASK_S) as client:
+        with Client(Where(tuple(addresses), fleet), ASK_S) as client:
             found = client.survey()
     except Unreachable:
         return []
-    return [(it["fleet"], it["agent"], it["listen"]) for it in found.agents if it["role"] == "agent"]
+    return [(it["agent"], it["listen"]) for it in found.agents if it["role"] == "agent"]

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from pancakes.settings import FilePath
+
 Size = Annotated[float, Meta(ge=0, le=1e9)]
 
 
@@ -26,7 +28,7 @@ class RecordingSettings(Struct):
         viewer: whether poses are written in the schemas of Foxglove as well.
     """
 
-    path: str = "recordings/{agent}.mcap"
+    path: FilePath = "recordings/{agent}.mcap"
     channels: tuple[str, ...] = ()
     types: tuple[str, ...] = ()
     task: str = ""

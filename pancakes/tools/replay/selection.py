@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from msgspec.structs import replace
 
 from pancakes.errors import ControlRefused
+from pancakes.mesh.net.speaker import may_be_replayed
 from pancakes.packet import CORE_CHANNELS, NEIGHBOURS, SYSTEM, TO_TASK, Packet, agent_of, join
 from pancakes.tools.recording.description import CHANNEL
 from pancakes.tools.recording.mission_time import MissionTime
@@ -96,8 +97,8 @@ class Selection:
 
     Attributes:
         agents: the agents of the fleet, by name.
-        only: patterns of the shell for `AGENT/CHANNEL/TYPE` or for the source; what fits one of them is fed, whatever
-            it is, and nothing else.
+        only: patterns of the shell for `AGENT/CHANNEL/TYPE` or for the source; what fits one of them is fed, also
+            where its source runs, and nothing else.
         from_s: nothing before this mission time.
         to_s: nothing from this mission time on; None: to the end.
         as_name: the agent that gets everything, in place of those on which it was seen; empty: none.
@@ -141,6 +142,8 @@ class Selection:
     def _left_out(self, packet: Packet, name: str) -> str:
         if name not in self.agents:
             return f"{name} is not there"
+        if not may_be_replayed(packet.channel):
+            return f"agents take {packet.channel} from its publisher alone"
         if self.only:
             return ""
         publisher = self.agents.get(agent_of(packet.source))

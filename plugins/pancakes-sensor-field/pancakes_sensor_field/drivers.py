@@ -20,6 +20,7 @@ from pancakes.bodies.sim.drivers import SimulatedSensor
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.packet import SYSTEM, Packet, join
 from pancakes.runtime.config import parse_address
+from pancakes.settings import FilePath
 from pancakes_sensor_field.frame import TEMPERATURE
 from pancakes_sensor_field.lines import Line, Reply, SerialLine, TcpLine, UdpLine
 from pancakes_sensor_field.packets import LineReport, ReportPeriod
@@ -178,7 +179,7 @@ class SerialNodes(LineNodes):
             baud: bits a second.
         """
 
-        port: str
+        port: FilePath
         baud: Annotated[int, Meta(ge=50)] = 9600
 
     def make_line(self) -> Line:

@@ -8,6 +8,7 @@ from typing import Final
 from pancakes.bodies.sim.quantities import Positive
 from pancakes.bodies.sim.row_file import RowFile
 from pancakes.packet import SYSTEM, Packet
+from pancakes.settings import FilePath
 from pancakes.task import on
 from pancakes_sensor_field.packets import FieldTruth, NodeTruth
 
@@ -39,7 +40,7 @@ class FieldRecord(RowFile):
             rows_hz: how often each node gets a row.
         """
 
-        path: str = "field.csv"
+        path: FilePath = "field.csv"
         rows_hz: Positive = 1.0
 
     settings: Settings

@@ -97,7 +97,7 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
     for known in mesh["addresses"]:
         if known["static"] and known["name"] not in connected | asleep:
             peer = f"{known['name']} at {known['address']}" if known["name"] else f"at {known['address']}"
-            text = f"is not connected to its peer {peer}"
+            text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
             yield Finding("warning", name, text, advice)
     for peer in mesh["peers"]:
@@ -106,6 +106,9 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
             channels = ", ".join(f"{count} of {channel}" for channel, count in peer["dropped"].items())
             text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
             yield Finding("warning", name, text, "send less often, or look at the network between them")
+        if peer["refused"]:
+            text = f"refused {_count(peer['refused'], 'packet')} that {peer['name']} sent under another name"
+            yield Finding("warning", name, text, f"find out what runs at {peer['remote']}: it speaks for others")
 
 
 def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:

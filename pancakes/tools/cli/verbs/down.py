@@ -106,7 +106,7 @@ class _Ending:
         if len(set(names)) < len(names):
             # Agents of several fleets have the same name: their addresses tell them apart.
             for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
-                self.end(Where((entry.listen,)), [entry.name], here)
+                self.end(Where((entry.listen,), entry.fleet), [entry.name], here)
         elif names:
             self.end(Where(fleet=fleet), names, here)
 
