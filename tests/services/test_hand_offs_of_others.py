@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 from msgspec.structs import replace
 
-from pancakes.control import Migrate
+from pancakes.control import Migrate, Stop
 from pancakes.mesh.migration.messages import Commit, Nak, Piece, Transfer, addressed
 from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.migration.record import Epoch, Phase, TaskId
@@ -78,6 +78,24 @@ def test_of_made_up_tasks_nothing_is_kept(fleet):
         say(fleet, "c", Commit(TaskId("c", f"T{number}"), Epoch(1, "c")), "b")
     fleet.run_for(1.0)
     assert dict(b.component("client").places) == before
+
+
+def test_the_service_of_a_task_on_its_way_is_not_stopped(fleet):
+    """What it has said, and not heard, is in its mailbox alone."""
+    a, b = fleet.agents["a"], fleet.agents["b"]
+    a.publish("sysctrl", Migrate("Count", to="b"))
+
+    def is_prepared():
+        return COUNT in b.agent.records.all() and b.agent.records.all()[COUNT].phase is Phase.PREPARED
+
+    assert fleet.run_until(is_prepared)
+    fleet.network.partition(["a"])
+    for agent in (a, b):
+        reply = agent.ask(Stop("client", dry_run=True))
+        assert reply.reason == f"{agent.name}/client must not stop while a/Count is being handed over"
+    fleet.network.heal()
+    assert fleet.run_until(lambda: all(agent.ask(Stop("client", dry_run=True)).ok for agent in (a, b)), 30.0)
+    assert a.running() == ["Count"], "b never said that it has it"
 
 
 def test_a_third_agent_neither_gives_a_task_away_nor_sends_its_snapshot(fleet):

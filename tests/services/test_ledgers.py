@@ -5,12 +5,15 @@ from msgspec.structs import replace
 
 from pancakes.control import Migrate, Migrations
 from pancakes.mesh.migration.ledger import Ledger, Line
-from pancakes.runtime.hosting.ledgers import KEPT, KIND, Ledgers
+from pancakes.runtime.hosting.ledgers import KIND, Ledgers
 from pancakes.runtime.journal import Disk, JournalEntry, MemoryJournal, VirtualStore
 from pancakes.task import Task
 from pancakes.testing import FleetInTest
 
 CLASSES = {"test.Task": Task}
+
+KEPT = 100
+"""As docs/protocol.md says."""
 
 
 def ledger(name="Count"):

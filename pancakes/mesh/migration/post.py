@@ -2,8 +2,8 @@
 
 A sender keeps each letter until it is acknowledged, and sends it again until then, in order. The receiver takes only
 the next one of each stream, so that what comes late, twice or out of order has no effect twice and overtakes nothing.
-Where the task has moved, the agent that had it says where it went, and the sender sends it there itself: nobody speaks
-for another (`docs/protocol.md`, packets).
+Where the task has moved, the agent that had it says where it went, and the sender sends it there itself: each agent
+speaks for itself alone (`docs/protocol.md`, packets).
 """
 
 from __future__ import annotations

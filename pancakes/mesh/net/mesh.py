@@ -67,7 +67,7 @@ class Mesh:
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
-        follows: whether it is a terminal, which takes packets of any source.
+        follows: whether it is a terminal, which takes packets of any source on any channel.
     """
 
     def __init__(
@@ -401,7 +401,7 @@ class Mesh:
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
         """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if self._follows or not (fault := fault_of_source(session.peer, session.role, first.channel, first.source)):
+        if self._follows or not (fault := fault_of_source(self.identity.role, session.peer, session.role, first)):
             return True
         self._log.false_source(session, fault, number, self._now())
         return False

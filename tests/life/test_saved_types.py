@@ -1,0 +1,40 @@
+"""What a class that is saved may be made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import pytest
+from msgspec import Meta
+
+from pancakes.runtime.supervision.saved_types import fault_of_type
+
+
+@dataclass
+class Leg:
+    length_m: Annotated[float, Meta(gt=0)] = 1.0
+    shared: ClassVar[Any] = None
+    plain: ClassVar = object()
+
+
+@dataclass
+class Loose:
+    shared: ClassVar[int] = 0
+    held: Any = None
+
+
+@dataclass
+class Numbered:
+    n: Annotated[np.float64, "of numpy"]
+
+
+@pytest.mark.parametrize("kind", [Leg, list[Leg], dict[str, Leg], Leg | None])
+def test_what_belongs_to_the_class_is_not_saved_and_may_be_anything(kind: Any) -> None:
+    assert fault_of_type(kind) == ""
+
+
+def test_a_field_within_a_field_is_named() -> None:
+    assert fault_of_type(list[Loose]).startswith("is made of Loose, whose held may be anything")
+    assert fault_of_type(Numbered).startswith("is made of Numbered, whose n is a float64 of numpy")
