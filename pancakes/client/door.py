@@ -157,11 +157,15 @@ class Door:
         if self._asked.pop(number, None) is not None:
             self._answers[number] = answer
 
+    def _answered(self, peer: str, number: int, answer: Answer) -> None:
+        """Takes an answer, where it comes from the agent that was asked."""
+        if self._asked.get(number) == peer:
+            self._settle(number, answer)
+
     def _on_packets(self, peer: str, packets: Sequence[Packet], size: int) -> None:
         for packet in packets:
             if isinstance(packet.body, Reply) and packet.cause is not None and packet.cause[0] == self.name:
-                if self._asked.get(packet.cause[1]) == peer:
-                    self._settle(packet.cause[1], packet.body)
+                self._answered(peer, packet.cause[1], packet.body)
             else:
                 for listener, _ in self._listeners:
                     listener(peer, packet)
@@ -169,8 +173,7 @@ class Door:
 
     def _on_unfit(self, peer: str, packet: Packet, reason: str) -> None:
         if body_class(packet.type) is Reply and packet.cause is not None and packet.cause[0] == self.name:
-            if self._asked.get(packet.cause[1]) == peer:
-                self._settle(packet.cause[1], f"its answer cannot be read: {reason}")
+            self._answered(peer, packet.cause[1], f"its answer cannot be read: {reason}")
         else:
             for _, unread in self._listeners:
                 unread(peer, packet, reason)

@@ -95,7 +95,8 @@ class FleetInTest:
             services: services by name, likewise; a default service may be given with its settings alone.
             classes: classes that `text` names, by name.
             settle: whether to wait until it is ready.
-            agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`.
+            agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
+                written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
         addresses = [config.agent.listen for other, config in self._configs.items() if other != name]
         agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), **agent}

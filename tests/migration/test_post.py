@@ -15,10 +15,13 @@ from pancakes.mesh.migration.post import (
     WINDOW_BYTES,
     ForwardTo,
     Incoming,
+    Letter,
     Outgoing,
     Receipt,
+    false_name,
 )
 from pancakes.mesh.migration.record import TaskId
+from pancakes.packet import Packet
 
 SCAN = TaskId("a", "Scan")
 STREAM = "me/1"
@@ -201,3 +204,19 @@ def test_what_waits_is_bounded_in_bytes_too_but_one_may_always_wait():
     moved.post(SCAN, b"x", "b", 0.0)
     with pytest.raises(MailboxFull):
         moved.post(SCAN, b"x", "b", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("sender", "source", "other"),
+    [
+        ("b", "b/client/T", ""),
+        ("b", None, ""),
+        ("c", "b/client/T", "c"),
+        ("b/x", "b/client/T", "b/x"),
+        ("b", "c/client/T", "c/client/T"),
+        ("b", "bb/client/T", "bb/client/T"),
+    ],
+)
+def test_a_letter_bears_the_names_of_the_agent_alone_that_brings_it(sender, source, other):
+    packet = Packet("chat", "words", source, "task:a/Scan", 0.0, 1, None) if source else None
+    assert false_name(Letter("a/Scan", STREAM, 1, 1, b"", sender), packet, "b") == other

@@ -1,26 +1,14 @@
 """Adopting by force: what a person may do with a task whose hand-off is in doubt, because the other agent is gone."""
 
-from dataclasses import dataclass
-
 import pytest
+from services.counting import Count
 
 from pancakes.control import Adopt, Describe, Migrate, Migrations, Stop
 from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.net.memory import Quality
 from pancakes.packet import SYSCTRL
-from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 from pancakes.testing.faults import DISK_FULL
-
-
-class Count(Task):
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
 
 
 @pytest.fixture

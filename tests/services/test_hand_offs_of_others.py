@@ -1,29 +1,17 @@
 """A hand-off is between two agents: what a third says of it, or says unasked, changes nothing."""
 
-from dataclasses import dataclass
-
 import pytest
 from msgspec.structs import replace
+from services.counting import Count
 
 from pancakes.control import Migrate, Stop
 from pancakes.mesh.migration.messages import Commit, Nak, Piece, Transfer, addressed
 from pancakes.mesh.migration.pieces import cut
 from pancakes.mesh.migration.record import Epoch, Phase, TaskId
 from pancakes.packet import Packet
-from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
-
-
-class Count(Task):
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
 
 
 @pytest.fixture

@@ -1,28 +1,14 @@
 """A task whose record was damaged may run elsewhere: it rests, over any number of starts, until a person decides."""
 
-from dataclasses import dataclass
-
 import pytest
+from services.counting import Count
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
-from pancakes.task import Task, every
 from pancakes.testing import FleetInTest
 
 RECORD = "record.a%2FCount.rec"
 IDENTITY = "identity.identity.rec"
 DAMAGED = (RECORD, IDENTITY)
-
-
-class Count(Task):
-    """Counts its ticks."""
-
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import msgspec
 from pancakes.errors import MailboxFull
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import Posted, PostedTo
-from pancakes.packet import packet_type
+from pancakes.packet import Packet, agent_of, packet_type
 
 WINDOW: Final = 1024
 """Most letters to one task that wait for their acknowledgement."""
@@ -253,6 +253,19 @@ class Outgoing:
 
     def _letter(self, task_id: str, to: _Correspondence, seq: int) -> Letter:
         return Letter(task_id, self.stream, seq, next(iter(to.packets)), to.packets[seq], self._agent)
+
+
+def false_name(letter: Letter, packet: Packet | None, peer: str) -> str:
+    """Returns the name in a letter that is another's than the peer's that brought it; empty: there is none.
+
+    Args:
+        letter: the letter.
+        packet: the packet in it; None: it cannot be read.
+        peer: the agent that brought it.
+    """
+    if letter.sender != peer:
+        return letter.sender
+    return packet.source if packet is not None and agent_of(packet.source) != peer else ""
 
 
 class Incoming:

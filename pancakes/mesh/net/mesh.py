@@ -15,7 +15,7 @@ from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
-from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, TurnDown
+from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.speaker import fault_of_source
@@ -410,7 +410,7 @@ class Mesh:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
-        if not any(isinstance(it, TurnDown) and (it.link, it.code) == (session.number, "name") for it in decisions):
+        if not is_namesake(session.number, decisions):
             self._act(session, session.link.answer(now_s))
         if self._state == "running":
             self._carry_out(decisions)

@@ -215,11 +215,12 @@ class Peers:
         address = self._dials.pop(link, "")
         if address:
             self._book[address].link = None
+            self._book[address].ours = False
         own, name = self._own, hello.name
         if name == own.name:
             return self._namesake(link, hello, address, now_s)
         if address:
-            self._book[address].name, self._book[address].ours = name, False
+            self._book[address].name = name
         hello = replace(hello, listen=reachable(hello.listen, remote))
         is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name, name)
         self._asleep.pop(name, None)
@@ -372,20 +373,26 @@ class Peers:
         return it is not None and it.link is not None
 
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
-        own = self._own
+        own, is_own = self._own, hello.journal == self._own.journal
+        if not address:  # the end that was dialled
+            self._self_dials += is_own
+            return [self._self_dial(link) if is_own else TurnDown(link, "name", _taken(own.name))]
         self._freed(address, now_s)
-        it = self._book[address] if address else _KnownAddress(False, now_s)
+        it = self._book[address]
         it.due_s = now_s + self._times.retry_longest_s
-        if hello.journal == own.journal:
-            # Where we have not heard ourselves at the other end, some program repeats what it is told.
-            it.ours = not address or self._self_dials > 0
-            self._self_dials += -1 if address and it.ours else 0 if address else 1
-            it.refused = "" if it.ours else f"what listens there repeats what {own.name} says"
-            return [TurnDown(link, "self" if it.ours else "name", it.refused or f"{own.name} dialled itself")]
-        if address:  # the agent that dials is the newcomer, and waits to be told
+        if not is_own:  # the agent that dials is the newcomer, and waits to be told
             it.refused = _taken(own.name)
             return []
-        return [TurnDown(link, "name", _taken(own.name))]
+        if self._self_dials == 0:
+            # No connection of ours has come in here: a program there repeats what it is told.
+            it.refused = f"what listens there repeats what {own.name} says"
+            return [TurnDown(link, "name", it.refused)]
+        self._self_dials -= 1
+        it.ours, it.refused = True, ""
+        return [self._self_dial(link)]
+
+    def _self_dial(self, link: int) -> TurnDown:
+        return TurnDown(link, "self", f"{self._own.name} dialled itself")
 
     def _full(self, hello: Hello) -> str:
         """Returns why there is no room for one more peer, or an empty string."""
@@ -462,6 +469,11 @@ class Peers:
         doublings = min(max(it.failures - 1, 0), 30)
         bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
         it.due_s = now_s + self._random.uniform(0.0, bound_s)
+
+
+def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
+    """Returns whether a connection is refused for the name of its peer, which is then told nothing of this agent."""
+    return any(isinstance(it, TurnDown) and (it.link, it.code) == (link, "name") for it in decisions)
 
 
 def reachable(listen: str, remote: str) -> str:

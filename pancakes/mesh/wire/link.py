@@ -254,15 +254,18 @@ class Link:
         self.state = LinkState.UP
         return [self._send(Welcome(), now_s), Up()]
 
-    def refuse(self, code: Refusal, reason: str, now_s: float) -> list[Action]:
-        """Tells the peer why it is not wanted, and ends the link."""
+    def refuse(self, code: Refusal, reason: str, now_s: float, told: str = "") -> list[Action]:
+        """Tells the peer why it is not wanted, and ends the link.
+
+        Args:
+            code: why, for programs.
+            reason: why, for people here.
+            now_s: host time.
+            told: what a stranger is told in place of the reason: nothing of this agent; empty: the reason.
+        """
         if self.state is LinkState.OVER:
             return []
-        return [self._send(RefuseLink(code, reason[:1000]), now_s), *self._over(reason, refusing=code)]
-
-    def _turn_away(self, code: Refusal, told: str, reason: str, now_s: float) -> list[Action]:
-        """Refuses a side that may be a stranger: `told` says nothing of this agent, the log has the `reason`."""
-        return [self._send(RefuseLink(code, told), now_s), *self._over(reason, refusing=code)]
+        return [self._send(RefuseLink(code, (told or reason)[:1000]), now_s), *self._over(reason, refusing=code)]
 
     def leave(self, goodbye: Goodbye, now_s: float) -> list[Action]:
         """Says goodbye, and ends the link."""
@@ -341,7 +344,7 @@ class Link:
         own = self._own.version
         told = f"it speaks version {own} of the protocol and is spoken to in version {theirs}"
         reason = f"{self._own.name} speaks version {own} of the protocol and the other side version {theirs}"
-        return self._turn_away("version", told, reason, now_s)
+        return self.refuse("version", reason, now_s, told)
 
     def _from_stranger(self, message: LinkMessage, now_s: float) -> list[Action]:
         match message:
@@ -365,7 +368,7 @@ class Link:
             if hello.role == "client":
                 told += "; --fleet names another"
             reason = f"{own.name} is of the fleet {own.fleet!r} and {hello.name} of {hello.fleet!r}"
-            return self._turn_away("fleet", told, reason, now_s)
+            return self.refuse("fleet", reason, now_s, told)
         self.peer = hello
         self._set_quiet()
         self.state = LinkState.MET

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
-from pancakes.mesh.migration.post import RESEND_S, ForwardTo, Letter, Receipt
+from pancakes.mesh.migration.post import RESEND_S, ForwardTo, Letter, Receipt, false_name
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
@@ -118,9 +118,8 @@ class Courier(Component):
             packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])
         except RemoteProtocolError as error:
             self.log("warning", f"a packet for {task_id} cannot be read: {error}")
-        false = letter.sender if letter.sender != peer else packet.source if packet is not None else peer
-        if agent_of(false) != peer:
-            self.log("warning", f"a packet for {task_id} was refused: {peer} speaks for {false}")
+        if other := false_name(letter, packet, peer):
+            self.log("warning", f"a packet for {task_id} was refused: {peer} speaks for {other}")
             return
         tell(service, CameFor(letter, packet))
 
