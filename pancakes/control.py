@@ -152,6 +152,24 @@ class Forget(msgspec.Struct, frozen=True):
     dry_run: bool = False
 
 
+@packet_type("set_fence")
+class SetFence(msgspec.Struct, frozen=True):
+    """Sets what an actuator has seen of a task to the epoch under which the task runs now, wherever it does.
+
+    For where the actuator obeys the task no more: the agent that it was with is gone, say, or an agent that never had
+    it brought a higher epoch. The actuator goes to its safe hold, and its agent asks all that it is connected to.
+
+    Attributes:
+        target: the actuator.
+        task_id: the task, as `birthplace/name`.
+        dry_run: only says what would be done, and changes nothing.
+    """
+
+    target: str
+    task_id: str
+    dry_run: bool = False
+
+
 @packet_type("migrations")
 class Migrations(msgspec.Struct, frozen=True):
     """Asks an agent for the newest accounts of moves from it, those of earlier boots too.
@@ -327,6 +345,7 @@ CONTROLS: tuple[type, ...] = (
     Migrate,
     Adopt,
     Forget,
+    SetFence,
     Migrations,
     Describe,
     Channels,

@@ -7,7 +7,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from pancakes.control import Command, Describe, Hold, Reschedule
+from pancakes.control import Command, Describe, Hold
 from pancakes.errors import ClassError, ControlRefused, PancakesError, describe, traceback_of
 from pancakes.packet import CTRL, SYSCTRL, Packet, join
 from pancakes.runtime.kernel.component import Component
@@ -29,7 +29,7 @@ from pancakes.runtime.supervision.saved_types import check_saved
 from pancakes.runtime.supervision.service_messages import Close, ServiceEnded, ServiceReady
 from pancakes.runtime.supervision.slot import Failure, Slot
 from pancakes.runtime.supervision.startup import STARTED_AT_ONCE, Startup
-from pancakes.runtime.supervision.task_commands import COMMANDS, WAITING
+from pancakes.runtime.supervision.task_commands import CHANGES, COMMANDS, WAITING
 from pancakes.runtime.supervision.task_description import describe_in_detail, describe_task
 from pancakes.runtime.supervision.task_messages import Carried, Changed, TaskBegan, TaskEnded
 from pancakes.runtime.supervision.task_news import tell_of_task
@@ -330,8 +330,8 @@ class Service(Component):
         if isinstance(body, Describe):
             result = {**self.describe_in_detail(slot), **result}
         elif not body.dry_run:
-            kind = "rate_changed" if isinstance(body, Reschedule) else "settings_changed"
-            self.event(kind, task=slot.name, service=self.name, by=request.by, number=request.number, **result)
+            told = {"service": self.name, "by": request.by, "number": request.number, **result}
+            self.event(CHANGES[type(body)], task=slot.name, **told)
         if changed.carried is not None:
             self.changed(slot, changed.carried)
         self.reply(request, result=result)

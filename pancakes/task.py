@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import msgspec
 
-from pancakes.control import Configure, Describe, Migrate, Reschedule
+from pancakes.control import Configure, Describe, Migrate, Reschedule, SetFence
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.mesh.migration.cost import CostChoice
 from pancakes.mesh.migration.post import Incoming
@@ -304,8 +304,23 @@ class Task(Component):
             raise
         self.__tell(LetterGiven(self, message, LetterOutcome.TAKEN if took else LetterOutcome.EARLY))
 
+    def answer_change(self, change: ChangeTask, reason: str, result: Mapping[str, Any]) -> None:
+        """Answers a change that took longer than one turn; an empty reason means that it has been done."""
+        self.__tell(Changed(self, change, reason, result))
+
+    def set_fence(self, change: ChangeTask) -> None:
+        """Sets the fence of an actuator, and answers; every other task refuses.
+
+        Raises:
+            ControlRefused: it is no actuator.
+        """
+        raise ControlRefused(f"{self.address} is no actuator: it has no fence")
+
     def __take_change(self, message: ChangeTask) -> None:
         try:
+            if isinstance(message.body, SetFence):
+                self.set_fence(message)
+                return
             result = self.__change(message.body)
             carried = self.carry() if message.carry else None
             changed = Changed(self, message, "", result, carried)

@@ -25,6 +25,14 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def runtime_directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Gives the agents of these tests a directory of their own, where no other's have the same names."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
+        yield
+
+
 @pytest.fixture
 def handlers() -> Iterator[None]:
     """Gives the signals that end a process back to pytest, however a test fails."""

@@ -82,6 +82,10 @@ class Door:
         """Returns whether an agent can be asked."""
         return any(hello.name == agent for hello in self.agents())
 
+    def place_of(self, agent: str) -> str:
+        """Returns the address at which a connected agent was dialled; empty where it is connected no more."""
+        return next((link["remote"] for link in self._mesh.links() if link["name"] == agent), "")
+
     def link(self, agent: str) -> int:
         """Returns the number of the link to an agent that stands now, 0 where none does.
 

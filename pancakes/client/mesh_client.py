@@ -17,9 +17,11 @@ from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
-from pancakes.errors import ControlRefused, NoAnswer, PancakesError, PluginError, Unreachable
-from pancakes.mesh.net.transport import Transport
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET, Hello
+from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
+from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, reachable_from
+from pancakes.mesh.net.peers import reachable
+from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
 from pancakes.runtime.plugins import Plugins
@@ -89,8 +91,8 @@ class Client:
             reply = client.request("agent1", Stop("client/ScanTarget"))
 
     Args:
-        at: an address to begin with (`HOST:PORT` or `tcp://HOST:PORT`), or several; none: what runs on this machine. A
-            `Where` names a fleet as well.
+        at: an address to begin with (`HOST:PORT`, `tcp://HOST:PORT` or `local://NAME`), or several; none: what runs on
+            this machine. A `Where` names a fleet as well.
         timeout_s: the time limit of each call.
 
     Raises:
@@ -102,19 +104,19 @@ class Client:
         self.timeout_s = timeout_s
         self.name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
         self._clock = MonotonicClock()
-        self._plugins = Plugins()
-        self._transports: dict[str, Transport] = {}
+        self._transport = SocketTransport(self._clock, self.name, Plugins())
         self._lock = threading.RLock()
         # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
         # leaves its lock in disorder, and a program that then ends in good order waits for ever.
         self._no_news = threading.Lock()
         self._no_news.acquire()
-        self._doors: dict[tuple[str, str], Door] = {}
+        self._doors: dict[str, Door] = {}
         self._greeted = 0
         self._leads: list[Lead] = []
         self._at = where.addresses
         self._fleet = where.fleet
-        for lead in [Lead(address) for address in self._at] or self._running():
+        fleet = self._fleet or DEFAULT_FLEET
+        for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
             self._follow(lead)
 
     def __enter__(self) -> Client:
@@ -129,8 +131,7 @@ class Client:
             doors = list(self._doors.values())
         for door in doors:
             door.close()
-        for transport in self._transports.values():
-            transport.close()
+        self._transport.close()
 
     def request(self, agent: str, body: Any, timeout_s: float | None = None) -> Reply:
         """Asks one agent for something, and waits for its answer.
@@ -211,7 +212,7 @@ class Client:
             self._fleet = fleet
             self._leads = [lead for lead in self._leads if lead.fleet in ("", fleet)]
             left = [door for door in self._doors.values() if door.fleet != fleet]
-            self._doors = {key: door for key, door in self._doors.items() if door.fleet == fleet}
+            self._doors = {name: door for name, door in self._doors.items() if name == fleet}
         for door in left:
             door.close()
 
@@ -262,7 +263,7 @@ class Client:
     def _running(self) -> list[Lead]:
         """Returns the agents of this machine that are looked for."""
         there = [entry for entry in entries() if entry.role != "client" and self._fleet in ("", entry.fleet)]
-        return [Lead(entry.listen, entry.fleet, entry.name) for entry in there]
+        return [Lead(next(iter(entry.listen), ""), entry.fleet, entry.name) for entry in there]
 
     def _nowhere(self) -> str:
         """Returns a sentence to say where no agent runs."""
@@ -279,30 +280,25 @@ class Client:
         if not lead.address:
             lead.failed = "it listens at no address, so it cannot be asked from here"
             return
-        scheme = lead.address.partition("://")[0]
-        try:
-            transport = self._transport(scheme)
-        except PluginError as error:
-            lead.failed = str(error)
-            return
 
         def told(what: Hello | str) -> None:
             with self._lock:
-                self._met(lead, scheme, transport, what)
+                self._met(lead, what)
             self._changed()
 
         self._greeted += 1
-        Greeting(transport, lead.address, f"{self.name}.{self._greeted}", self._fleet_at(lead), self._clock, told)
+        name, fleet = f"{self.name}.{self._greeted}", self._fleet_at(lead)
+        Greeting(self._transport, lead.address, name, fleet, self._clock, told)
 
     def _fleet_at(self, lead: Lead) -> str:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
         if lead.fleet or self._fleet:
             return lead.fleet or self._fleet
         with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
-            return next((entry.fleet for entry in entries() if entry.listen == lead.address), DEFAULT_FLEET)
+            return next((entry.fleet for entry in entries() if lead.address in entry.listen), DEFAULT_FLEET)
         return DEFAULT_FLEET
 
-    def _met(self, lead: Lead, scheme: str, transport: Transport, what: Hello | str) -> None:
+    def _met(self, lead: Lead, what: Hello | str) -> None:
         if isinstance(what, str):
             lead.failed = what
         elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
@@ -311,29 +307,26 @@ class Client:
             lead.failed = f"it is {what.name} of the fleet {what.fleet}, not of {self._fleet}"
         else:
             lead.name, lead.fleet = what.name, what.fleet
-            door = self._doors.get((scheme, what.fleet))
+            door = self._doors.get(what.fleet)
             if door is None:
-                door = self._doors[scheme, what.fleet] = Door(
-                    self.name, what.fleet, transport, self._clock, self._changed
-                )
+                door = Door(self.name, what.fleet, self._transport, self._clock, self._changed)
+                self._doors[what.fleet] = door
             door.learn(lead.address)
 
-    def _transport(self, scheme: str) -> Transport:
-        if scheme not in self._transports:
-            cls: type[Transport] = self._plugins.get("pancakes.transports", scheme)
-            self._transports[scheme] = cls(self._clock, self.name, cls.Settings())
-        return self._transports[scheme]
-
-    def _learn(self, fleet: str, description: dict[str, Any]) -> None:
+    def _learn(self, door: Door, description: dict[str, Any]) -> None:
         """Follows the agents that one of them is connected to."""
+        fleet, remote = door.fleet, door.place_of(description["agent"])
+        if not remote:
+            return
         for peer in description["mesh"]["peers"]:
             if peer["role"] == "client" or any((it.fleet, it.name) == (fleet, peer["name"]) for it in self._leads):
                 continue
-            unmet = next((it for it in self._leads if not it.name and it.address == peer["address"]), None)
+            there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"])]
+            unmet = next((it for it in self._leads if not it.name and it.address in there), None)
             if unmet is not None:
                 unmet.fleet, unmet.name = fleet, peer["name"]
             else:
-                self._follow(Lead(peer["address"], fleet, peer["name"]))
+                self._follow(Lead(next(iter(there), ""), fleet, peer["name"]))
 
     # Waiting ---------------------------------------------------------------------------------------------------
 
@@ -403,7 +396,7 @@ class Client:
                 answers[key] = reply
                 return
             described.add(key)
-            self._learn(key[0], reply.result)
+            self._learn(door, reply.result)
             if body is not None and (not wanted or key[1] in wanted):
                 door.forget(asked[key][1])
                 asked[key] = door, door.request(key[1], body)

@@ -1,12 +1,20 @@
-"""Addresses of agents: `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`, and paths on this computer, `unix:///run/robot1`."""
+"""Addresses of agents: `tcp://127.0.0.1:7401`, `tcp://[::1]:7401`, and on this computer alone `local://robot1`."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import lru_cache
+from typing import Final
 
 import msgspec
 
+DEFAULT_FLEET: Final = "default"
+"""The fleet of agents whose configuration names none."""
+LOCAL: Final = "local"
+"""The scheme of addresses within one machine: `local://NAME`, `local://FLEET/NAME`, `local:///PATH`."""
+
+_LOCAL_NAME = re.compile(r"local://(?P<name>[A-Za-z0-9_][A-Za-z0-9_.-]*(?:/[A-Za-z0-9_][A-Za-z0-9_.-]*)?)")
 _ADDRESS = re.compile(
     r"(?P<scheme>[a-z][a-z0-9+.-]*)://"
     r"(?:(?P<path>/[A-Za-z0-9._/+-]+)|(?:\[(?P<six>[A-Za-z0-9:._%-]*)\]|(?P<host>[^\[\]:/@\s]*))(?::(?P<port>[^:/\s]*))?)"
@@ -21,7 +29,8 @@ class Address(msgspec.Struct, frozen=True):
         scheme: the name of the transport.
         host: a name or number; an IPv6 number without its brackets.
         port: 0 to 65535; 0 asks for a free one.
-        path: a path on this computer, in the place of host and port.
+        path: a path on this computer, in the place of host and port; one that does not begin with `/` is a name
+            below the directory where this user's agents are found.
     """
 
     scheme: str
@@ -60,6 +69,10 @@ def parse_address(text: str) -> Address:
     Raises:
         ValueError: it is none; the message says why, as a phrase.
     """
+    if is_local(text) and not text.startswith(f"{LOCAL}:///"):
+        if named := _LOCAL_NAME.fullmatch(text):
+            return Address(LOCAL, path=named["name"])
+        raise ValueError(f"{text!r} is no address: write it as {LOCAL}://NAME, {LOCAL}://FLEET/NAME or {LOCAL}:///PATH")
     found = _ADDRESS.fullmatch(text)
     if not found:
         bare = text.rpartition("://")[2]
@@ -94,6 +107,58 @@ def dialled(text: str) -> str:
     if parse_address(address).any_port:
         raise ValueError(f"{text!r} has the port 0, at which no agent can be reached")
     return address
+
+
+def local_address(fleet: str, name: str) -> str:
+    """Returns the address at which an agent is reached on its own machine."""
+    return f"{LOCAL}://{name}" if fleet == DEFAULT_FLEET else f"{LOCAL}://{fleet}/{name}"
+
+
+def in_fleet(address: str, fleet: str) -> str:
+    """Returns what an address means to an agent of a fleet: `local://NAME` is a neighbour, not one of another fleet."""
+    name = address.removeprefix(f"{LOCAL}://")
+    return local_address(fleet, name) if is_local(address) and "/" not in name else address
+
+
+def is_local(address: str) -> bool:
+    """Returns whether an address is for this machine alone, and names no port."""
+    return address.startswith(f"{LOCAL}://")
+
+
+@lru_cache(maxsize=1024)
+def is_loopback(address: str) -> bool:
+    """Returns whether only this machine can reach an address, as far as can be seen."""
+    try:
+        return parse_address(address).loopback
+    except ValueError:
+        return False
+
+
+def reachable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
+    """Returns those addresses that can be dialled at the other end of a connection.
+
+    What is local is for those who came by a local way, and the loopback is for this machine.
+
+    Args:
+        remote: the address of the other end, as this one sees it.
+        addresses: addresses that can be dialled here.
+    """
+    if is_local(remote):
+        return tuple(addresses)
+    far = not is_loopback(remote)
+    return tuple(it for it in addresses if not is_local(it) and not (far and is_loopback(it)))
+
+
+def nameable_from(remote: str, addresses: Iterable[str]) -> tuple[str, ...]:
+    """Returns those addresses that a peer may name, so that this agent dials them.
+
+    A peer elsewhere names nothing of this machine. None names a path, where another program may listen.
+
+    Args:
+        remote: the address of the peer, as this agent sees it.
+        addresses: what it names.
+    """
+    return tuple(it for it in reachable_from(remote, addresses) if not it.startswith(f"{LOCAL}:///"))
 
 
 def _check_six(text: str, host: str) -> None:

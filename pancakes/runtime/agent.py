@@ -9,6 +9,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -16,10 +17,12 @@ import msgspec
 from pancakes.control import CONTROLS
 from pancakes.errors import PancakesError, describe, traceback_of
 from pancakes.events import Event
+from pancakes.mesh.address import LOCAL, is_local
 from pancakes.mesh.migration.outbox import Outbox
 from pancakes.mesh.migration.rest import resting
 from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
@@ -42,6 +45,8 @@ from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
 from pancakes.runtime.plugins import Plugins
+from pancakes.runtime.runtime_dir import make_directory, runtime_dir
+from pancakes.runtime.services.actuator_fence import FencesOfAgent
 from pancakes.runtime.services.closer import Closer
 from pancakes.runtime.services.device import DeviceService
 from pancakes.runtime.services.fences import Fences
@@ -173,7 +178,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(self.name, journal.uuid, journal.boot, config.agent.fleet, config.agent.role),
             transport,
-            config.agent.listen,
+            config.agent.addresses if virtual is not None else self._addresses(),
             config.agent.peers,
             self.kernel.random_for("mesh"),
             self.kernel.host,
@@ -193,7 +198,7 @@ class Agent:
             self.kernel.stream.open(channel)
         shared: dict[type[Service], dict[str, Any]] = {
             LogService: {"wanted": wanted_recordings(disk)},
-            DeviceService: {"fences": Fences(disk)},
+            DeviceService: {"fences": FencesOfAgent(Fences(disk), self.records, self.ledgers)},
             NetworkService: {"mesh": self.mesh, "state": self.host_state, "ledgers": self.ledgers},
             ClientService: {
                 "mesh": self.mesh,
@@ -281,10 +286,11 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
-        if self.mesh.listen and not parse_address(self.mesh.listen).loopback:
-            self.kernel.log(
-                "warning", f"{self.name} listens at {self.mesh.listen}: links are not encrypted, and no peer is checked"
-            )
+        for address in self.mesh.listen:
+            if not parse_address(address).loopback:
+                self.kernel.log(
+                    "warning", f"{self.name} listens at {address}: links are not encrypted, and no peer is checked"
+                )
         self.ready.set()
         self._say_unsaid()
 
@@ -437,20 +443,34 @@ class Agent:
         return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
+        return SocketTransport(self.kernel.host, self.name, self._plugins, self._transport_settings())
+
+    def _transport_settings(self) -> dict[str, dict[str, Any]]:
+        given = self._network_settings().transports
+        group = self.config.agent.local_group
+        return {**given, LOCAL: {**given.get(LOCAL, {}), "group": group}} if group else given
+
+    def _addresses(self) -> tuple[str, ...]:
+        """Returns where it listens; without `local://` where another user has taken the place of its directory."""
         agent = self.config.agent
-        address = agent.listen or (agent.peers[0] if agent.peers else "tcp://")
-        cls: type[Transport] = self._plugins.get("pancakes.transports", address.partition("://")[0])
-        return cls(self.kernel.host, self.name, make_settings(cls.Settings, self._network_settings().transport))
+        directory = self._network_settings().transports.get(LOCAL, {}).get("directory")
+        try:
+            if not agent.local_group and not any(is_local(address) for address in agent.listen):
+                make_directory(Path(str(directory)) if directory else runtime_dir())
+        except (OSError, PancakesError) as error:
+            self.skipped.append(f"{self.name} cannot be reached at {agent.addresses[0]}: {error}")
+            return agent.listen
+        return agent.addresses
 
     def _network_settings(self) -> NetworkService.Settings:
-        """Returns those settings of the network that are for transport and mesh, which are there before the service.
+        """Returns those settings of the network that are for transports and mesh, which are there before the service.
 
         Raises:
             SettingsError: they do not fit; a configuration that was made in code has not been checked before.
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transport") if name in given}
+        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transports") if name in given}
         return make_settings(NetworkService.Settings, known)
 
     def _resting(self) -> dict[str, str]:

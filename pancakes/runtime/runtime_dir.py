@@ -47,14 +47,14 @@ class RunningAgent(msgspec.Struct, frozen=True):
         name: its name.
         fleet: its fleet.
         role: its role, such as `agent`.
-        listen: the address at which this machine reaches it; empty where it does not listen.
+        listen: the addresses at which this machine reaches it, the best first; none where it does not listen.
         pid: its process.
     """
 
     name: str
     fleet: str
     role: str
-    listen: str
+    listen: tuple[str, ...]
     pid: int
 
 
@@ -89,21 +89,26 @@ def runtime_dir() -> Path:
     return Path(f"/tmp/pancakes-{os.getuid()}")
 
 
-def register(entry: RunningAgent) -> Registration:
+def register(entry: RunningAgent, group: str = "") -> Registration:
     """Writes an agent's entry: a reader finds all of it, or nothing.
+
+    Args:
+        entry: what it says.
+        group: members of this group may read it as well; empty: its user alone.
 
     Raises:
         PancakesError: the directory cannot be used; the sentence says why.
     """
     directory = runtime_dir()
     try:
-        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        usable(directory)
+        make_directory(directory, group)
         path = directory / f"{entry.name}.{entry.pid}{_SUFFIX}"
         temporary = path.with_name(path.name + _TEMPORARY)
         handle = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if group:
+                open_to(handle, group, 0o640)
             os.write(handle, codecs.encode_json(entry))
             os.replace(temporary, path)
         except BaseException:
@@ -174,8 +179,50 @@ def look() -> Found:
     return found
 
 
-def usable(directory: Path) -> None:
+def make_directory(directory: Path, group: str = "") -> None:
+    """Makes a directory in which no other user can put anything, where there is none yet.
+
+    Args:
+        directory: the directory; those above it are made as well.
+        group: members of this group may read what is in it; empty: its user alone.
+
+    Raises:
+        PancakesError: another user could put something there, or the group does not exist; the sentence says why.
+        OSError: the operating system refuses.
+    """
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    usable(directory)
+    if group:
+        open_to(directory, group, 0o750)
+
+
+def open_to(path: int | Path, group: str, mode: int) -> None:
+    """Opens a file, or an open one, to a group.
+
+    Raises:
+        PancakesError: there is no such group; the sentence says so.
+        OSError: this user may not: it is no member of the group.
+    """
+    import grp
+
+    try:
+        number = grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise PancakesError(f"there is no group {group!r} on this machine, which [agent] local_group names") from None
+    if os.stat(path).st_gid != number:
+        os.chown(path, -1, number)
+    os.chmod(path, mode)
+
+
+def usable(directory: Path, named: bool = False) -> None:
     """Checks that no other user can put an entry there, which would lead our commands to that user's programs.
+
+    A directory of another user is used only where a person has named it: the agents that run as a system service are
+    there, and a person of their group looks for them there.
+
+    Args:
+        directory: the directory.
+        named: whether it was named otherwise than by `PANCAKES_RUNTIME_DIR`.
 
     Raises:
         PancakesError: another user could; the sentence says why.
@@ -183,11 +230,15 @@ def usable(directory: Path) -> None:
     found = os.lstat(directory)
     if not stat.S_ISDIR(found.st_mode):
         raise PancakesError(f"the runtime directory {directory} is no directory")
-    if found.st_uid != os.getuid():
+    variable = os.environ.get(VARIABLE)
+    named = named or (bool(variable) and directory.is_relative_to(variable or ""))
+    if found.st_uid != os.getuid() and not named:
         raise PancakesError(f"the runtime directory {directory} belongs to another user (uid {found.st_uid})")
-    if found.st_mode & 0o077:
+    if found.st_mode & 0o027:
         mode = stat.S_IMODE(found.st_mode)
-        raise PancakesError(f"the runtime directory {directory} is open to other users (mode {mode:o}, not 700)")
+        raise PancakesError(
+            f"the runtime directory {directory} is open to other users (mode {mode:o}, not 700, or 750 for one group)"
+        )
 
 
 def _read(path: Path, found: Found) -> None:
@@ -196,14 +247,15 @@ def _read(path: Path, found: Found) -> None:
     Raises:
         OSError: it cannot be opened.
     """
-    oddity = _oddity(os.lstat(path))
+    owner = os.stat(path.parent).st_uid
+    oddity = _oddity(os.lstat(path), owner)
     if oddity:
         found.odd.append(f"{printable(str(path))} is {oddity}, no agent's entry")
         return
     # What it is may have changed since: to open a FIFO would wait for a writer.
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
-        oddity = _oddity(os.fstat(handle))
+        oddity = _oddity(os.fstat(handle), owner)
         lives = not oddity and is_locked(handle)
         if lives and path.name.endswith(_TEMPORARY):
             return  # it is being written
@@ -214,6 +266,8 @@ def _read(path: Path, found: Found) -> None:
             except MALFORMED:
                 oddity = "in use, but what it says is"
         elif not oddity and _NAME.fullmatch(path.name):
+            if os.fstat(handle).st_uid != os.getuid():
+                return  # its own user clears it away
             path.unlink()
             found.cleared.append(path.name.removesuffix(_TEMPORARY).removesuffix(_SUFFIX))
             return
@@ -222,12 +276,12 @@ def _read(path: Path, found: Found) -> None:
         os.close(handle)
 
 
-def _oddity(status: os.stat_result) -> str:
+def _oddity(status: os.stat_result, owner: int) -> str:
     """Returns what is odd about a thing that should be an entry, as a phrase; empty: nothing."""
     kind = stat.S_IFMT(status.st_mode)
     if kind != stat.S_IFREG:
         return _KINDS.get(kind, "no file")
-    if status.st_uid != os.getuid():
+    if status.st_uid not in (os.getuid(), owner):
         return f"a file of another user (uid {status.st_uid})"
     if status.st_size > _LIMIT_BYTES:
         return f"a file of {status.st_size} bytes"

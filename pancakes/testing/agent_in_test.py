@@ -5,13 +5,18 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
+from msgspec.structs import replace
+
 from pancakes.control import Reply
 from pancakes.events import Event, LogLine
+from pancakes.mesh.address import LOCAL
 from pancakes.packet import LOG, SYSCTRL, Packet, covers, join, type_name
 from pancakes.runtime.agent import Agent
+from pancakes.runtime.config import Config
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.supervision.slot import Slot
@@ -193,17 +198,32 @@ def threaded_agent(
     """Runs an agent on threads and in real time, as on a robot, and stops it at the end of the `with`.
 
     Args:
-        name, text, tasks, devices, services, agent: as for `FleetInTest.start`; without `listen` it listens nowhere.
+        name, text, tasks, devices, services, agent: as for `FleetInTest.start`. It listens at `local://NAME`
+            as well, where the other agents of this process find it.
         classes: classes that `text` names, by name.
         state_dir: its state directory; None: one that is removed afterwards.
     """
     with tempfile.TemporaryDirectory(prefix="pancakes-test-") as directory:
         agent = {"state_dir": str(state_dir or Path(directory) / name), **agent}
         made = parts(name, text, tasks, devices, services, agent)
-        found = with_probe(Agent(made.config, registered({**(classes or {}), **made.classes})))
+        found = with_probe(Agent(_apart(made.config), registered({**(classes or {}), **made.classes})))
         found.agent.start()
         try:
             assert found.agent.ready.wait(PATIENCE_S), f"{name} was not ready within {PATIENCE_S:g} s"
             yield found
         finally:
             found.stop()
+
+
+@cache
+def _sockets() -> tempfile.TemporaryDirectory[str]:
+    """Returns where agents of this process find each other, apart from all others of the machine."""
+    return tempfile.TemporaryDirectory(prefix="pancakes-test-")
+
+
+def _apart(config: Config) -> Config:
+    network = config.services["network"]
+    transports = network.settings.get("transports", {})
+    local = {"directory": _sockets().name, **transports.get(LOCAL, {})}
+    settings = {**network.settings, "transports": {**transports, LOCAL: local}}
+    return replace(config, services={**config.services, "network": replace(network, settings=settings)})

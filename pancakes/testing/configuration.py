@@ -67,6 +67,8 @@ def parts(
 
     clock = {key: agent[key] for key in ("speed", "hold") if key in agent}
     others = {key: value for key, value in agent.items() if key not in clock}
+    if isinstance(at := others.get("listen"), str):
+        others["listen"] = (at,) if at else ()
     others.setdefault("folders", config.agent.folders or (tempfile.gettempdir(),))  # where pytest's tmp_path lies
     config = replace(
         config,

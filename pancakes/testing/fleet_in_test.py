@@ -98,7 +98,7 @@ class FleetInTest:
             agent: keys of `[agent]`, and `speed` and `hold` of `[clock]`. Without `folders` a command may have files
                 written below the system's temporary directory, where pytest's `tmp_path` lies.
         """
-        addresses = [config.agent.listen for other, config in self._configs.items() if other != name]
+        addresses = [config.agent.addresses[-1] for other, config in self._configs.items() if other != name]
         agent = {"listen": f"tcp://{name}:7400", "peers": tuple(addresses), **agent}
         made = parts(name, text, tasks, devices, services, agent)
         self._classes.update({**(classes or {}), **made.classes})
@@ -132,7 +132,7 @@ class FleetInTest:
     def restart(self, name: str, settle: bool = True) -> AgentInTest:
         """Starts an agent again that was stopped or has crashed, with the configuration and the disk that it had."""
         config = self._configs[name]
-        addresses = [other.agent.listen for known, other in self._configs.items() if known != name]
+        addresses = [other.agent.addresses[-1] for known, other in self._configs.items() if known != name]
         return self._start(replace(config, agent=replace(config.agent, peers=tuple(addresses))), settle)
 
     def _start(self, config: Config, settle: bool) -> AgentInTest:

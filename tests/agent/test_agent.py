@@ -10,10 +10,10 @@ from pancakes.control import Describe
 from pancakes.errors import PancakesError
 from pancakes.events import Event
 from pancakes.fleet import VirtualFleet
+from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.memory import Quality
 from pancakes.mesh.net.tcp import TcpTransport
 from pancakes.runtime.agent import Agent
-from pancakes.runtime.clock import Clock
 from pancakes.runtime.config import parse
 from pancakes.runtime.state_dir import default_state_dir
 from pancakes.service import Service
@@ -132,7 +132,7 @@ def test_an_address_in_use_is_a_sentence_and_leaves_nothing_behind():
 
 def test_a_port_in_use_on_threads_leaves_no_thread(tmp_path):
     with no_thread_left(), threaded_agent("a", listen="tcp://127.0.0.1:0") as agent:
-        address = agent.agent.mesh.listen
+        address = agent.agent.mesh.listen[-1]
         config = config_of("b", listen=address, state_dir=str(tmp_path))
         with no_thread_left():
             second = Agent(config)
@@ -144,11 +144,11 @@ def test_the_settings_of_a_transport_reach_it(tmp_path):
     class Noted(TcpTransport):
         made_with: ClassVar[list[TcpTransport.Settings]] = []
 
-        def __init__(self, clock: Clock, name: str, settings: TcpTransport.Settings) -> None:
+        def __init__(self, loop: Loop, settings: TcpTransport.Settings) -> None:
             self.made_with.append(settings)
-            super().__init__(clock, name, settings)
+            super().__init__(loop, settings)
 
-    text = "[service.network]\nsettings = { transport = { dial_s = 2.5 } }\n"
+    text = "[service.network]\nsettings = { transports = { noted = { dial_s = 2.5 } } }\n"
     config = config_of("a", text, peers=["noted:///run/b"], state_dir=str(tmp_path))
     agent = Agent(config, registered({}, {("pancakes.transports", "noted"): Noted}))
     agent.start()
@@ -163,7 +163,7 @@ def test_of_two_agents_of_one_name_the_newcomer_says_so_and_runs_on_without_link
         fleet.connect()
         other = VirtualFleet(9)
         other.dispatcher, other.network = fleet.fleet.dispatcher, fleet.network
-        config = config_of("a", listen="tcp://elsewhere:7400", peers=("tcp://b:7400",))
+        config = config_of("a", listen=("local://elsewhere", "tcp://elsewhere:7400"), peers=("tcp://b:7400",))
         newcomer = other.start(config)
         said: list[str] = []
         newcomer.kernel.stream.tap("log", lambda packet: said.append(str(packet.body)))
@@ -219,7 +219,7 @@ def test_the_mission_of_an_agent_may_run_faster_than_its_host():
 
 def test_the_same_tasks_talk_over_sockets_as_in_virtual_time():
     with no_thread_left(), threaded_agent("a", tasks={"Chatty": Chatty}, listen="tcp://127.0.0.1:0", speed=10.0) as a:
-        with threaded_agent("b", tasks={"Chatty": Chatty}, peers=(a.agent.mesh.listen,), speed=10.0) as b:
+        with threaded_agent("b", tasks={"Chatty": Chatty}, peers=a.agent.mesh.listen[-1:], speed=10.0) as b:
             a.wait_for_event("heard", of="b/client/Chatty")
             b.wait_for_event("heard", of="a/client/Chatty")
             assert b.ask(Describe("Chatty"), to="a").result["agent"] == "a"

@@ -148,11 +148,18 @@ def end(processes: Sequence[subprocess.Popen[Any]]) -> None:
             it.communicate()
 
 
-def listening_at(environment: Mapping[str, str], name: str, started: subprocess.Popen[Any]) -> str:
-    """Returns where an agent that is ready listens: from its entry, by which the command line finds it as well."""
+def listening_at(environment: Mapping[str, str], name: str, started: subprocess.Popen[Any], local: bool = False) -> str:
+    """Returns where an agent that is ready listens: from its entry, by which the command line finds it as well.
+
+    Args:
+        environment: that of its process.
+        name: its name.
+        started: its process.
+        local: whether at its `local://`; else over TCP.
+    """
     entry = Path(environment["PANCAKES_RUNTIME_DIR"]) / f"{name}.{started.pid}.json"
-    address: str = json.loads(entry.read_text())["listen"]
-    return address
+    listen: list[str] = json.loads(entry.read_text())["listen"]
+    return listen[0 if local else -1]
 
 
 def two_cores() -> tuple[int, int] | tuple[None, None]:

@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -223,7 +224,7 @@ def running_demo(fleet: str) -> Iterator[Demo]:
             text += '\n[task.Steady]\ntype = "bench.Steady"\n'
             files[agent] = directory / f"{agent}.toml"
             files[agent].write_text(text)
-        claim, moved = claim_ports(files)
+        claim, moved = claim_ports({agent: tomllib.loads(path.read_text()) for agent, path in files.items()})
         if claim is not None:
             stack.callback(claim.release)
         processes = {}
@@ -268,7 +269,7 @@ def recorded(demo: Demo) -> Iterator[None]:
 def watched(demo: Demo) -> Iterator[None]:
     """A page is open: what a page shows is followed, whoever looks at it and however fast."""
     begun_s = time.monotonic()
-    addresses = [door.agents()[0].listen for door in demo.client.doors()]
+    addresses = [door.agents()[0].listen[0] for door in demo.client.doors()]
     watch = Watch(Feed(lambda: time.monotonic() - begun_s), addresses)
     watch.start()
     time.sleep(PAGE_SETTLE_S)

@@ -41,8 +41,15 @@ settings = {{ {settings} }}
 """
 
 
-def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True) -> dict[str, Any]:
+def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, local: bool = False) -> dict[str, Any]:
     """One run of ours, each process bound to a core or not. Returns what the near task reports.
+
+    Args:
+        size: of the packets' data, in bytes.
+        round_trips: how many.
+        packets: how many go one way.
+        is_bound: whether each process is bound to a core.
+        local: whether they speak by `local://`; else over TCP.
 
     Raises:
         RuntimeError: packets were lost.
@@ -55,7 +62,7 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True) -
         far = head_of("far", directory) + _TASK.format(task="Far", settings="")
         settings = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
         with agent_process(far, directory, environment, far_core, until_ready=True) as listener:
-            peers = [listening_at(environment, "far", listener)]
+            peers = [listening_at(environment, "far", listener, local)]
             near = head_of("near", directory, peers) + _TASK.format(task="Near", settings=settings)
             with agent_process(near, directory, environment, near_core, (writer,)):
                 os.close(writer)
@@ -116,6 +123,20 @@ def measure(plan: Plan) -> Iterator[Figure]:
         ],
         small_ours,
         small_bare,
+    )
+
+    def over(local: bool) -> list[float]:
+        report = pancakes(64, trips, small, local=local)
+        return [trips_us(report)[0], report["per_s"]]
+
+    yield from in_turns(
+        plan,
+        [
+            Figure("local:// to TCP, round trip, 64 B: p50", "µs", wanted=1.0),
+            Figure("local:// to TCP, one way, 64 B", "1/s", "min"),
+        ],
+        lambda: over(True),
+        lambda: over(False),
     )
 
     def megabytes(report: dict[str, Any]) -> list[float]:

@@ -14,9 +14,10 @@ from cli.processes import PATIENCE_S, Rig, Running
 from pancakes.client.door import Answer, Door
 from pancakes.control import Follow, Reply
 from pancakes.events import Event
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.packet import LOG, Packet
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.plugins import Plugins
 
 RATE_HZ = 200.0
 CLIENTS = 4
@@ -71,7 +72,7 @@ class Listener:
     """
 
     door: Door
-    transport: TcpTransport
+    transport: SocketTransport
     told: dict[str, list[Told]] = field(default_factory=dict)
 
 
@@ -88,7 +89,7 @@ class Abuse:
         self._changed = threading.Condition()
         self.clients: list[Listener] = []
         for index in range(CLIENTS):
-            transport = TcpTransport(self.clock, f"abuse{index}", TcpTransport.Settings())
+            transport = SocketTransport(self.clock, f"abuse{index}", Plugins())
             door = Door(f"abuse{index}", "test", transport, self.clock, self._news)
             client = Listener(door, transport, {name: [] for name in agents})
             door.listen(partial(self._heard, client))

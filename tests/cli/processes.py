@@ -176,8 +176,12 @@ class Rig:
             assert time.monotonic() < until_s, f"the process {pid} is still in the runtime directory"
 
     def address(self, running: Running) -> str:
-        """Returns where an agent listens."""
-        listen: str = self.entry(running.pid)["listen"]
+        """Returns where an agent listens for other machines."""
+        return self.addresses(running)[-1]
+
+    def addresses(self, running: Running) -> list[str]:
+        """Returns all addresses at which an agent listens; at the first one the command line finds it."""
+        listen: list[str] = self.entry(running.pid)["listen"]
         return listen
 
     def port(self, running: Running) -> int:
@@ -194,6 +198,13 @@ class Rig:
             env=self.environment,
             cwd=self.directory,
         )
+
+    def listed(self, *arguments: str) -> list[dict[str, Any]]:
+        """Runs a command that prints JSON and succeeds; returns that."""
+        result = self.pancakes(*arguments, "--format", "json")
+        assert result.returncode == 0, result.stderr
+        rows: list[dict[str, Any]] = json.loads(result.stdout)
+        return rows
 
     def close(self) -> None:
         """Ends what still runs."""

@@ -24,7 +24,7 @@ def test_a_sigterm_stops_it_in_good_order_within_two_seconds(rig: Rig):
     assert code == 0
     assert took_s < STOPPED_WITHIN_S
     assert "service_stopped service=device" in agent.everything()
-    assert list(rig.runtime.iterdir()) == []
+    assert not [path for path in rig.runtime.rglob("*") if not path.is_dir()]
 
 
 def test_what_a_simulated_world_holds_is_freed_before_python_takes_its_modules_apart(rig: Rig):
@@ -115,13 +115,21 @@ def test_a_port_in_use(rig: Rig):
 
 def test_the_second_of_two_agents_of_one_name(rig: Rig):
     first = rig.ready("twin")
+    state = f"agent.state_dir={rig.directory}/second"
+    second = rig.agent(rig.config("twin", file="second.toml"), "--set", state)
+    second.hear("cannot listen at local://test/twin: address already in use: another agent of this name runs here")
+    assert second.process.wait(10.0) == 1
+    assert first.process.poll() is None and rig.pancakes("agent", "list").returncode == 0
 
+
+def test_of_two_agents_of_one_name_on_two_machines_the_newcomer_says_so_and_both_run_on(rig: Rig):
+    first = rig.ready("twin")
     second = rig.agent(
         rig.config("twin", file="second.toml"),
         *("--set", f"agent.state_dir={rig.directory}/second"),
         *("--set", f'agent.peers=["{rig.address(first)}"]'),
+        *("--set", 'agent.listen=["local://elsewhere"]'),
     )
-
     second.hear("the name twin is already borne by another agent")
     assert first.process.poll() is second.process.poll() is None, "a rival ends no agent"
     assert rig.pancakes("agent", "list").returncode == 0
@@ -150,7 +158,7 @@ def test_an_agent_whose_root_fails_ends_with_a_sentence_and_the_asker_gets_an_an
     assert agent.ended() == 1
     assert agent.said[-1].startswith(f"a cannot run: {why}")
     assert any("error" in line and why in line for line in agent.said[:-1])
-    assert list(rig.runtime.iterdir()) == []
+    assert not [path for path in rig.runtime.rglob("*") if not path.is_dir()]
 
 
 def test_why_an_agent_cannot_run_is_said_also_where_something_keeps_it_from_ending() -> None:

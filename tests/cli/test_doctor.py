@@ -413,8 +413,8 @@ def test_a_network_that_sleeps_is_told_and_no_error(rig: Rig):
 
 def test_names_that_are_borne_twice():
     own = os.getpid()
-    twins = [RunningAgent("a", "north", "agent", "", own), RunningAgent("a", "north", "agent", "", own)]
+    twins = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "north", "agent", (), own)]
     assert levels(check_entries([*twins]))[0] == ("error", "a")
-    namesakes = [RunningAgent("a", "north", "agent", "", own), RunningAgent("a", "south", "agent", "", own)]
+    namesakes = [RunningAgent("a", "north", "agent", (), own), RunningAgent("a", "south", "agent", (), own)]
     assert levels(check_entries(namesakes)) == [("warning", "a")]
     assert levels(check_entries(namesakes[:1])) == []

@@ -115,7 +115,7 @@ def test_a_table_says_that_it_was_a_dry_run(rig: Rig, agent: Running):
 @pytest.mark.parametrize(
     "verb",
     [
-        *(("task", verb) for verb in ("start", "stop", "restart", "rate", "migrate", "adopt")),
+        *(("task", verb) for verb in ("start", "stop", "restart", "rate", "migrate", "adopt", "fence")),
         *(("service", verb) for verb in ("start", "stop", "restart")),
     ],
 )

@@ -3,7 +3,6 @@
 import json
 import os
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from cli.processes import Rig, Running
@@ -65,14 +64,6 @@ def agent(rig: Rig) -> Running:
     return rig.ready("a", CONFIG)
 
 
-def listed(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
-    """Runs a command that prints JSON and succeeds."""
-    result = rig.pancakes(*arguments, "--format", "json")
-    assert result.returncode == 0, result.stderr
-    rows: list[dict[str, Any]] = json.loads(result.stdout)
-    return rows
-
-
 def said(rig: Rig, *arguments: str) -> str:
     """Runs a command that prints a table and succeeds; returns its lines, with one space between words."""
     result = rig.pancakes(*arguments)
@@ -94,10 +85,10 @@ def test_an_agent_says_all_of_itself(rig: Rig, agent: Running):
     other = rig.ready("b", agent=f'peers = ["{rig.address(agent)}"]')
     agent.hear("peer_up peer=b")
 
-    (found,) = listed(rig, "agent", "info", "a", "--at", rig.address(other))
+    (found,) = rig.listed("agent", "info", "a", "--at", rig.address(other))
 
     assert (found["agent"], found["role"], found["fleet"]) == ("a", "agent", "test")
-    assert found["listen"] == rig.address(agent)
+    assert found["listen"][-1] == rig.address(agent)
     assert found["process"]["pid"] == agent.pid
     assert found["process"]["uptime_s"] > 0.0
     assert (found["speed"], found["held"], found["ready"]) == (1.0, False, True)
@@ -121,7 +112,7 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
     lines = table.splitlines()
     assert lines[0] == "a"
     assert [title for title in ("process", "services", "links") if title in lines] == ["process", "services", "links"]
-    assert f"address {rig.address(agent)}" in lines
+    assert f"addresses {', '.join(rig.addresses(agent))}" in lines
     assert "neighbours b" in lines
     assert "devices pose" in lines
     assert f"pid {agent.pid}" in lines
@@ -139,7 +130,7 @@ def test_an_agent_that_is_not_there_or_silent(rig: Rig, agent: Running, freeze: 
     assert rig.pancakes("agent", "info", "test/a/client").returncode == 2
     freeze(agent)
     code, sentence = failed(rig, "agent", "info", "a", "--timeout", "0.5")
-    assert (code, sentence) == (3, f"a ({rig.address(agent)}) did not answer: nothing came within 0.5 s")
+    assert (code, sentence) == (3, f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 0.5 s")
 
 
 def test_of_several_that_are_named_the_silent_one_is_named_too(rig: Rig, freeze: Callable[[Running], None]):
@@ -150,9 +141,9 @@ def test_of_several_that_are_named_the_silent_one_is_named_too(rig: Rig, freeze:
 
     assert result.returncode == 0
     assert [row["agent"] for row in json.loads(result.stdout)] == ["a"]
-    assert result.stderr == f"b ({rig.address(agents['b'])}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"b ({rig.addresses(agents['b'])[0]}) did not answer: nothing came within 1 s\n"
     # Those that are not asked for are not waited for, and one that is not there is a mistake.
-    assert [row["agent"] for row in listed(rig, "agent", "list", "c", "a", "--timeout", "20")] == ["a", "c"]
+    assert [row["agent"] for row in rig.listed("agent", "list", "c", "a", "--timeout", "20")] == ["a", "c"]
     code, sentence = failed(rig, "agent", "list", "a", "d", "--timeout", "1")
     assert code == 3
     assert "there is no agent 'd'" in sentence
@@ -161,13 +152,13 @@ def test_of_several_that_are_named_the_silent_one_is_named_too(rig: Rig, freeze:
 def test_agents_are_listed_by_fleet_and_role(rig: Rig):
     rig.ready("a", fleet="north")
     rig.ready("w", fleet="south", agent='role = "environment"')
-    assert [row["agent"] for row in listed(rig, "agent", "list", "--fleet", "north")] == ["a"]
-    assert [row["agent"] for row in listed(rig, "agent", "list", "--role", "environment")] == ["w"]
+    assert [row["agent"] for row in rig.listed("agent", "list", "--fleet", "north")] == ["a"]
+    assert [row["agent"] for row in rig.listed("agent", "list", "--role", "environment")] == ["w"]
 
 
 def test_commands_come_and_go_without_a_line_in_the_log(rig: Rig, agent: Running):
     for _ in range(3):
-        assert listed(rig, "agent", "list")
+        assert rig.listed("agent", "list")
     assert rig.pancakes("task", "rate", "a/pose", "3").returncode == 0
     line = agent.hear("rate_changed")
     assert "by=cli-" in line
@@ -181,20 +172,20 @@ def test_tasks_are_listed_as_asked_for(rig: Rig, agent: Running):
     rig.ready("b", '[device.pose]\ndriver = "null.pose"\n')
 
     def names(*options: str) -> list[str]:
-        return [f"{row['agent']}/{row['task']}" for row in listed(rig, "task", "list", *options)]
+        return [f"{row['agent']}/{row['task']}" for row in rig.listed("task", "list", *options)]
 
     assert names("--service", "device") == ["a/pose", "b/pose"]
     assert names("--type", "steer.*") == ["a/Steer", "a/Broken"]
     assert names("--type", "null.pose", "b") == ["b/pose"]
     assert names("--state", "failed") == ["a/Broken"]
     assert names("a", "b", "--service", "device") == ["a/pose", "b/pose"]
-    (row,) = listed(rig, "task", "list", "--state", "failed", "--long")
+    (row,) = rig.listed("task", "list", "--state", "failed", "--long")
     assert row["reason"].startswith("RuntimeError: no wheels at plugin_steer.py:")
     assert (row["incarnation"], row["rate_hz"]) == (1, None)
 
 
 def test_a_task_says_all_of_itself(rig: Rig, agent: Running):
-    (found,) = listed(rig, "task", "info", "a/Steer")
+    (found,) = rig.listed("task", "info", "a/Steer")
 
     assert (found["agent"], found["service"], found["task"]) == ("a", "client", "Steer")
     assert (found["type"], found["state"], found["rate_hz"]) == ("steer.Steer", "running", 20.0)
@@ -208,14 +199,14 @@ def test_a_task_says_all_of_itself(rig: Rig, agent: Running):
 
 
 def test_a_device_is_a_task_by_its_name(rig: Rig, agent: Running):
-    (found,) = listed(rig, "task", "info", "a/pose")
+    (found,) = rig.listed("task", "info", "a/pose")
     assert (found["service"], found["type"], found["rate_hz"]) == ("device", "null.pose", 5.0)
 
-    (row,) = listed(rig, "task", "rate", "a/pose", "2")
+    (row,) = rig.listed("task", "rate", "a/pose", "2")
     assert (row["service"], row["timer"], row["before_hz"], row["rate_hz"]) == ("device", "sample", 5.0, 2.0)
-    (row,) = listed(rig, "task", "stop", "a/pose")
+    (row,) = rig.listed("task", "stop", "a/pose")
     assert row["done"] == "stopped"
-    (found,) = listed(rig, "task", "info", "a/device/pose")
+    (found,) = rig.listed("task", "info", "a/device/pose")
     assert (found["state"], found["rate_hz"]) == ("stopped", None)
 
 
@@ -247,7 +238,7 @@ def test_a_task_that_is_not_there(rig: Rig, agent: Running):
 
 
 def test_services_are_listed(rig: Rig, agent: Running):
-    rows = listed(rig, "service", "list", "a")
+    rows = rig.listed("service", "list", "a")
     assert [row["service"] for row in rows] == ["log", "device", "network", "client"]
     assert rows[1] == {
         "agent": "a",
@@ -258,7 +249,7 @@ def test_services_are_listed(rig: Rig, agent: Running):
         "reason": "",
     }
     assert rig.pancakes("service", "stop", "a/client").returncode == 0
-    assert [row["service"] for row in listed(rig, "service", "list", "--state", "stopped")] == ["client"]
+    assert [row["service"] for row in rig.listed("service", "list", "--state", "stopped")] == ["client"]
 
     head, _, row = (line for line in said(rig, "service", "list", "--state", "stopped").splitlines() if line)
     assert head == "agent service type state tasks reason"
@@ -266,7 +257,7 @@ def test_services_are_listed(rig: Rig, agent: Running):
 
 
 def test_a_service_says_all_of_itself(rig: Rig, agent: Running):
-    (found,) = listed(rig, "service", "info", "a/client", "--at", rig.address(agent))
+    (found,) = rig.listed("service", "info", "a/client", "--at", rig.address(agent))
     assert (found["type"], found["state"]) == ("ClientService", "running")
     assert [(row["task"], row["state"]) for row in found["tasks"]] == [("Steer", "running"), ("Broken", "failed")]
 

@@ -4,21 +4,12 @@ import json
 import signal
 import socket
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 from cli.processes import Rig, Running
 
 LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 QUICK = ("--timeout", "1")
-
-
-def listed(rig: Rig, *arguments: str) -> list[dict[str, Any]]:
-    """Runs a command that prints JSON and succeeds."""
-    result = rig.pancakes(*arguments, "--format", "json")
-    assert result.returncode == 0, result.stderr
-    rows: list[dict[str, Any]] = json.loads(result.stdout)
-    return rows
 
 
 @pytest.fixture
@@ -33,7 +24,7 @@ def pair(rig: Rig) -> tuple[Running, Running]:
 def test_the_agents_of_this_machine_are_found(rig: Rig, pair: tuple[Running, Running]):
     first, second = pair
 
-    rows = listed(rig, "agent", "list")
+    rows = rig.listed("agent", "list")
 
     assert [row["agent"] for row in rows] == ["a", "b"]
     mission_s = rows[0].pop("mission_s")
@@ -42,27 +33,27 @@ def test_the_agents_of_this_machine_are_found(rig: Rig, pair: tuple[Running, Run
         "agent": "a",
         "role": "agent",
         "fleet": "test",
-        "address": rig.address(first),
+        "address": ", ".join(rig.addresses(first)),
         "ready": True,
         "tasks": 6,
         "neighbours": ["b"],  # and not the command itself, which is a client
     }
-    assert rows[1]["address"] == rig.address(second)
+    assert rows[1]["address"] == f"local://test/b, {rig.address(second)}"
 
 
 def test_one_agent_leads_to_the_rest_of_its_fleet(rig: Rig, pair: tuple[Running, Running]):
     address = rig.address(pair[1]).removeprefix("tcp://")
     rig.environment["PANCAKES_RUNTIME_DIR"] = str(rig.directory / "elsewhere")
 
-    assert [row["agent"] for row in listed(rig, "agent", "list", "--at", address, "--fleet", "test")] == ["a", "b"]
-    assert {row["agent"] for row in listed(rig, "task", "list", "a", "--at", address, "--fleet", "test")} == {"a"}
+    assert [row["agent"] for row in rig.listed("agent", "list", "--at", address, "--fleet", "test")] == ["a", "b"]
+    assert {row["agent"] for row in rig.listed("task", "list", "a", "--at", address, "--fleet", "test")} == {"a"}
 
 
 def test_agents_of_several_fleets_are_found_at_once(rig: Rig):
     rig.ready("a", fleet="north")
     rig.ready("b", fleet="south")
 
-    assert [(row["fleet"], row["agent"]) for row in listed(rig, "agent", "list")] == [("north", "a"), ("south", "b")]
+    assert [(row["fleet"], row["agent"]) for row in rig.listed("agent", "list")] == [("north", "a"), ("south", "b")]
 
 
 def test_agents_of_one_name_in_two_fleets_have_to_be_told_apart(rig: Rig):
@@ -73,13 +64,13 @@ def test_agents_of_one_name_in_two_fleets_have_to_be_told_apart(rig: Rig):
 
     assert result.returncode == 1
     assert "the fleets north and south both have an agent a" in result.stderr
-    assert listed(rig, "task", "list", "a", "--at", rig.address(north))
+    assert rig.listed("task", "list", "a", "--at", rig.address(north))
 
 
 def test_tasks_are_listed_with_what_they_do(rig: Rig):
     rig.ready("a", LOAD)
 
-    rows = listed(rig, "task", "list", "a")
+    rows = rig.listed("task", "list", "a")
 
     assert {
         "agent": "a",
@@ -112,7 +103,7 @@ def test_who_does_not_answer_is_named_and_the_others_are_listed(
 
     assert result.returncode == 0
     assert {row["agent"] for row in json.loads(result.stdout)} == {"a"}
-    assert result.stderr == f"b ({rig.address(pair[1])}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"b ({rig.addresses(pair[1])[0]}) did not answer: nothing came within 1 s\n"
 
 
 def test_where_nobody_answers_the_exit_code_is_3(rig: Rig, freeze: Callable[[Running], None]):
@@ -122,11 +113,11 @@ def test_where_nobody_answers_the_exit_code_is_3(rig: Rig, freeze: Callable[[Run
     result = rig.pancakes("agent", "list", *QUICK)
     assert result.returncode == 3
     assert result.stdout == ""
-    assert result.stderr == f"a ({rig.address(agent)}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 1 s\n"
 
     result = rig.pancakes("task", "list", "a", *QUICK)
     assert result.returncode == 3
-    assert result.stderr == f"a ({rig.address(agent)}) did not answer: nothing came within 1 s\n"
+    assert result.stderr == f"a ({rig.addresses(agent)[0]}) did not answer: nothing came within 1 s\n"
 
 
 def test_where_nobody_is_there_it_says_where_it_looked(rig: Rig):
@@ -172,10 +163,10 @@ def test_an_agent_that_nobody_knows(rig: Rig):
 def test_an_agent_that_was_killed_leaves_nothing_behind(rig: Rig):
     agent = rig.ready("a")
     agent.signalled(signal.SIGKILL)
-    assert len(list(rig.runtime.iterdir())) == 1
+    assert len(list(rig.runtime.glob("*.json"))) == 1
 
     assert rig.pancakes("agent", "list").returncode == 3
-    assert list(rig.runtime.iterdir()) == []
+    assert list(rig.runtime.glob("*.json")) == []
 
 
 def test_bad_usage_is_exit_code_2(rig: Rig):

@@ -175,7 +175,7 @@ def test_an_agent_that_does_not_answer_is_exit_code_3(
     assert command(rig, "task", "migrations", "--timeout", "1") == (
         0,
         [],
-        f"a ({rig.address(pair[0])}) did not answer: nothing came within 1 s\n",
+        f"a ({rig.addresses(pair[0])[0]}) did not answer: nothing came within 1 s\n",
     )
 
 

@@ -47,7 +47,7 @@ def test_only_some_groups(rig: Rig):
     result = rig.pancakes("plugin", "list", "--group", "services", "--group", "transports", "--format", "json")
 
     names = [row["name"] for row in json.loads(result.stdout)]
-    assert names == ["client", "device", "log", "metrics", "network", "tcp"]
+    assert names == ["client", "device", "log", "metrics", "network", "local", "tcp"]
     assert rig.pancakes("plugin", "list", "--group", "thing").returncode == 2
 
 

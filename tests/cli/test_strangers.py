@@ -11,8 +11,9 @@ from pancakes.client.door import Door
 from pancakes.control import Describe
 from pancakes.mesh.net.mesh import MAX_HANDSHAKES
 from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.plugins import Plugins
 
 
 def asked(rig: Rig, address: str) -> None:
@@ -58,7 +59,7 @@ def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
             changed.notify_all()
 
     clock = MonotonicClock()
-    transport = TcpTransport(clock, "busy", TcpTransport.Settings())
+    transport = SocketTransport(clock, "busy", Plugins())
     doors = [Door(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
     try:
         for door in doors:

@@ -117,7 +117,7 @@ def test_what_a_task_says_holds_and_keeps_is_shown_escaped(rig: Rig, agent: Runn
 
 def answered(port: int, name: str, fleet: str, role: str = "client", listen: str = "") -> str:
     """Says hello as a stranger, and returns the reason why the agent refuses the link; empty where it does not."""
-    hello = [HELLO_NUMBER, VERSION, fleet, name, role, "a journal", 0, listen]
+    hello = [HELLO_NUMBER, VERSION, fleet, name, role, "a journal", 0, [listen] if listen else []]
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as link:
         link.sendall(frame([msgspec.msgpack.encode(hello)]))
         data = b""

@@ -61,7 +61,7 @@ def test_a_name_is_all_that_an_agent_needs():
     config = parse(MINIMAL, "agent1.toml")
 
     agent = config.agent
-    assert (agent.name, agent.listen, agent.peers, agent.role, agent.fleet) == ("agent1", "", (), "agent", "default")
+    assert (agent.name, agent.listen, agent.peers, agent.role, agent.fleet) == ("agent1", (), (), "agent", "default")
     assert agent.state_dir == ""
     assert agent.seed is None
     assert (config.clock.speed, config.clock.hold) == (1.0, False)

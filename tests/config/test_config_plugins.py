@@ -106,10 +106,10 @@ def test_an_address_of_a_transport_that_nobody_offers():
 
 
 def test_the_settings_of_the_transport_are_checked_against_its_class():
-    text = 'listen = "tcp://127.0.0.1:1"\n[service.network]\nsettings.transport = { dial_s = 0, dials_s = 1 }\n'
+    text = 'listen = "tcp://127.0.0.1:1"\n[service.network]\nsettings.transports.tcp = { dial_s = 0, dials_s = 1 }\n'
     assert faults(text) == [
-        "a.toml:6: [service.network] settings.transport.dial_s: expected a number > 0, not 0",
-        "a.toml:6: [service.network] settings.transport.dials_s: unknown key",
+        "a.toml:6: [service.network] settings.transports.tcp.dial_s: expected a number > 0, not 0",
+        "a.toml:6: [service.network] settings.transports.tcp.dials_s: unknown key",
     ]
 
 

@@ -51,7 +51,7 @@ def test_a_whole_table_is_replaced_as_a_whole():
 def test_a_value_that_is_no_toml_is_a_string():
     config = with_sets("agent.listen=tcp://127.0.0.1:7401", "agent.state_dir = /tmp/x y", 'agent.fleet="7"')
 
-    assert config.agent.listen == "tcp://127.0.0.1:7401"
+    assert config.agent.listen == ("tcp://127.0.0.1:7401",)
     assert config.agent.state_dir == "/tmp/x y"
     assert config.agent.fleet == "7"
 

@@ -14,13 +14,14 @@ WEAK_BATTERY = "world:task.World.settings.robots.agent1.battery.capacity_j=130"
 """Agent 1's battery falls below 65 % after some 25 s, so that the hand-over is soon."""
 
 
-def test_a_live_mission_hands_the_task_over_and_leaves_no_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("network", [(), ("--local",)], ids=["tcp", "local"])
+def test_a_live_mission_hands_the_task_over_and_leaves_no_process(network: tuple[str, ...], tmp_path: Path) -> None:
     out = tmp_path / "out"
     stale = out / "state" / "agent1"
     stale.mkdir(parents=True)
     (stale / "stale").touch()
     (out / "summary.json").write_text("{}", encoding="utf-8")
-    with LiveDemo(out, "--speed", "5", "--duration", "60", "--seed", "3", "--set", WEAK_BATTERY) as demo:
+    with LiveDemo(out, "--speed", "5", "--duration", "60", "--seed", "3", "--set", WEAK_BATTERY, *network) as demo:
         demo.wait_for("new centre")
         code = demo.ends()
         assert demo.left_after(0.0) == []

@@ -18,9 +18,10 @@ def check(tally: Tally) -> None:
 
 
 @pytest.mark.timeout(300)
-def test_no_kill_doubles_a_task_or_loses_one() -> None:
+@pytest.mark.parametrize("local", [False, True], ids=["tcp", "local"])
+def test_no_kill_doubles_a_task_or_loses_one(local: bool) -> None:
     """At each point between the effects of the protocol once, and the rest of the fifty at random moments."""
-    tally = run_fleets(50 - len(NAMES), POINTS, seed=1, fleets=2)
+    tally = run_fleets(50 - len(NAMES), POINTS, seed=1, fleets=2, local=local)
     check(tally)
     assert tally.kills >= 50 and sorted(tally.points) == sorted(NAMES)
 

@@ -218,7 +218,7 @@ def test_what_the_schema_of_a_fleet_file_knows() -> None:
 def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registration]:
     """An agent `a` of the fleet `default` that runs on this machine."""
     monkeypatch.setenv(VARIABLE, str(tmp_path / "runtime"))
-    registration = register(RunningAgent("a", "default", "agent", "tcp://127.0.0.1:1", 4711))
+    registration = register(RunningAgent("a", "default", "agent", ("tcp://127.0.0.1:1",), 4711))
     yield registration
     registration.remove()
 

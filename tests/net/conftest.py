@@ -15,13 +15,14 @@ import pytest
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
+from pancakes.runtime.plugins import Plugins
 
 PATIENCE_S = 20.0
 
@@ -72,10 +73,10 @@ class TransportRig(ABC):
     def agent(self, name: str, *arguments: Any, **more: Any) -> Agent:
         return Agent(self, name, *arguments, **more)
 
-    def bare_peer(self, name: str, to: Agent, **more: Any) -> BarePeer:
-        """Returns a peer of an agent that is nothing but a link."""
+    def bare_peer(self, name: str, to: Agent, at: str = "", **more: Any) -> BarePeer:
+        """Returns a peer of an agent that is nothing but a link; `at` is where it dials, where not at the first one."""
         peer = BarePeer(self.clock.now, name, **more)
-        self.transport(name).dial(to.mesh.listen, peer)
+        self.transport(name).dial(at or to.address, peer)
         return peer
 
     @abstractmethod
@@ -91,20 +92,19 @@ class TransportRig(ABC):
         """Closes the transports."""
 
 
-class TcpRig(TransportRig):
-    """Transports over TCP on loopback; waits in real time."""
+class SocketRig(TransportRig):
+    """Transports on real sockets; waits in real time."""
 
     virtual = False
-    listen_at = "tcp://127.0.0.1:0"
 
     def __init__(self) -> None:
         self.clock: Clock = MonotonicClock()
         self.changed = threading.Condition()
-        self._transports: list[Transport] = []
+        self.transports: list[Transport] = []
 
     def transport(self, name: str) -> Transport:
-        made = TcpTransport(self.clock, name, TcpTransport.Settings())
-        self._transports.append(made)
+        made = SocketTransport(self.clock, name, Plugins())
+        self.transports.append(made)
         return made
 
     def note(self) -> None:
@@ -120,8 +120,27 @@ class TcpRig(TransportRig):
                 self.changed.wait(0.01)
 
     def close(self) -> None:
-        for transport in self._transports:
+        for transport in self.transports:
             transport.close()
+
+
+class TcpRig(SocketRig):
+    """TCP on loopback."""
+
+    listen_at = "tcp://127.0.0.1:0"
+
+
+class LocalRig(SocketRig):
+    """Unix sockets; each agent listens at a name of its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._names = 0
+
+    @property
+    def listen_at(self) -> str:  # type: ignore[override]
+        self._names += 1
+        return f"local://agent{self._names}"
 
 
 class MemoryRig(TransportRig):
@@ -156,7 +175,7 @@ class BarePeer(ConnectionHandler):
     Args:
         now: the host clock.
         name: its name.
-        listen: the address that it names in its hello; nothing listens there.
+        listen: the address that it names in its hello, or several; nothing listens there.
         role: its role.
         journal: its journal; empty: one of its own.
         boot: the boot of that journal.
@@ -166,12 +185,13 @@ class BarePeer(ConnectionHandler):
         self,
         now: Callable[[], float],
         name: str,
-        listen: str = "",
+        listen: str | Sequence[str] = "",
         role: Role = "agent",
         journal: str = "",
         boot: int = 1,
     ) -> None:
-        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listen)
+        listens = list(filter(None, [listen] if isinstance(listen, str) else listen))
+        self.own = Identity(name, journal or f"journal of {name}", boot, role=role).hello(listens)
         self.told: list[tuple[str, ...]] = []
         self.packets: list[Packet] = []
         self.is_up = False
@@ -243,9 +263,9 @@ class Ear(ConnectionHandler):
         self._rig.note()
 
 
-@pytest.fixture(params=["tcp", "memory"])
+@pytest.fixture(params=["tcp", "local", "memory"])
 def rig(request: pytest.FixtureRequest) -> Iterator[TransportRig]:
-    made = TcpRig() if request.param == "tcp" else MemoryRig()
+    made = {"tcp": TcpRig, "local": LocalRig, "memory": MemoryRig}[request.param]()
     yield made
     made.close()
 
@@ -286,6 +306,7 @@ class Agent:
         fleet: str = "default",
         role: Role = "agent",
         listen: str | None = None,
+        listens: Sequence[str] | None = None,
         times: LinkTimes | None = None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         follows: bool = False,
@@ -302,7 +323,7 @@ class Agent:
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,
-            rig.listen_at if listen is None else listen,
+            listens if listens is not None else list(filter(None, [rig.listen_at if listen is None else listen])),
             peers,
             random.Random(name),
             rig.clock,
@@ -316,6 +337,11 @@ class Agent:
             follows=follows,
         )
         self.mesh.start()
+
+    @property
+    def address(self) -> str:
+        """Where it can be dialled; empty where it listens at no address."""
+        return next(iter(self.mesh.listen), "")
 
     def _note(self, kept: list[Any], news: Any) -> None:
         kept.append(news)

@@ -8,7 +8,7 @@ from pancakes.mesh.wire.runs import RowEncoder, head_of, run_of
 
 def pair(rig, agent, **more):
     a = agent("a", **more)
-    b = agent("b", [a.mesh.listen])
+    b = agent("b", [a.address])
     rig.until(lambda: a.knows("b") and b.knows("a"))
     return a, b
 

@@ -10,7 +10,7 @@ import pytest
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.busy_poll import BUSY_POLL_S, STREAK, BusyPoll
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.config import ServiceConfig
 from pancakes.testing import config_of, no_thread_left, threaded_agent
@@ -119,7 +119,7 @@ def test_where_it_shall_save_power_it_always_sleeps(sockets: Sockets) -> None:
 def test_the_configuration_says_how_long_it_stays_awake(table: dict[str, float], busy_poll_s: float) -> None:
     with threaded_agent("a", services={"network": {"settings": table}}) as agent:
         transport = agent.kernel.transport
-        assert isinstance(transport, TcpTransport)
+        assert isinstance(transport, SocketTransport)
         assert transport.loop.busy_poll.busy_poll_s == busy_poll_s
 
 

@@ -15,7 +15,7 @@ def test_news_of_what_was_asked_that_cannot_be_read_is_no_answer(memory_rig):
     door = Door("cli", "default", memory_rig.transport("cli"), memory_rig.clock, lambda: None)
     unread = []
     door.listen(lambda peer, packet: None, lambda *it: unread.append(it))
-    door.learn(agent.mesh.listen)
+    door.learn(agent.address)
     memory_rig.until(lambda: door.connected("a") and agent.knows("cli"))
     number = door.request("a", Describe())
     agent.mesh.send(Packet(LOG, "line", "a/root", "cli", 0.0, 1, {"level": 7}, cause=("cli", number)))
@@ -29,7 +29,7 @@ def test_news_of_what_was_asked_that_cannot_be_read_is_no_answer(memory_rig):
 def test_an_answer_that_cannot_be_read_is_an_answer_and_costs_no_link(memory_rig):
     agent = memory_rig.agent("a")
     door = Door("cli", "default", memory_rig.transport("cli"), memory_rig.clock, lambda: None)
-    door.learn(agent.mesh.listen)
+    door.learn(agent.address)
     memory_rig.until(lambda: door.connected("a") and agent.knows("cli"))
     bad, good = door.request("a", Describe()), door.request("a", Describe())
     perhaps: Any = "perhaps"

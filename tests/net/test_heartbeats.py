@@ -14,8 +14,8 @@ NEWS = Packet("chat", "words", "a/client/test", "b", 0.0, 1, "news")
 def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
     """The end that expects to hear something sooner asks, and the other answers."""
     a = memory_rig.agent("a", times=LinkTimes(heartbeat_s=0.5))
-    b = memory_rig.agent("b", [a.mesh.listen], times=LinkTimes(heartbeat_s=20.0))
-    c = memory_rig.agent("c", [a.mesh.listen], times=LinkTimes(heartbeat_s=0.5))
+    b = memory_rig.agent("b", [a.address], times=LinkTimes(heartbeat_s=20.0))
+    c = memory_rig.agent("c", [a.address], times=LinkTimes(heartbeat_s=0.5))
     memory_rig.timeline.run_until(120.0)
     assert all(len(each.mesh.connected()) == 2 and each.downs == [] for each in (a, b, c))
 
@@ -23,7 +23,7 @@ def test_agents_with_other_heartbeats_than_their_peers_lose_nobody(memory_rig):
 def test_who_sends_packets_sends_no_heartbeats(memory_rig):
     times = LinkTimes(measure_s=1000.0)
     a = memory_rig.agent("a", times=times)
-    b = memory_rig.agent("b", [a.mesh.listen], times=times)
+    b = memory_rig.agent("b", [a.address], times=times)
     memory_rig.timeline.run_until(10.0)
 
     def bytes_from(time_s):

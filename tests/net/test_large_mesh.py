@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pancakes.mesh.net.mesh import GOSSIP_ADDRESSES
+from pancakes.mesh.net.gossip import ADDRESSES as GOSSIP_ADDRESSES
 from pancakes.mesh.net.peers import BEACON_ADDRESSES
 
 MANY = 3 * BEACON_ADDRESSES
@@ -10,7 +10,7 @@ MANY = 3 * BEACON_ADDRESSES
 
 def crowd(rig, count):
     first = rig.agent("a00")
-    agents = [first, *(rig.agent(f"a{number:02d}", [first.mesh.listen]) for number in range(1, count))]
+    agents = [first, *(rig.agent(f"a{number:02d}", [first.address]) for number in range(1, count))]
     rig.until(lambda: all(len(agent.mesh.connected()) == count - 1 for agent in agents))
     run_for(rig, 1.0)
     return agents
@@ -30,7 +30,7 @@ def test_a_beacon_names_a_few_agents_and_the_next_ones_the_others(memory_rig):
         run_for(memory_rig, 1.0)
     assert len(watcher.told) == 4
     assert all(len(addresses) == BEACON_ADDRESSES + 1 for addresses in watcher.told), "some, and itself"
-    everybody = {agent.mesh.listen for agent in agents}
+    everybody = {agent.address for agent in agents}
     assert {address for addresses in watcher.told for address in addresses} == everybody
 
 
@@ -40,7 +40,7 @@ def test_a_newcomer_hears_of_all_agents_and_the_others_hear_of_it_from_one(memor
     run_for(memory_rig, 1.0)
     newcomer = memory_rig.bare_peer("w", agents[0], listen="tcp://w:1")
     run_for(memory_rig, 1.0)
-    assert set(newcomer.told[0]) == {agent.mesh.listen for agent in agents[1:]}
+    assert set(newcomer.told[0]) == {agent.address for agent in agents[1:]}
     tellers = [watcher for watcher in watchers if ("tcp://w:1",) in watcher.told]
     assert tellers == watchers[:1], "not the square"
 

@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from pancakes.mesh.net.loop import READ
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.plugins import Plugins
 
 PATIENCE_S = 20.0
 
@@ -25,8 +26,8 @@ def kernel() -> Iterator[Kernel]:
 
 
 @pytest.fixture
-def transport(kernel: Kernel) -> Iterator[TcpTransport]:
-    made = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings())
+def transport(kernel: Kernel) -> Iterator[SocketTransport]:
+    made = SocketTransport(MonotonicClock(), "a", Plugins())
     made.lend_thread(kernel.guest)
     yield made
     made.close()
@@ -35,7 +36,7 @@ def transport(kernel: Kernel) -> Iterator[TcpTransport]:
 class Bell:
     """Something that becomes ready to be read, and a component that is told so."""
 
-    def __init__(self, transport: TcpTransport, component: Component) -> None:
+    def __init__(self, transport: SocketTransport, component: Component) -> None:
 
         self.reader, self._writer = socket.socketpair()
         self.reader.setblocking(False)
@@ -75,7 +76,7 @@ class Bell:
 
 
 @pytest.fixture
-def make_bell(kernel: Kernel, transport: TcpTransport) -> Iterator[Callable[[str], Bell]]:
+def make_bell(kernel: Kernel, transport: SocketTransport) -> Iterator[Callable[[str], Bell]]:
     made: list[Bell] = []
 
     def make(name: str) -> Bell:
@@ -106,7 +107,7 @@ def test_a_turn_is_given_without_a_hop(bell: Bell) -> None:
 
 
 def test_a_turn_that_holds_the_thread_does_not_hold_the_network(
-    bell: Bell, transport: TcpTransport, make_bell: Callable[[str], Bell]
+    bell: Bell, transport: SocketTransport, make_bell: Callable[[str], Bell]
 ) -> None:
     other = make_bell("Other")
     for _ in range(5):
@@ -131,7 +132,7 @@ def test_a_turn_that_holds_the_thread_does_not_hold_the_network(
     assert names.count("net-a") <= 2, "the one that was held has ended, or is about to"
 
 
-def test_the_transport_closes_after_it_was_taken_over(bell: Bell, transport: TcpTransport) -> None:
+def test_the_transport_closes_after_it_was_taken_over(bell: Bell, transport: SocketTransport) -> None:
     for _ in range(5):
         bell.ring()
         bell.wait()

@@ -24,7 +24,9 @@ def log(said: list[tuple[str, str]]) -> LinkLog:
 
 
 def session(**others: Any) -> Any:
-    return SimpleNamespace(**{"peer": "b", "role": "agent", "address": "", "remote": "tcp://10.0.0.7:5000", **others})
+    return SimpleNamespace(
+        **{"peer": "b", "link": object(), "role": "agent", "address": "", "remote": "tcp://10.0.0.7:5000", **others}
+    )
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_bodies_arrive_as_what_they_were(rig, agent):
 
 def test_a_third_agent_is_found_through_the_second(rig, agent):
     a, b = pair(rig, agent)
-    c = agent("c", [b.mesh.listen])
+    c = agent("c", [b.address])
     rig.until(lambda: a.knows("b", "c") and b.knows("a", "c") and c.knows("a", "b"))
     assert c.say(NEIGHBOURS, "to all") == 2
     rig.until(lambda: a.packets and b.packets)
@@ -55,34 +55,34 @@ def test_a_third_agent_is_found_through_the_second(rig, agent):
 
 def test_links_are_told_by_the_names_of_the_peers_whoever_came_first(rig, agent):
     a = agent("a")
-    agent("z", [a.mesh.listen])
+    agent("z", [a.address])
     rig.until(lambda: a.knows("z"))
-    agent("b", [a.mesh.listen])
+    agent("b", [a.address])
     rig.until(lambda: a.knows("b", "z"))
     assert [link["name"] for link in a.mesh.links()] == ["b", "z"]
 
 
 def test_an_address_can_be_named_while_the_mesh_runs(rig, agent):
     a, b = agent("a"), agent("b")
-    b.mesh.learn([a.mesh.listen])
+    b.mesh.learn([a.address])
     rig.until(lambda: a.knows("b") and b.knows("a"))
 
 
 def test_those_who_are_there_are_told_of_a_newcomer(rig, agent):
     a = agent("a")
     ear = rig.ear()
-    rig.transport("old").dial(a.mesh.listen, ear)
+    rig.transport("old").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("old"))
     rig.until(lambda: a.knows("old"))
-    newcomer = agent("new", [a.mesh.listen])
-    rig.until(lambda: newcomer.mesh.listen.encode() in ear.data)
+    newcomer = agent("new", [a.address])
+    rig.until(lambda: newcomer.address.encode() in ear.data)
 
 
 def test_only_agents_are_neighbours_and_clients_are_not_spread(rig, agent):
     a, b = pair(rig, agent)
-    world = agent("world", [a.mesh.listen], role="environment")
-    terminal = agent("terminal", [a.mesh.listen], role="client")
+    world = agent("world", [a.address], role="environment")
+    terminal = agent("terminal", [a.address], role="client")
     everybody = (a, b, world, terminal)
     rig.until(lambda: all(it.knows(*{"a", "b", "terminal", "world"} - {it.name}) for it in everybody))
     assert a.mesh.neighbours() == ["b"]
@@ -90,7 +90,7 @@ def test_only_agents_are_neighbours_and_clients_are_not_spread(rig, agent):
     assert a.say(NEIGHBOURS, "hello") == 1
     # The client found the others through a and dialled them; no agent was told where it listens itself.
     for other in (a, b, world):
-        assert terminal.mesh.listen not in [it["address"] for it in other.mesh.describe()["addresses"]]
+        assert terminal.address not in [it["address"] for it in other.mesh.describe()["addresses"]]
     assert a.say("terminal", "an answer to the asker") == 1
     rig.until(lambda: terminal.packets)
 
@@ -108,9 +108,9 @@ def test_when_both_dial_one_link_stays_that_of_the_lower_name(memory_rig):
 
 def test_both_dialling_over_real_sockets_ends_in_one_link(tcp_rig):
     a = tcp_rig.agent("a")
-    b = tcp_rig.agent("b", [a.mesh.listen])
-    c = tcp_rig.agent("c", [a.mesh.listen, b.mesh.listen])
-    d = tcp_rig.agent("d", [c.mesh.listen, b.mesh.listen, a.mesh.listen])
+    b = tcp_rig.agent("b", [a.address])
+    c = tcp_rig.agent("c", [a.address, b.address])
+    d = tcp_rig.agent("d", [c.address, b.address, a.address])
     everybody = [a, b, c, d]
     tcp_rig.until(lambda: all(len(it.mesh.connected()) == 3 for it in everybody))
     for it in everybody:
@@ -121,7 +121,7 @@ def test_both_dialling_over_real_sockets_ends_in_one_link(tcp_rig):
 
 def test_a_broken_link_is_seen_and_comes_back(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     memory_rig.network.break_links("a", "b")
     memory_rig.until(lambda: a.downs and b.downs)
@@ -132,7 +132,7 @@ def test_a_broken_link_is_seen_and_comes_back(memory_rig):
 
 def test_a_partition_is_seen_by_its_silence_after_two_seconds_and_heals(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.timeline.run_until(1.0)
     memory_rig.network.partition(["a"], ["b"], from_s=10.0, until_s=30.0)
     memory_rig.timeline.run_until(11.4)
@@ -178,12 +178,12 @@ def test_a_link_whose_other_end_has_gone_unseen_gives_way_to_a_new_one(memory_ri
 
 def test_a_second_connection_of_a_peer_is_refused_as_soon_as_the_first_shows_life(memory_rig):
     a, b = memory_rig.agent("a"), memory_rig.agent("b")
-    b.mesh.learn([a.mesh.listen])
+    b.mesh.learn([a.address])
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     second = memory_rig.ear()
-    memory_rig.transport("b").dial(a.mesh.listen, second)
+    memory_rig.transport("b").dial(a.address, second)
     memory_rig.until(lambda: second.connection)
-    second.connection.send(frame([Encoder().link_message(b.mesh.identity.hello(b.mesh.listen))]))
+    second.connection.send(frame([Encoder().link_message(b.mesh.identity.hello([b.address]))]))
     b.say("a/client", 1)
     said_s = memory_rig.clock.now()
     memory_rig.until(lambda: second.closed_for)
@@ -210,7 +210,7 @@ def test_what_cannot_be_sent_is_an_error_at_the_publisher(rig, agent):
 
 def test_a_sleeper_is_not_counted_as_dead(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     b.mesh.sleep(for_s=30.0)
     memory_rig.until(lambda: a.downs)
@@ -235,7 +235,7 @@ def test_who_dials_a_sleeper_is_told_for_how_long(memory_rig):
     memory_rig.timeline.run_until(0.1)
     a.mesh.sleep(for_s=30.0)
     memory_rig.timeline.run_until(10.0)
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.timeline.run_until(11.0)
     ((asleep),) = b.mesh.describe()["asleep"]
     assert asleep["name"] == "a" and 18.0 < asleep["for_s"] < 20.0
@@ -265,8 +265,8 @@ def test_stopping_says_goodbye(rig, agent):
 
 def test_only_mission_packets_are_counted(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
-    c = memory_rig.agent("c", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
+    c = memory_rig.agent("c", [a.address])
     memory_rig.until(lambda: a.knows("b", "c") and c.knows("a", "b"))
     memory_rig.timeline.run_until(30.0)
     assert a.mesh.mission_packets_sent() == 0, "heartbeats and gossip of the mesh do not count"
@@ -288,13 +288,13 @@ def test_only_mission_packets_are_counted(memory_rig):
 def test_a_beacon_brings_back_what_was_forgotten(memory_rig):
     """b came too late to hear of c when it connected; the beacon repeats it."""
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     memory_rig.network.partition(["b"], ["c"], until_s=5000.0)
-    c = memory_rig.agent("c", [a.mesh.listen])
+    c = memory_rig.agent("c", [a.address])
     memory_rig.timeline.run_until(4000.0)
     forgotten = [known["address"] for known in b.mesh.describe()["addresses"]]
-    assert c.mesh.listen not in forgotten, "an address that was learnt and never answered"
+    assert c.address not in forgotten, "an address that was learnt and never answered"
     memory_rig.timeline.run_until(5000.0)
     assert not b.knows("a", "c")
     a.mesh.announce()
@@ -316,7 +316,7 @@ def test_counters_and_round_trips_can_be_read(rig, agent):
 def test_packets_of_one_turn_leave_together(memory_rig):
     turn_ends: list[Callable[[], None]] = []
     a = memory_rig.agent("a", defer=turn_ends.append)
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.until(lambda: a.knows("b"))
     for number in range(10):
         a.say("b", number)
@@ -330,8 +330,8 @@ def test_packets_of_one_turn_leave_together(memory_rig):
 
 def test_a_slow_peer_slows_nobody_else(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
-    slow = memory_rig.agent("slow", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
+    slow = memory_rig.agent("slow", [a.address])
     everybody = (a, b, slow)
     memory_rig.until(lambda: all(len(it.mesh.connected()) == 2 for it in everybody))
     memory_rig.network.set_quality("a", "slow", Quality(bytes_per_s=20_000.0))
@@ -364,7 +364,7 @@ def test_a_slow_peer_slows_nobody_else(memory_rig):
 
 def test_a_full_window_is_told_to_the_publisher(memory_rig):
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.until(lambda: a.knows("b") and b.knows("a"))
     memory_rig.network.set_quality("a", "b", Quality(bytes_per_s=20_000.0))
     with pytest.raises(PeerBusy, match="b is slow: .* on chat wait for it"):
@@ -381,7 +381,7 @@ def test_a_full_window_is_told_to_the_publisher(memory_rig):
 def test_agents_meet_over_a_link_on_which_even_the_hello_waits(memory_rig):
     memory_rig.network.set_quality("a", "b", Quality(bytes_per_s=400.0))
     a = memory_rig.agent("a")
-    b = memory_rig.agent("b", [a.mesh.listen])
+    b = memory_rig.agent("b", [a.address])
     memory_rig.timeline.run_until(4.0)
     assert a.ups == ["b"] and b.ups == ["a"]
     a.say("b", "slowly")
@@ -392,9 +392,9 @@ def test_agents_meet_over_a_link_on_which_even_the_hello_waits(memory_rig):
 def test_a_peer_that_takes_nothing_is_closed(tcp_rig):
     times = LinkTimes(heartbeat_s=0.05, missed=1000, stuck_s=0.3)
     a = tcp_rig.agent("a", times=times)
-    b = tcp_rig.agent("b", [a.mesh.listen], times=times)
+    b = tcp_rig.agent("b", [a.address], times=times)
     ear, gate = tcp_rig.ear(), threading.Event()
-    tcp_rig.transport("stuck").dial(a.mesh.listen, ear)
+    tcp_rig.transport("stuck").dial(a.address, ear)
     tcp_rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("stuck"))
     tcp_rig.until(lambda: a.knows("b", "stuck"))

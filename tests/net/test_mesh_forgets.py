@@ -14,7 +14,7 @@ def test_a_session_that_has_ended_is_kept_by_nobody_whoever_was_sent_something(m
     gone: list[weakref.ref[Session]] = []
     of_others = {id(it): it for it in gc.get_objects() if isinstance(it, Session)}
     for boot in (1, 2, 3):
-        b = memory_rig.agent("b", [a.mesh.listen], boot=boot)
+        b = memory_rig.agent("b", [a.address], boot=boot)
         memory_rig.until(lambda b=b: a.knows("b") and b.knows("a"))
         # Each life is sent something under a destination that is never used again.
         a.say(f"b/client/life{boot}", boot)

@@ -18,7 +18,7 @@ from pancakes.packet import Packet
 
 def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
     a, b = pair(rig, agent)
-    impostor = agent("b", [a.mesh.listen], journal="another journal")
+    impostor = agent("b", [a.address], journal="another journal")
     rig.until(lambda: "name b" in impostor.log("warning"))
     assert "another name" in impostor.log("warning")
     rig.until(lambda: "name b" in a.log("warning"))
@@ -27,7 +27,7 @@ def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
 
 def test_an_agent_whose_name_is_taken_tries_again_until_it_is_free(rig, agent):
     a, b = pair(rig, agent)
-    other = agent("b", [a.mesh.listen], journal="another journal", times=LinkTimes(retry_longest_s=0.2))
+    other = agent("b", [a.address], journal="another journal", times=LinkTimes(retry_longest_s=0.2))
     rig.until(lambda: "name b" in other.log("warning"))
     b.mesh.stop()
     rig.until(lambda: other.knows("a"))
@@ -36,7 +36,7 @@ def test_an_agent_whose_name_is_taken_tries_again_until_it_is_free(rig, agent):
 def test_an_agent_that_listens_says_nothing_of_itself_to_one_that_has_not_said_hello(rig, agent):
     a, mute, stranger = agent("a"), rig.ear(), rig.ear()
     for ear in (mute, stranger):
-        rig.transport("stranger").dial(a.mesh.listen, ear)
+        rig.transport("stranger").dial(a.address, ear)
     rig.until(lambda: mute.connection and stranger.connection)
     stranger.connection.send(raw_hello(fleet="another"))
     rig.until(lambda: mute.closed_for and stranger.closed_for)
@@ -50,7 +50,7 @@ def test_an_agent_that_listens_says_nothing_of_itself_to_one_that_has_not_said_h
 def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, source, channel):
     """Also under ours. The packets that the peer sends for itself go on."""
     a, ear = agent("a"), rig.ear()
-    rig.transport("0").dial(a.mesh.listen, ear)
+    rig.transport("0").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     order = Packet(channel, "words", source, "a", 0.0, 1, "stop")
     own = replace(order, source="0/c/T")
@@ -78,7 +78,7 @@ def test_a_terminal_hears_what_others_say_and_an_agent_of_its_role_does_not(rig,
 @pytest.mark.parametrize(("channel", "taken"), [("system", True), ("chat", True), ("ctrl", False), ("log", False)])
 def test_a_terminal_replays_what_others_said_but_no_command_and_no_log(rig, agent, channel, taken):
     a = agent("a")
-    terminal = agent("cli-1", [a.mesh.listen], role="client", listen="")
+    terminal = agent("cli-1", [a.address], role="client", listen="")
     rig.until(lambda: terminal.knows("a"))
     terminal.mesh.send(Packet(channel, "words", "b/client/T", "a", 0.0, 1, "said before"))
     terminal.mesh.send(Packet(channel, "words", "cli-1", "a", 0.0, 2, "said now"))
@@ -108,7 +108,7 @@ def test_what_is_said_before_any_hello_ends_no_agent_and_puts_off_no_dial(rig, a
 def test_a_goodbye_under_the_name_of_an_agent_that_is_here_says_nothing_of_that_agent(rig, agent):
     a, b = pair(rig, agent)
     ear = rig.ear()
-    rig.transport("rival").dial(a.mesh.listen, ear)
+    rig.transport("rival").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("b", journal=b.mesh.identity.journal, boot=1))
     ear.connection.send(frame([Encoder().link_message(Goodbye("sleep", 3600.0))]))
@@ -119,7 +119,7 @@ def test_a_goodbye_under_the_name_of_an_agent_that_is_here_says_nothing_of_that_
 def test_a_rival_with_a_later_boot_does_not_end_the_true_agent_which_comes_back(rig, agent):
     a, b = pair(rig, agent, times=LinkTimes(retry_longest_s=0.2))
     ear = rig.ear()
-    rig.transport("rival").dial(a.mesh.listen, ear)
+    rig.transport("rival").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("b", journal=b.mesh.identity.journal, boot=9))
     rig.until(lambda: b.downs)
@@ -133,7 +133,7 @@ def test_an_impostor_gets_nothing_through_behind_its_hello(rig, agent, caplog):
     a, ears = agent("a"), [rig.ear(), rig.ear()]
     order = Packet("sysctrl", "order", "0/x/y", "a", 0.0, 1, "stop")
     for ear, journal in zip(ears, ["the true one", "another"], strict=True):
-        rig.transport("0").dial(a.mesh.listen, ear)
+        rig.transport("0").dial(a.address, ear)
         rig.until(lambda ear=ear: ear.connection)
         rest = frame([Encoder().link_message(Welcome()), message_of(order)])
         ear.connection.send(raw_hello("0", journal=journal) + rest)
@@ -145,9 +145,9 @@ def test_an_impostor_gets_nothing_through_behind_its_hello(rig, agent, caplog):
 
 def test_two_agents_of_one_name_refuse_each_other(rig, agent):
     first = agent("a")
-    second = agent("a", [first.mesh.listen], journal="another journal")
+    second = agent("a", [first.address], journal="another journal")
     rig.until(lambda: "name a" in second.log("warning"))
-    assert f"no link over {first.mesh.listen}" in second.log("warning")
+    assert f"no link over {first.address}" in second.log("warning")
     assert first.mesh.connected() == second.mesh.connected() == []
 
 
@@ -167,7 +167,7 @@ def test_an_agent_that_dials_itself_notices(rig, agent):
 @pytest.mark.parametrize(("more", "word"), [({"fleet": "other"}, "fleet"), ({"version": 99}, "version")])
 def test_other_fleets_and_versions_are_refused_with_a_reason(rig, agent, more, word):
     a, ear = agent("a"), rig.ear()
-    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.transport("intruder").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello(**more))
     rig.until(lambda: ear.closed_for)
@@ -191,7 +191,7 @@ def test_other_fleets_and_versions_are_refused_with_a_reason(rig, agent, more, w
 def test_garbage_closes_its_own_link_alone(rig, agent, garbage):
     a, b = pair(rig, agent)
     ear = rig.ear()
-    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.transport("intruder").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(garbage)
     rig.until(lambda: ear.closed_for)
@@ -204,7 +204,7 @@ def test_garbage_closes_its_own_link_alone(rig, agent, garbage):
 def test_a_packet_with_a_bad_body_is_told_and_costs_no_link(rig, agent):
     a, _ = pair(rig, agent)
     ear = rig.ear()
-    rig.transport("intruder").dial(a.mesh.listen, ear)
+    rig.transport("intruder").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello())
     rig.until(lambda: a.knows("b", "intruder"))
@@ -220,7 +220,7 @@ def test_a_packet_with_a_bad_body_is_told_and_costs_no_link(rig, agent):
 
 def test_one_who_never_says_hello_is_closed(memory_rig):
     a, ear = memory_rig.agent("a"), memory_rig.ear()
-    memory_rig.transport("mute").dial(a.mesh.listen, ear)
+    memory_rig.transport("mute").dial(a.address, ear)
     memory_rig.timeline.run_until(1.9)
     assert ear.connection is not None and ear.closed_for == []
     memory_rig.timeline.run_until(2.1)
@@ -232,11 +232,11 @@ def test_of_too_many_connections_the_oldest_that_said_no_hello_is_told_that_the_
     ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 6)]
     memory_rig.timeline.run_until(0.1)
     for ear in ears:
-        memory_rig.transport("crowd").dial(a.mesh.listen, ear)
+        memory_rig.transport("crowd").dial(a.address, ear)
     memory_rig.timeline.run_until(1.0)
     assert [bool(ear.closed_for) for ear in ears] == [True] * 6 + [False] * MAX_HANDSHAKES
     assert all(b"a is full: 256 connections" in ear.data for ear in ears[:6])
-    late = memory_rig.agent("late", [a.mesh.listen])
+    late = memory_rig.agent("late", [a.address])
     memory_rig.timeline.run_until(1.1)
     assert late.knows("a"), "at once, and not when the others have waited in vain"
 
@@ -246,7 +246,7 @@ def test_who_has_said_hello_goes_after_those_who_have_not(memory_rig):
     memory_rig.timeline.run_until(0.1)
     polite, *mute = ears = [memory_rig.ear() for _ in range(MAX_HANDSHAKES + 1)]
     for ear in ears:
-        memory_rig.transport("crowd").dial(a.mesh.listen, ear)
+        memory_rig.transport("crowd").dial(a.address, ear)
         if ear is polite:
             memory_rig.until(lambda: polite.connection)
             # Its name is the lower one, so the link waits for its welcome.
@@ -258,20 +258,20 @@ def test_who_has_said_hello_goes_after_those_who_have_not(memory_rig):
 
 def test_the_log_names_the_machine_of_a_connection_that_became_no_link(memory_rig):
     a = memory_rig.agent("a")
-    memory_rig.transport("intruder").dial(a.mesh.listen, ear := memory_rig.ear())
+    memory_rig.transport("intruder").dial(a.address, ear := memory_rig.ear())
     memory_rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello(fleet="other"))
     memory_rig.until(lambda: ear.closed_for)
-    assert "no link over a connection from tcp://intruder: a is of the fleet" in a.log("warning")
+    assert "no link over a connection from tcp://127.0.0.1: a is of the fleet" in a.log("warning")
 
 
 def test_an_agent_that_sleeps_dials_no_address_that_it_learns(memory_rig):
     a, b = memory_rig.agent("a"), memory_rig.agent("b")
     memory_rig.timeline.run_until(0.1)
     a.mesh.sleep()
-    a.mesh.learn([b.mesh.listen])
+    a.mesh.learn([b.address])
     memory_rig.timeline.run_until(30.0)
     assert b.lines == [] and not a.mesh.connected()
     a.mesh.wake()
-    a.mesh.learn([b.mesh.listen])
+    a.mesh.learn([b.address])
     memory_rig.until(lambda: a.knows("b"))

@@ -7,13 +7,11 @@ import random
 
 import pytest
 
+from pancakes.mesh.net.address_book import FORGET_AFTER, MAX_LEARNT, MOST_OF_PEER
 from pancakes.mesh.net.peers import (
-    FORGET_AFTER,
     MAX_AGENTS,
     MAX_CLIENTS,
-    MAX_LEARNT,
     MOST_DIALS,
-    MOST_OF_PEER,
     Admit,
     Dial,
     Peers,
@@ -26,7 +24,7 @@ from pancakes.mesh.wire.link_messages import Goodbye, Hello
 
 def hello(name, listen=None, **more):
     values = {"version": 1, "fleet": "f", "role": "agent", "journal": f"journal of {name}", "boot": 1, **more}
-    return Hello(name=name, listen=f"tcp://{name}:1" if listen is None else listen, **values)
+    return Hello(name=name, listen=(f"tcp://{name}:1",) if listen is None else tuple(filter(None, [listen])), **values)
 
 
 def peers(*static, own="m", seed=1):
@@ -245,7 +243,7 @@ def test_addresses_are_learnt_dialled_and_spread_but_never_those_of_clients():
     connect(it, "y", role="client")
     connect(it, "x", role="environment")
     connect(it, "w", listen="")
-    assert it.gossip() == ("tcp://x:1", "tcp://z:1")
+    assert it.gossip() == (("tcp://x:1",), ("tcp://z:1",))
     assert "tcp://y:1" not in addresses(it)
 
 

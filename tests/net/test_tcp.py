@@ -10,13 +10,15 @@ import threading
 import pytest
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.net.stream_transport import StreamTransport
 from pancakes.runtime.clock import MonotonicClock
+from pancakes.runtime.plugins import Plugins
 
 
 @pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "tcp://::1:80", "tcp://a:65536", "tcp://a", "tcp://a:²"])
 def test_what_is_no_address_of_tcp_is_said(tcp_rig, address):
-    with pytest.raises(PancakesError, match="is no address of TCP|is no address: |has no port|has a bad port"):
+    with pytest.raises(PancakesError, match="unknown transport|is no address: |has no port|has a bad port"):
         tcp_rig.transport("a").listen(address, tcp_rig.ear)
 
 
@@ -49,7 +51,7 @@ def test_a_name_that_does_not_exist_is_said(tcp_rig):
 
 
 def test_a_dial_waits_five_seconds_unless_it_is_told_otherwise():
-    assert TcpTransport.Settings().dial_s == 5.0
+    assert StreamTransport.Settings().dial_s == 5.0
 
 
 def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
@@ -64,7 +66,7 @@ def test_a_dial_that_is_not_answered_ends_in_time(tcp_rig):
             filler.setblocking(False)
             filler.connect_ex(("127.0.0.1", port))
             fillers.append(filler)
-        transport = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings(dial_s=0.1))
+        transport = SocketTransport(MonotonicClock(), "a", Plugins(), {"tcp": {"dial_s": 0.1}})
         here = tcp_rig.ear()
         transport.dial(f"tcp://127.0.0.1:{port}", here)
         tcp_rig.until(lambda: here.closed_for)
@@ -92,7 +94,7 @@ def test_a_dial_to_whom_has_gone_again_by_the_time_it_is_seen_fails_at_once(tcp_
 
 def test_closing_ends_the_thread_and_drops_what_was_put_off():
     before = threading.active_count()
-    transport = TcpTransport(MonotonicClock(), "a", TcpTransport.Settings())
+    transport = SocketTransport(MonotonicClock(), "a", Plugins())
     assert threading.active_count() == before + 1
     ran = []
     transport.call_later(0.0, lambda: ran.append("due"))

@@ -24,6 +24,7 @@ LOOK_FROM_OUTSIDE = {
 HAND_TO_THEIR_OWN = {
     "bodies/sim/bus_server.py": "a connection gives the world, whose part it is, what came in",
     "runtime/hosting/mover.py": "a part of the service that it calls",
+    "runtime/services/actuator_fence.py": "a part of the actuator's task",
     "runtime/services/device.py": "a driver, which is a part of its task",
     "runtime/services/service_keeper.py": "a part of the root",
     "runtime/services/traces.py": "a part of the Log Service",

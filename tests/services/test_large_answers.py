@@ -94,7 +94,7 @@ def test_over_a_link_of_sockets_it_is_a_refusal_too():
     listen = "tcp://127.0.0.1:0"
     tasks = {"Map": {"type": Map, "settings": {"size": 300_000}}}
     with no_thread_left(), threaded_agent("a", tasks=tasks, listen=listen) as a:
-        with threaded_agent("b", peers=(a.agent.mesh.listen,)) as b:
+        with threaded_agent("b", peers=a.agent.mesh.listen[-1:]) as b:
             b.wait_for_event("peer_up", peer="a")
             reply = b.ask(Describe("Map", state=True), to="a")
             assert "the answer is lost: " in reply.reason and "a frame holds" in reply.reason
@@ -102,5 +102,5 @@ def test_over_a_link_of_sockets_it_is_a_refusal_too():
 
 def test_an_agent_says_of_itself_once_who_it_is(fleet):
     told = fleet.agents["b"].ask(Describe(), to="a").result
-    assert (told["role"], told["fleet"], told["listen"]) == ("agent", "default", "tcp://a:7400")
+    assert (told["role"], told["fleet"], told["listen"]) == ("agent", "default", ["local://a", "tcp://a:7400"])
     assert not {"name", "role", "fleet", "listen"} & set(told["mesh"])

@@ -14,10 +14,11 @@ from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.bodies.sim.drivers import DifferentialDrive, SimulatedBattery, SimulatedInfrared, SimulatedPose
 from pancakes.errors import PancakesError, RemoteProtocolError
 from pancakes.mesh.net.memory import MemoryNetwork
-from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import ConnectionHandler
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.kernel.virtual import VirtualDispatcher
+from pancakes.runtime.plugins import Plugins
 from pancakes.settings import SettingsError, make_settings
 
 ADDRESS = "tcp://127.0.0.1:7499"
@@ -282,8 +283,8 @@ def test_an_unknown_model_is_a_mistake_in_the_settings():
 def test_it_works_over_tcp_as_well():
     served, answered = threading.Event(), threading.Event()
     world, agent = (
-        TcpTransport(MonotonicClock(), "world", TcpTransport.Settings()),
-        TcpTransport(MonotonicClock(), "agent1", TcpTransport.Settings()),
+        SocketTransport(MonotonicClock(), "world", Plugins()),
+        SocketTransport(MonotonicClock(), "agent1", Plugins()),
     )
     pose = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
 

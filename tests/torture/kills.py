@@ -93,9 +93,12 @@ class Kills:
         seed: draws who is killed, and when; the machine draws the rest.
         waits: all of its own; whoever breaks them off ends it.
         spoilt_by: Python that breaks the agents, see `LiveFleet`.
+        local: whether they speak by `local://`; else over TCP.
     """
 
-    def __init__(self, directory: Path, seed: int, waits: Waits | None = None, spoilt_by: str = "") -> None:
+    def __init__(
+        self, directory: Path, seed: int, waits: Waits | None = None, spoilt_by: str = "", local: bool = False
+    ) -> None:
         self._waits = waits or Waits()
         self.random = random.Random(f"kills/{seed}")
         self.directory = directory
@@ -114,6 +117,8 @@ class Kills:
         )
         names = (*NAMES, TELLER)
         listen = {name: f"tcp://127.0.0.1:{port}" for name, port in zip(names, free_ports(len(names)), strict=True)}
+        if local:
+            listen = {name: f"local://{directory}/{name}" for name in names}
         self._proxies: list[Proxy] = []
         peers: dict[str, list[str]] = {name: [] for name in names}
         for number, dialled in enumerate(names):
@@ -338,6 +343,7 @@ def run_fleets(
     seed: int,
     fleets: int,
     told: Callable[[Tally], None] = lambda tally: None,
+    local: bool = False,
 ) -> Tally:
     """Kills agents of several fleets at once.
 
@@ -347,6 +353,7 @@ def run_fleets(
         seed: the first fleet's; the others have those that follow.
         fleets: how many fleets.
         told: is told what has happened so far after each round, in any thread.
+        local: whether they speak by `local://`; else over TCP.
 
     Raises:
         PancakesError: a fleet could not be set up.
@@ -360,7 +367,7 @@ def run_fleets(
 
     def run(number: int) -> Tally:
         with tempfile.TemporaryDirectory(prefix="pancakes-kills-") as directory:
-            return Kills(Path(directory), seed + number, waits).run(*shares[number], partial(tell, number))
+            return Kills(Path(directory), seed + number, waits, local=local).run(*shares[number], partial(tell, number))
 
     def tell(number: int, tally: Tally) -> None:
         with lock:

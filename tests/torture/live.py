@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import socket
 import sys
 from collections.abc import Mapping, Sequence
@@ -188,16 +190,20 @@ torture.recorder = plugin_torture:Recorder
 """
 
 
+LOWEST_PORT, LOWEST_LENT_PORT = 15_000, 32_000
+"""Between them the system lends no port to whoever dials, so one stays free while its agent is dead."""
+
+
 def free_ports(count: int) -> list[int]:
     """Returns ports of this machine that are free just now; they outlive a restart, which port 0 would not."""
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [int(one.getsockname()[1]) for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
+    found: list[int] = []
+    for port in random.SystemRandom().sample(range(LOWEST_PORT, LOWEST_LENT_PORT), LOWEST_LENT_PORT - LOWEST_PORT):
+        with socket.socket() as one, contextlib.suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            found.append(port)
+        if len(found) == count:
+            break
+    return found
 
 
 class LiveFleet:

@@ -64,8 +64,9 @@ netns_option = click.option(
 )
 @click.option("--first", default=1, show_default=True, type=click.IntRange(0), help="The first fleet's seed.")
 @click.option("--fleets", default=4, show_default=True, type=click.IntRange(1), help="How many fleets at once.")
+@click.option("--local", is_flag=True, help="The agents speak by local://, and not over TCP.")
 @json_option
-def kills(count: int, at: str, first: int, fleets: int, json_file: Path | None) -> None:
+def kills(count: int, at: str, first: int, fleets: int, local: bool, json_file: Path | None) -> None:
     """Real agents killed (SIGKILL) while their tasks move; whoever runs a task holds a file lock.
 
     Exit code 0 only where no task ever ran twice, none was lost, no packet to a task had its effect twice or never,
@@ -77,7 +78,7 @@ def kills(count: int, at: str, first: int, fleets: int, json_file: Path | None) 
         print(f"{tally.kills} kills, {len(tally.lost)} lost, {time.monotonic() - began_s:.0f} s", flush=True)
 
     random_kills, points = plan(count, at)
-    tally = run_fleets(random_kills, points, first, min(fleets, count), told)
+    tally = run_fleets(random_kills, points, first, min(fleets, count), told, local)
     faults = (*tally.doubled, *tally.lost, *tally.backwards, *tally.missed)
     for sentence in faults:
         print(sentence)

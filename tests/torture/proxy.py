@@ -1,7 +1,8 @@
-"""A TCP proxy between two agents that reads what they say, and cuts the link or loses a packet at a chosen word."""
+"""A proxy between two agents that reads what they say, and cuts the link or loses a packet at a chosen word."""
 
 from __future__ import annotations
 
+import itertools
 import socket
 import struct
 import threading
@@ -11,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from pancakes.mesh.address import is_local
 from pancakes.mesh.wire.framing import FrameReader
 from pancakes.mesh.wire.link_messages import HELLO_NUMBER, Gossip
 from pancakes.mesh.wire.packet_bodies import unpacked
@@ -18,7 +20,9 @@ from pancakes.mesh.wire.packet_bodies import unpacked
 RUN = 0
 """What the array of a run of packets begins with; see `pancakes.mesh.wire.runs`."""
 
-LISTEN = 7  # where a hello has the address at which its sender may be dialled
+_NUMBERS = itertools.count()
+
+LISTEN = 7  # where a hello has the addresses at which its sender may be dialled
 
 
 class Verdict(Enum):
@@ -35,14 +39,42 @@ Watch = Callable[[list[Any]], Verdict]
 """Is shown each packet: [channel, type, source, destination, stamp, seq, cause, body, fence]."""
 
 
+def _listener(target: str) -> tuple[socket.socket, str]:
+    """Returns a socket that takes connections in the place of `target`, and the address to dial it."""
+    if is_local(target):
+        made = socket.socket(socket.AF_UNIX)
+        path = f"{target.removeprefix('local://')}-{next(_NUMBERS)}"
+        made.bind(path)
+        made.listen()
+        return made, f"local://{path}"
+    made = socket.create_server(("127.0.0.1", 0))
+    return made, f"tcp://127.0.0.1:{made.getsockname()[1]}"
+
+
+def _connected(target: str) -> socket.socket:
+    if is_local(target):
+        made = socket.socket(socket.AF_UNIX)
+        try:
+            made.connect(target.removeprefix("local://"))
+        except BaseException:
+            made.close()
+            raise
+        return made
+    host, _, port = target.removeprefix("tcp://").rpartition(":")
+    made = socket.create_connection((host, int(port)), 2.0)
+    made.settimeout(None)
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return made
+
+
 class Proxy:
     """Stands between two agents.
 
-    The address that each of them gives for itself is taken out of its hello, and what they tell about others is lost,
-    so that there is no way around.
+    The addresses that each of them gives for itself are taken out of its hello, and what they tell about others is
+    lost, so that there is no way around.
 
     Args:
-        target: where the other agent listens, as `tcp://host:port`.
+        target: where the other agent listens, as `tcp://host:port` or `local:///path`; so is the proxy dialled.
         watch: decides what becomes of each packet, in the connection's own thread; None: all pass.
 
     Attributes:
@@ -51,11 +83,9 @@ class Proxy:
     """
 
     def __init__(self, target: str, watch: Watch | None = None) -> None:
-        host, _, port = target.removeprefix("tcp://").rpartition(":")
-        self._target = (host, int(port))
+        self._target = target
         self._watch = watch
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._listener, self.address = _listener(target)
         self.cut = threading.Event()
         self._open = True
         self._word = ""
@@ -103,13 +133,10 @@ class Proxy:
                 with self._lock:
                     if not self._open:
                         raise OSError("the link is cut")
-                far = socket.create_connection(self._target, 2.0)
-                far.settimeout(None)
+                far = _connected(self._target)
             except OSError:
                 near.close()
                 continue
-            for one in (near, far):
-                one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._lock:
                 self._pairs.append((near, far))
             threading.Thread(target=self._carry_both, args=(near, far), daemon=True).start()
@@ -163,7 +190,7 @@ class Proxy:
         kept: list[list[Any]] = []
         for message in messages:
             if message[0] == HELLO_NUMBER:
-                kept.append(message[:LISTEN] + [""])
+                kept.append(message[:LISTEN] + [[]])
             elif message[0] == RUN and self._watch is not None:
                 rows, ends = self._judged_run(message, self._watch)
                 if rows:

@@ -269,7 +269,7 @@ def test_any_bytes_are_read_or_refused(data):
 @pytest.mark.parametrize(
     "message",
     [
-        Hello(1, "default", "a", "agent", "uuid", 3, "tcp://127.0.0.1:1"),
+        Hello(1, "default", "a", "agent", "uuid", 3, ("tcp://127.0.0.1:1",)),
         Ping(4),
         Gossip(("tcp://a:1", "tcp://b:1")),
     ],

@@ -46,8 +46,9 @@ class Ledger(msgspec.Struct, frozen=True):
         source: the agent that it was to move from.
         asked_by: who wanted the move: an address, or `rule`.
         cost: the cost function that was used, or several with their weights (`1 tasks + 2 battery`).
-        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`.
-        winner: the neighbour that has it, or (dry run) would get it; empty where none.
+        outcome: `moved`, `stayed`, `undecided` (still under way) or `dry run`; `fenced` where it did not move, and a
+            person set the fence of an actuator of the source to the epoch that it has.
+        winner: the agent that has it, or (dry run) would get it; empty where none.
         lines: one for each neighbour that was asked, by name.
         duration_s: host time from the first asking to the outcome.
         offer: the hand-off that ended it, such as `3@agent1`; empty where none did.
@@ -58,7 +59,7 @@ class Ledger(msgspec.Struct, frozen=True):
     source: str
     asked_by: str
     cost: str
-    outcome: Literal["moved", "stayed", "undecided", "dry run"]
+    outcome: Literal["moved", "stayed", "undecided", "dry run", "fenced"]
     winner: str
     lines: tuple[Line, ...]
     duration_s: float

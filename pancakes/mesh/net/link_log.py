@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.address import is_local
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.wire.link import Over
 from pancakes.mesh.wire.link_messages import Hello
@@ -52,7 +53,7 @@ class LinkLog:
     def not_made(self, session: Session, over: Over, now_s: float) -> None:
         """A connection did not become a link. Of those that come in from one place, one is told of each 5 s."""
         why = over.refused or over.refusing or ""
-        place = session.address or f"a connection from {session.remote.rpartition(':')[0]}"
+        place = session.address or (f"a connection from {_place(session.remote)}" if session.remote else "a connection")
         text = f"no link over {place}: {over.reason}"
         if len(self._last_reason) > _MOST_PLACES:
             self._last_reason.clear()
@@ -67,7 +68,8 @@ class LinkLog:
             text += f" (and {untold} others, that were not told of)"
         # That one of two links goes is usual.
         quiet = "info" if session.address in self._static and not why else "debug"
-        self._say("warning" if over.broken or over.turned_away or why in _NEWS else quiet, text)
+        stranger = not session.address and session.link is None  # its transport will have nothing to do with it
+        self._say("warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet, text)
 
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""
@@ -89,3 +91,8 @@ class LinkLog:
         text = str(error) if isinstance(error, PancakesError) else f"{type(error).__name__}: {error}"
         name = getattr(function, "__qualname__", repr(function))
         self._say("warning" if isinstance(error, PancakesError) else "error", f"{name} failed: {text}")
+
+
+def _place(remote: str) -> str:
+    """Returns where a connection comes from, without the port, which says nothing."""
+    return remote if is_local(remote) else remote.rpartition(":")[0]

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Final, Protocol
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import LOCAL, is_local, is_loopback, parse_address
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Scheduled, Transport
 
 _FIRST_FREE_PORT: Final = 49_152
@@ -210,10 +210,13 @@ class MemoryNetwork:
         owner.dials[handler] = None
         self.call_at(self.now() + travel_s, arrive)
 
-    def forget(self, owner: MemoryTransport) -> None:
-        """Ends all that a transport has."""
+    def stop_listening(self, owner: MemoryTransport) -> None:
+        """Frees the addresses of a transport."""
         for address in [address for address, (other, _) in self._listeners.items() if other is owner]:
             del self._listeners[address]
+
+    def forget(self, owner: MemoryTransport) -> None:
+        """Ends all connections of a transport."""
         for pipe in list(self.pipes):
             for end in pipe.ends:
                 if end.owner is owner:
@@ -245,7 +248,8 @@ class MemoryTransport(Transport):
         return network.call_at(network.now() + delay_s, lambda: None if self._closed else function())
 
     def close(self) -> None:
-        """Closes all that is open once what is due now has run, as the transport over TCP does."""
+        """Frees its addresses, and closes all that is open once what is due now has run, as real sockets are."""
+        self._network.stop_listening(self)
         self._network.call_at(self._network.now(), self._close)
 
     def _close(self) -> None:
@@ -268,7 +272,7 @@ class _Pipe:
         self.agents = (owners[0].agent, owners[1].agent)
         self.exempt = exempt
         self.cut = False  # nothing gets through any more
-        self.ends = (_End(self, owners[0], address), _End(self, owners[1], f"tcp://{owners[0].agent}:0"))
+        self.ends = (_End(self, owners[0], address), _End(self, owners[1], _dialler(owners[0].agent, address)))
         self.ends[0].other, self.ends[1].other = self.ends[1], self.ends[0]
 
     def quality(self) -> Quality:
@@ -286,6 +290,13 @@ class _Pipe:
         if at_once:
             for end in self.ends:
                 end.finish_later(reason)
+
+
+def _dialler(agent: str, address: str) -> str:
+    """Returns the address of the agent that dialled `address`, as the one that it reached sees it."""
+    if is_local(address):
+        return f"{LOCAL}://{agent}"
+    return "tcp://127.0.0.1:0" if is_loopback(address) else f"tcp://{agent}:0"
 
 
 class _End(Connection):

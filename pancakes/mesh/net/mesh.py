@@ -11,8 +11,12 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from msgspec.structs import replace
+
 from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
+from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
@@ -38,8 +42,6 @@ from pancakes.runtime.clock import Clock
 
 MAX_HANDSHAKES: Final = 256
 """Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
-GOSSIP_ADDRESSES: Final = 64
-"""Most addresses in one message to a new link."""
 TOGETHER: Final = 0.1
 """So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
 
@@ -53,7 +55,7 @@ class Mesh:
     Args:
         identity: name, journal, fleet and role of this agent.
         transport: how bytes travel.
-        listen: address to listen at; empty for none (a client).
+        listen: addresses to listen at, the best first; none for a client.
         peers: addresses that are always dialled.
         source: random numbers, for the spread of retries.
         host_clock: the clock of hand-shakes and heartbeats.
@@ -74,7 +76,7 @@ class Mesh:
         self,
         identity: Identity,
         transport: Transport,
-        listen: str,
+        listen: Sequence[str],
         peers: Sequence[str],
         source: random.Random,
         host_clock: Clock,
@@ -89,7 +91,7 @@ class Mesh:
     ) -> None:
         self.identity = identity
         self._transport = transport
-        self._listen_at = listen
+        self._listen_at = tuple(listen)
         self._static = tuple(peers)
         self._random = source
         self._now = host_clock.now
@@ -106,6 +108,7 @@ class Mesh:
         self._log = LinkLog(on_log, peers)
         self._state = "new"
         self._asleep_until_s = 0.0
+        self._gossip = Gossiper(identity.role, self._links, self._tell)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -113,20 +116,19 @@ class Mesh:
     # From any thread
 
     @property
-    def listen(self) -> str:
-        """The address that it listens at; empty where it does not, or not yet."""
+    def listen(self) -> tuple[str, ...]:
+        """The addresses that it listens at, the best first; none where it does not, or not yet."""
         return self._own.listen
 
     def start(self) -> None:
         """Listens, and begins to dial.
 
         Raises:
-            PancakesError: it cannot listen at its address; the sentence says why.
+            PancakesError: it cannot listen at one of its addresses; the sentence says why.
         """
         if self._state != "new":
             raise PancakesError(f"the mesh of {self.identity.name} was started before")
-        if self._listen_at:
-            self._own = self.identity.hello(self._transport.listen(self._listen_at, self._accept))
+        self._own = self.identity.hello([self._transport.listen(at, self._accept) for at in self._listen_at])
         self._transport.call_later(0.0, self._begin)
 
     def send(self, packet: Packet, retry: bool = False) -> int:
@@ -278,10 +280,8 @@ class Mesh:
         return Goodbye("sleep", None if left_s == math.inf else max(0.0, left_s))
 
     def _beacon(self) -> None:
-        if self._peers is None:
-            return
-        addresses = self._peers.beacon()
-        self._links.announced(sum([self._gossip(session, addresses) for session in self._links]))
+        if self._peers is not None:
+            self._gossip.beacon(self._peers)
 
     def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
@@ -314,7 +314,8 @@ class Mesh:
             session.end("it is no longer wanted")
             return
         now_s = self._now()
-        session.link = Link(self._own, self._times, now_s, answers=not session.address)
+        own = replace(self._own, listen=reachable_from(session.remote, self._own.listen))
+        session.link = Link(own, self._times, now_s, answers=not session.address)
         self._act(session, session.link.open(now_s))
         self._watch(session)
 
@@ -393,7 +394,7 @@ class Mesh:
             elif isinstance(action, Up):
                 self._stood_up(session)
             elif isinstance(action, Learnt):
-                decisions = self._peers.learnt(action.addresses, self._now(), session.peer)
+                decisions = self._peers.learnt(action.addresses, self._now(), session.peer, session.remote)
                 if decisions:
                     self._carry_out(decisions)
             else:
@@ -428,13 +429,7 @@ class Mesh:
         self._sending.change(self._links.by_name(), self._links.neighbours())
         self._log.stood_up(session, hello)
         self._call(self._on_peer_up, hello)
-        addresses = self._peers.gossip()
-        for first in range(0, len(addresses), GOSSIP_ADDRESSES):
-            self._gossip(session, addresses[first : first + GOSSIP_ADDRESSES])
-        # Of an address that peers have named they know, and the newcomer hears of all others and dials them.
-        if hello.listen and hello.role != "client" and self._peers.is_news(session.number):
-            for other in self._links:
-                self._gossip(other, (hello.listen,))
+        self._gossip.stood_up(session, self._peers)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
@@ -482,15 +477,9 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _gossip(self, session: Session, addresses: tuple[str, ...]) -> bool:
-        """Tells a peer the addresses that are not its own; returns whether there were any."""
-        # A client that looks at two agents must not make neighbours of them: it belongs to neither.
-        if session.link is None or session.hello is None or self.identity.role == "client":
-            return False
-        others = tuple(address for address in addresses if address != session.hello.listen)
-        if others:
-            self._act(session, session.link.gossip(others, self._now()))
-        return bool(others)
+    def _tell(self, session: Session, addresses: tuple[str, ...]) -> None:
+        if session.link is not None:
+            self._act(session, session.link.gossip(addresses, self._now()))
 
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls what was given to us; its failure must not cost a link."""

@@ -18,26 +18,22 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from pancakes.mesh.net.client_places import ClientPlace, machine_of, who_makes_room
+from pancakes.mesh.address import is_local, nameable_from
+from pancakes.mesh.net.address_book import MAX_LEARNT, AddressBook, KnownAddress
+from pancakes.mesh.net.client_places import THIS_MACHINE, ClientPlace, machine_of, who_makes_room
 from pancakes.mesh.wire.link import LinkTimes
-from pancakes.mesh.wire.link_messages import Goodbye, Hello, Refusal, fault_of_address
+from pancakes.mesh.wire.link_messages import Goodbye, Hello, Refusal
 
 MAX_AGENTS: Final = 256
 """Largest mesh: agents and environments connected to one agent, itself counted."""
 MAX_CLIENTS: Final = 64
 """Most clients connected to one agent; see `pancakes.mesh.net.client_places` for the next one."""
-MAX_LEARNT: Final = 512
-"""Most addresses kept that were learnt from others."""
-MOST_OF_PEER: Final = 16
-"""Most addresses that one peer has named and at which no agent is connected."""
 MOST_DIALS: Final = 8
 """So many learnt addresses are dialled at a time."""
 BEACON_ADDRESSES: Final = 8
 """So many addresses are in a beacon; in a larger fleet each beacon names the next ones. All of them in each would cost
 every agent the square of the fleet, for what all agents know: a new link gets them all.
 """
-FORGET_AFTER: Final = 20
-"""A learnt address that failed so often in a row is forgotten; the longest wait is reached at the eighth."""
 
 
 class Dial(msgspec.Struct, frozen=True):
@@ -64,19 +60,6 @@ class TurnDown(msgspec.Struct, frozen=True):
 Decision = Dial | Admit | TurnDown
 
 
-class _KnownAddress(msgspec.Struct):
-    """An address that can be dialled."""
-
-    static: bool
-    due_s: float
-    name: str = ""  # of the agent that was last met there
-    link: int | None = None  # of the dial under way, until a peer said hello there, or it failed
-    failures: int = 0
-    ours: bool = False  # it is this agent's own
-    refused: str = ""  # why the agent there will not have us, in its words
-    by: str = ""  # the peer that named it; empty: the configuration, or a person
-
-
 class _Candidate(msgspec.Struct):
     """A connection whose peer has said who it is; it is up or waits."""
 
@@ -84,7 +67,7 @@ class _Candidate(msgspec.Struct):
     hello: Hello
     address: str  # that we dialled, or empty
     machine: str  # where it is
-    is_news: bool  # no peer had named the address at which it listens
+    is_news: bool  # no peer had named an address at which it listens
     up_s: float | None = None
     until_s: float = math.inf  # when waiting for our own dial ends
 
@@ -114,16 +97,13 @@ class Peers:
         looks_up: Callable[[str], bool] = lambda address: False,
     ) -> None:
         self._own = own
-        self._random = source
         self._times = times
         self._quiet_s = quiet_s
-        self._looks_up = looks_up
-        self._book = {address: _KnownAddress(True, now_s) for address in static if address != own.listen}
-        self._learnt = 0  # of the book's addresses
         self._dials: dict[int, str] = {}  # the addresses of dials under way
         self._met_at: dict[str, int] = {}  # of the candidates that we dialled
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
+        self._book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, looks_up)
         self._asleep: dict[str, float] = {}
         self._last_link = 0
         self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled
@@ -145,17 +125,17 @@ class Peers:
         """
         return {name: until_s - now_s for name, until_s in sorted(self._asleep.items()) if until_s > now_s}
 
-    def gossip(self) -> tuple[str, ...]:
-        """Returns the addresses to tell others: of connected peers, but never of clients."""
+    def gossip(self) -> tuple[tuple[str, ...], ...]:
+        """Returns where each agent to tell others of can be dialled: of connected peers, but never of clients."""
         return tuple(
             candidate.hello.listen
             for _, candidate in sorted(self._up.items())
             if candidate.hello.listen and candidate.hello.role != "client"
         )
 
-    def beacon(self) -> tuple[str, ...]:
-        """Returns the addresses of the next beacon: this agent's own, and some of those to tell others."""
-        own = reachable(self._own.listen, "") if self._own.role != "client" else ""
+    def beacon(self) -> tuple[tuple[str, ...], ...]:
+        """Returns the agents of the next beacon, as `gossip` does: this one, and some of those to tell others of."""
+        own = self._own.listen if self._own.role != "client" else ()
         others = self.gossip()
         if len(others) > BEACON_ADDRESSES:
             first = self._beacons * BEACON_ADDRESSES % len(others)
@@ -165,17 +145,7 @@ class Peers:
 
     def describe(self) -> list[dict[str, Any]]:
         """Returns each known address with what is known of it."""
-        return [
-            {
-                "address": address,
-                "static": it.static,
-                "name": it.name,
-                "failures": it.failures,
-                "refused": it.refused,
-            }
-            for address, it in list(self._book.items())
-            if not it.ours
-        ]
+        return self._book.describe()
 
     def due_s(self) -> float:
         """Returns the host time at which `tick` has something to do."""
@@ -221,10 +191,14 @@ class Peers:
             return self._namesake(link, hello, address, now_s)
         if address:
             self._book[address].name = name
-        hello = replace(hello, listen=reachable(hello.listen, remote))
-        is_news = hello.role != "client" and bool(hello.listen) and self._learn(hello.listen, now_s, name, name)
+        listen = tuple(filter(None, (reachable(it, remote) for it in hello.listen)))
+        machine = machine_of(remote)
+        if machine != THIS_MACHINE:  # what listens here on all interfaces, others find at the address that they see
+            hello = replace(hello, listen=listen)
+        named = nameable_from(remote, listen) if hello.role != "client" else ()
+        learnt = [self._book.learn(it, now_s, name, name) for it in named]
         self._asleep.pop(name, None)
-        candidate = self._candidates[link] = _Candidate(link, hello, address, machine_of(remote), is_news)
+        candidate = self._candidates[link] = _Candidate(link, hello, address, machine, any(learnt))
         if address:
             self._met_at[address] = link
         decisions: list[Decision] = []
@@ -306,7 +280,7 @@ class Peers:
                 return []
             self._book[address].link = None
             self._book[address].refused = refusal
-            self._failed(address, now_s, hopeless)
+            self._book.failed(address, now_s, hopeless)
             self._freed(address, now_s)
             return []
         self._met_at.pop(candidate.address, None)
@@ -332,9 +306,9 @@ class Peers:
                 it.due_s = now_s + self._times.retry_longest_s
             elif candidate.up_s is not None and now_s - candidate.up_s >= self._times.gone_s:
                 it.failures = 0
-                self._retry(it, now_s)
+                self._book.retry(it, now_s)
             else:
-                self._failed(address, now_s, False)
+                self._book.failed(address, now_s, False)
         if not was_up:
             return []
         heirs = [other for other in self._candidates.values() if other.hello.name == name and other.up_s is None]
@@ -342,11 +316,20 @@ class Peers:
             return self._admit_if_free(heirs[-1], now_s)
         return []
 
-    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "") -> list[Decision]:
-        """A peer named addresses of other agents; empty: a person did."""
+    def learnt(self, addresses: Sequence[str], now_s: float, peer: str = "", remote: str = "") -> list[Decision]:
+        """Addresses of agents were named.
+
+        Args:
+            addresses: the addresses.
+            now_s: host time.
+            peer: the peer that did; empty: a person.
+            remote: the address of that peer.
+        """
+        if peer:
+            addresses = nameable_from(remote, filter(None, (reachable(it, remote) for it in addresses)))
         # Beacons name what is known already, from each peer and all the time.
         unknown = [address for address in addresses if address not in self._book]
-        new = [address for address in unknown if self._learn(address, now_s, by=peer)]
+        new = [address for address in unknown if self._book.learn(address, now_s, by=peer)]
         return self.tick(now_s) if new else []
 
     def is_news(self, link: int) -> bool:
@@ -355,22 +338,19 @@ class Peers:
 
     def redial(self, now_s: float) -> None:
         """Makes all addresses due now (this agent woke up)."""
-        for it in self._book.values():
-            it.failures, it.due_s = 0, now_s
+        self._book.all_due(now_s)
 
-    def _wanted(self, address: str, it: _KnownAddress) -> bool:
-        if it.link is not None or it.name in self._up or it.due_s == math.inf:
-            return False
+    def _wanted(self, address: str, it: KnownAddress) -> bool:
         # The peer that we met there has still to say whether the link stands, or when to dial again.
-        return address not in self._met_at
+        return self._book.is_wanted(it) and address not in self._met_at
 
     def _learnt_dials(self) -> int:
         """Returns how many addresses are dialled now that peers have named."""
         return sum(bool(self._book[address].by) for address in self._dials.values())
 
-    def _dialling(self, listen: str) -> bool:
-        it = self._book.get(listen)
-        return it is not None and it.link is not None
+    def _dialling(self, listen: Sequence[str]) -> bool:
+        known = [it for it in map(self._book.get, listen) if it is not None]
+        return any(it.link is not None for it in known)
 
     def _namesake(self, link: int, hello: Hello, address: str, now_s: float) -> list[Decision]:
         own, is_own = self._own, hello.journal == self._own.journal
@@ -431,44 +411,8 @@ class Peers:
     def _freed(self, address: str, now_s: float) -> None:
         """Our dial to `address` is decided: what waited for it is seen to at the next tick, which is due now."""
         for candidate in self._candidates.values():
-            if address and candidate.until_s < math.inf and candidate.hello.listen == address:
+            if address and candidate.until_s < math.inf and address in candidate.hello.listen:
                 candidate.until_s = now_s
-
-    def _learn(self, address: str, now_s: float, name: str = "", by: str = "") -> bool:
-        """Writes an address down that a peer has named; returns whether it is a new one."""
-        it = self._book.get(address)
-        is_new = it is None
-        if it is None:
-            if fault_of_address(address) or address == self._own.listen or self._learnt >= MAX_LEARNT:
-                return False
-            if by and (self._looks_up(address) or self._unmet(by) >= MOST_OF_PEER):
-                return False
-            it = self._book[address] = _KnownAddress(False, now_s, by=by)
-            self._learnt += 1
-        if not it.static:  # whose name is that of the agent that we have met there
-            it.name = name or it.name
-        return is_new
-
-    def _unmet(self, peer: str) -> int:
-        """Returns at how many addresses that a peer has named no agent is connected."""
-        return sum(it.by == peer and it.name not in self._up for it in self._book.values())
-
-    def _failed(self, address: str, now_s: float, hopeless: bool) -> None:
-        it = self._book[address]
-        it.failures += 1
-        if not it.static and it.failures >= FORGET_AFTER and it.name not in self._up:
-            del self._book[address]
-            self._learnt -= 1
-        elif hopeless:
-            it.due_s = now_s + self._times.retry_longest_s
-        else:
-            self._retry(it, now_s)
-
-    def _retry(self, it: _KnownAddress, now_s: float) -> None:
-        """Puts the next dial off by a random time with a doubling bound: full jitter."""
-        doublings = min(max(it.failures - 1, 0), 30)
-        bound_s = min(self._times.retry_first_s * 2**doublings, self._times.retry_longest_s)
-        it.due_s = now_s + self._random.uniform(0.0, bound_s)
 
 
 def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
@@ -477,12 +421,17 @@ def is_namesake(link: int, decisions: Sequence[Decision]) -> bool:
 
 
 def reachable(listen: str, remote: str) -> str:
-    """Returns the address at which a peer can be dialled: where it listens on all interfaces, the one we see."""
+    """Returns the address at which an agent can be dialled: where it listens on all interfaces, the one we see.
+
+    Args:
+        listen: where it listens.
+        remote: the address of the peer that says so, which is itself or on the same machine.
+    """
     scheme, _, place = listen.partition("://")
     host, _, port = place.rpartition(":")
     if host not in ("0.0.0.0", "[::]"):
         return listen
-    seen = remote.partition("://")[2].rpartition(":")[0]
+    seen = "127.0.0.1" if is_local(remote) else remote.partition("://")[2].rpartition(":")[0]
     return f"{scheme}://{seen}:{port}" if seen else ""
 
 

@@ -138,7 +138,7 @@ class Session(ConnectionHandler):
         return {
             "name": self.peer,
             "role": self.role,
-            "address": hello.listen if hello is not None else "",
+            "addresses": list(hello.listen) if hello is not None else [],
             "remote": self.remote,
             "boot": hello.boot if hello is not None else 0,
             "rtt_s": self.link.rtt_s if self.link is not None else None,

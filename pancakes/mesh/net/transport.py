@@ -1,4 +1,4 @@
-"""How bytes travel between agents: one small interface, several transports.
+"""How bytes travel between agents: one small interface, several ways.
 
 All of a transport's callbacks run one at a time, in the transport's own thread (in virtual time: in the
 one thread there is), and never from within a call to the transport or to a connection. `Connection.send`
@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from pancakes.runtime.clock import Clock
+from pancakes.mesh.net.loop import Loop
 from pancakes.runtime.kernel.guest import Guest
 
 
@@ -71,19 +71,42 @@ class Scheduled(Protocol):
         ...
 
 
-class Transport(ABC):
-    """A way to reach other processes (entry point group `pancakes.transports`).
+class SchemeTransport(ABC):
+    """Connections of one scheme (entry point group `pancakes.transports`).
 
-    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. An
-    agent makes it with the host clock, the agent's name, and what the configuration says under `transport` in the
-    settings of `[service.network]`.
+    The name of the entry point is the scheme of its addresses, which read `SCHEME://HOST:PORT` or `SCHEME:///PATH`. All
+    that it calls, it calls in the loop's thread: what a thread of its own finds, it hands over with `loop.call_later`.
+
+    Args:
+        loop: the transport's thread.
+        settings: what the configuration says under `transports.SCHEME` in the settings of `[service.network]`.
     """
 
     class Settings(msgspec.Struct):
         """It has no settings."""
 
     @abstractmethod
-    def __init__(self, clock: Clock, name: str, settings: Any) -> None: ...
+    def __init__(self, loop: Loop, settings: Any) -> None: ...
+
+    @abstractmethod
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
+        """See `Transport.listen`."""
+
+    @abstractmethod
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
+        """See `Transport.dial`."""
+
+    def looks_up(self, address: str) -> bool:
+        """See `Transport.looks_up`."""
+        return False
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes all that is open, and tells the handlers. In the loop's thread."""
+
+
+class Transport(ABC):
+    """How one agent reaches other processes, whatever the schemes of their addresses, in one thread."""
 
     @abstractmethod
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -110,12 +133,12 @@ class Transport(ABC):
 
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
-        """Runs `function` in this transport's thread in `delay_s` seconds of host time. From any thread."""
+        """Runs `function` in the transport's thread in `delay_s` seconds of host time. From any thread."""
 
     def lend_thread(self, make_guest: Callable[[Callable[[], None]], Guest], busy_poll_s: float = 0.0) -> None:
-        """Lets this transport's thread give turns to the actors that it has brought something.
+        """Lets the transport's thread give turns to the actors that it has brought something.
 
-        A transport that has no thread of its own, or would rather not, need not do anything.
+        Without a thread of its own there is nothing to lend.
 
         Args:
             make_guest: makes the thread a guest of the kernel's pool; called with what relieves the thread.

@@ -6,16 +6,17 @@ On the wire each is an array that begins with its number; 0 is the number of a r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Final, Literal
 
 import msgspec
 
 from pancakes.errors import LocalProtocolError
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import DEFAULT_FLEET, parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
-VERSION: Final = 6
+VERSION: Final = 7
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -32,8 +33,8 @@ boot of that agent is connected. `duplicate`: another connection to that agent s
 peers. `protocol`: the peer broke the protocol.
 """
 
-DEFAULT_FLEET: Final = "default"
-"""The fleet of agents whose configuration names none."""
+MOST_LISTEN: Final = 8
+"""Most addresses at which one agent listens."""
 
 Name = Annotated[str, msgspec.Meta(max_length=256)]
 """Of an agent or a fleet; `fault_of_hello` checks its letters."""
@@ -53,7 +54,7 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
         role: what it may be asked for.
         journal: UUID of its journal; two agents of one name are told apart by it.
         boot: how often that journal was opened; a higher one is a later life of the same agent.
-        listen: address at which it can be dialled, or empty.
+        listen: the addresses at which the receiver can dial it, the best first.
     """
 
     version: int
@@ -62,13 +63,13 @@ class Hello(msgspec.Struct, frozen=True, array_like=True, tag=HELLO_NUMBER):
     role: Role
     journal: Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
     boot: Count
-    listen: Address = ""
+    listen: Annotated[tuple[Address, ...], msgspec.Meta(max_length=MOST_LISTEN)] = ()
 
 
 def fault_of_hello(hello: Hello) -> str:
     """Returns why a hello cannot be taken, as a sentence; empty where it can."""
     fault = fault_of_name(hello.name, client=hello.role == "client") or fault_of_name(hello.fleet)
-    return fault or (fault_of_address(hello.listen) if hello.listen else "")
+    return fault or next(filter(None, map(fault_of_address, hello.listen)), "")
 
 
 def fault_of_address(address: str) -> str:
@@ -133,13 +134,13 @@ class Identity(msgspec.Struct, frozen=True):
     fleet: str = DEFAULT_FLEET
     role: Role = "agent"
 
-    def hello(self, listen: str = "") -> Hello:
-        """Returns the hello of this agent, which can be dialled at `listen`.
+    def hello(self, listen: Sequence[str] = ()) -> Hello:
+        """Returns the hello of this agent, which can be dialled at the addresses of `listen`.
 
         Raises:
             LocalProtocolError: a part is not what it must be, such as a name with a slash.
         """
-        row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, listen]
+        row = [HELLO_NUMBER, VERSION, self.fleet, self.name, self.role, self.journal, self.boot, list(listen)]
         try:
             hello = codecs.convert(row, Hello)
         except msgspec.ValidationError as error:

@@ -7,8 +7,10 @@ from math import inf
 from os import PathLike, fspath
 from typing import Any, Final, TypeVar
 
+from msgspec.structs import replace
+
 from pancakes.errors import ConfigError, Fault
-from pancakes.mesh.address import parse_address
+from pancakes.mesh.address import in_fleet, parse_address
 from pancakes.packet import CORE_CHANNELS
 from pancakes.runtime.config.key_places import NAMED_TABLES, KeyPlaces
 from pancakes.runtime.config.override import apply_set
@@ -96,8 +98,13 @@ class _ConfigReader:
     def config(self) -> Config:
         self._check_top()
         services = self._tables("service", ServiceConfig, {name: {"type": name} for name in DEFAULT_SERVICES})
+        agent = self._single("agent", AgentConfig)
         config = Config(
-            agent=self._single("agent", AgentConfig),
+            agent=replace(
+                agent,
+                listen=tuple(in_fleet(address, agent.fleet) for address in agent.listen),
+                peers=tuple(in_fleet(address, agent.fleet) for address in agent.peers),
+            ),
             clock=self._single("clock", ClockConfig),
             record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),
@@ -141,6 +148,8 @@ class _ConfigReader:
         if not isinstance(values, dict):
             self._fault((table,), f"expected a table: [{table}]")
             values = {}
+        if table == "agent" and isinstance(at := values.get("listen"), str):
+            values = {**values, "listen": [at] if at else []}
         return self._make(cls, values, (table,))
 
     def _tables(
@@ -195,8 +204,8 @@ class _ConfigReader:
         if isinstance(self._given(("agent", "name")), str):
             self._check_name(("agent", "name"), agent.name, client=agent.role == "client")
         self._check_name(("agent", "fleet"), agent.fleet)
-        if agent.listen:
-            self._check_listen(config)
+        for index, address in enumerate(agent.listen):
+            self._check_listen(config, index, address)
         for index, peer in enumerate(agent.peers):
             key = ("agent", "peers", index)
             try:
@@ -207,10 +216,14 @@ class _ConfigReader:
             if peer in agent.peers[:index]:
                 self._fault(key, f"{peer!r} stands in the list for the second time")
 
-    def _check_listen(self, config: Config) -> None:
-        key = ("agent", "listen")
+    def _check_listen(self, config: Config, index: int, text: str) -> None:
+        key: KeyPath = ("agent", "listen")
+        if isinstance(self._given(key), list):
+            key = (*key, index)
+        if text in config.agent.listen[:index]:
+            self._fault(key, f"{text!r} stands in the list for the second time")
         try:
-            address = parse_address(config.agent.listen)
+            address = parse_address(text)
         except ValueError as error:
             self._fault(key, str(error))
             return
@@ -218,7 +231,7 @@ class _ConfigReader:
         if not address.loopback and not (network and network.settings.get("insecure") is True):
             self._fault(
                 key,
-                f"{config.agent.listen!r} can be reached from other computers, and links are neither encrypted nor"
+                f"{text!r} can be reached from other computers, and links are neither encrypted nor"
                 " checked: listen on 127.0.0.1, or say settings = { insecure = true } in [service.network]",
             )
 

@@ -3,7 +3,7 @@ need there?"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pancakes.errors import Fault, PluginError
@@ -105,7 +105,7 @@ class _Check:
     def _check_transports(self) -> None:
         """Looks only for the transport of each address: faults in its form have been reported."""
         agent = self._config.agent
-        addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), agent.listen)] if agent.listen else []
+        addresses: list[tuple[KeyPath, str]] = [(("agent", "listen"), it) for it in agent.listen]
         addresses += [(("agent", "peers", index), peer) for index, peer in enumerate(agent.peers)]
         known = self._plugins.names(TRANSPORTS) if addresses else []
         for key, text in addresses:
@@ -117,18 +117,17 @@ class _Check:
                 self._fault(key, f"unknown transport {scheme!r} in {text!r}", suggestion(scheme, known))
             elif self._must_load:
                 self._get(TRANSPORTS, scheme, key)
-        self._check_transport_settings([text for _, text in addresses])
+        self._check_transport_settings()
 
-    def _check_transport_settings(self, addresses: Sequence[str]) -> None:
-        """Checks what the network's settings say of the transport, which is that of the first address."""
+    def _check_transport_settings(self) -> None:
+        """Checks what the network's settings say of transports, by their schemes."""
         network = self._config.services.get("network")
-        given = network.settings.get("transport") if network is not None else None
-        if not isinstance(given, dict) or not addresses:
-            return
-        table = ("service", "network", "settings", "transport")
-        found = self._get(TRANSPORTS, addresses[0].partition("://")[0], table)
-        for problem in check_settings(found.Settings, given) if found is not None else ():
-            self._fault((*table, *problem.path), problem.text, problem.suggestion)
+        given = network.settings.get("transports") if network is not None else None
+        for scheme, settings in given.items() if isinstance(given, dict) else ():
+            table = ("service", "network", "settings", "transports", scheme)
+            found = self._get(TRANSPORTS, scheme, table)
+            for problem in check_settings(found.Settings, settings) if found is not None else ():
+                self._fault((*table, *problem.path), problem.text, problem.suggestion)
 
     def _check_services(self) -> None:
         from pancakes.runtime.services.device import DeviceService

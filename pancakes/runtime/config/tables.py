@@ -11,8 +11,9 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta, Struct, field
 
+from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.wire.link_messages import DEFAULT_FLEET
+from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
 from pancakes.tools.recording.settings import RecordingSettings
@@ -32,9 +33,13 @@ class AgentConfig(Struct, frozen=True):
 
     Attributes:
         name: the agent's name on the mesh; the first part of all addresses in it.
-        listen: the address where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
-            one); empty where it only connects to others.
-        peers: the addresses of agents to connect to. Its own among them is skipped, so that a fleet can share one list.
+        listen: the addresses where other agents may connect, such as `tcp://127.0.0.1:7401` (port 0 takes a free
+            one); one need not stand in a list. On its own machine it can always be reached, at `local://NAME`, or
+            `local://FLEET/NAME` where its fleet is not `default`.
+        local_group: members of this group of the machine may connect there as well, for an agent that runs as a system
+            service; empty: the agent's own user alone.
+        peers: the addresses of agents to connect to, such as `tcp://192.168.1.20:7401`, or `local://NAME` on its own
+            machine. Its own among them is skipped, so that a fleet can share one list.
         role: `agent` (runs tasks, may be asked to take one), `environment` (a simulated world) or `client` (a
             person's tool); the last two are never asked to take a task.
         fleet: agents of different fleets refuse each other.
@@ -46,13 +51,22 @@ class AgentConfig(Struct, frozen=True):
     """
 
     name: str
-    listen: str = ""
+    listen: Annotated[tuple[str, ...], Meta(max_length=MOST_LISTEN - 1)] = ()
+    local_group: str = ""
     peers: tuple[str, ...] = ()
     role: Literal["agent", "environment", "client"] = "agent"
     fleet: str = DEFAULT_FLEET
     state_dir: str = ""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] | None = None
     folders: tuple[str, ...] = ()
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """All addresses where it listens, the one within its machine first."""
+        local = tuple(it for it in self.listen if is_local(it))
+        if not local and self.role != "client":
+            local = (local_address(self.fleet, self.name),)
+        return (*local, *(it for it in self.listen if not is_local(it)))
 
 
 class ClockConfig(Struct, frozen=True):

@@ -7,6 +7,7 @@ from typing import Any, Final
 from pancakes.errors import MigrationError, PancakesError, RemoteProtocolError
 from pancakes.mesh.migration.post import RESEND_S, ForwardTo, Letter, Receipt, false_name
 from pancakes.mesh.migration.record import TaskId
+from pancakes.mesh.migration.whereabouts import WhereIs, whereabouts
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.codec import packet_from_row, rows_from_payload
 from pancakes.packet import NETWORK, Packet, agent_of, join
@@ -103,6 +104,15 @@ class Courier(Component):
     def on_forward_to(self, packet: Packet) -> None:
         """A task is not where it was thought to be."""
         self._forwarded(packet.body, agent_of(packet.source))
+
+    @on(NETWORK, WhereIs, addressed=True)
+    def on_where_is(self, packet: Packet) -> None:
+        """An agent must know who has a task before it obeys it."""
+        try:
+            record = self._records.get(TaskId.parse(packet.body.task_id))
+            self.publish(NETWORK, whereabouts(self.agent, packet.body.task_id, record), to=packet.source)
+        except PancakesError as error:
+            self.log("debug", f"{packet.source} was not told where {packet.body.task_id!a} is: {error}")
 
     def _arrived(self, letter: Letter, peer: str) -> None:
         try:

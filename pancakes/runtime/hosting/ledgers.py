@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -35,7 +36,7 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 class Ledgers:
-    """The newest accounts of one agent. One thread adds to them; any thread asks for them.
+    """The newest accounts of one agent. Any thread adds to them, and asks for them.
 
     The journal deletes nothing, so its entries go round: account 101 is written in the place of account 1.
 
@@ -50,7 +51,9 @@ class Ledgers:
 
         self._log = log
         self._boot = disk.journal.boot
+        self._lock = threading.Lock()  # guards the number of the last one
         self._accounts = RecordTable(disk, KIND, codecs.decoder(Kept), malformed)
+        self._last = max((kept.number for kept in self._accounts.newest.values()), default=0)
 
     def add(self, ledger: Ledger, reason: str, mission_s: float) -> None:
         """Keeps an account, and begins to write it down; that of a hand-off is kept once. Never waits.
@@ -60,17 +63,17 @@ class Ledgers:
             reason: why the move came to nothing, or what had come between; else empty.
             mission_s: mission time.
         """
-        newest = self._newest()
-        if ledger.offer and any(
-            (kept.ledger.task_id, kept.ledger.offer) == (ledger.task_id, ledger.offer) for kept in newest
-        ):
-            # The agent was killed after it was written and before the task's record said so.
-            return
-        number = newest[-1].number + 1 if newest else 1
 
         def failed(why: str) -> None:
             self._log("warning", f"the account of the move of {ledger.task_id} is not in the journal: {why}")
 
+        if ledger.offer and any(
+            (kept.ledger.task_id, kept.ledger.offer) == (ledger.task_id, ledger.offer) for kept in self._newest()
+        ):
+            # The agent was killed after it was written and before the task's record said so.
+            return
+        with self._lock:
+            self._last = number = self._last + 1
         kept = Kept(number, self._boot, mission_s, reason, ledger)
         self._accounts.write(f"{number % KEPT:02d}", kept, lambda: None, failed)
 

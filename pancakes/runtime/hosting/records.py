@@ -72,6 +72,10 @@ class Records:
         """Returns the records as they are on disk."""
         return {record.task_id: record for record in list(self._records.on_disk.values())}
 
+    def get(self, task_id: TaskId) -> Record | None:
+        """Returns the record of a task as it is on disk; None: there is none."""
+        return self._records.on_disk.get(str(task_id))
+
     def service_of(self, task_id: TaskId) -> str:
         """Returns the name of the service whose record of a task is on disk; empty: there is none, or it says none."""
         record = self._records.on_disk.get(str(task_id))

@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pancakes.bodies.devices.driver import Actuator, Driver, Sensor
-from pancakes.control import Hold
+from pancakes.control import Hold, SetFence
 from pancakes.errors import MailboxFull
+from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.mesh.net.transport import Transport
-from pancakes.packet import CTRL, SYSTEM, Fence, Packet, agent_of
+from pancakes.packet import CTRL, NETWORK, SYSTEM, Packet, agent_of
 from pancakes.runtime.kernel.handlers import Tick, every, on
 from pancakes.runtime.kernel.mailbox import Mailbox
 from pancakes.runtime.kernel.registry import DeviceEntry
 from pancakes.runtime.life.restart import RestartSpec
-from pancakes.runtime.services.fences import Fences
+from pancakes.runtime.services.actuator_fence import ActuatorFence, FencesOfAgent
 from pancakes.runtime.supervision.slot import Slot
+from pancakes.runtime.supervision.task_messages import ChangeTask
 from pancakes.service import Service
 from pancakes.task import Task, TaskSpec
 
@@ -141,7 +143,7 @@ class DeviceTask(Task):
         *,
         device: DeviceSpec,
         shared: SharedThings,
-        fences: Fences,
+        fences: FencesOfAgent,
         **others: Any,
     ) -> None:
         # The settings of a device are its driver's.
@@ -150,9 +152,7 @@ class DeviceTask(Task):
         self.device = device
         self.blocking = device.cls.blocking
         self._shared = shared
-        self._fences = fences
-        self._put_up: Fence | None = None  # what is being written
-        self._waiting: tuple[Packet, float] | None = None  # for that, and since when
+        self._fence = ActuatorFence(self, fences, device.hold_after_s, self.command, self._refuse, self._hold)
         self.driver: Driver | None = None
         self._sensor: Sensor | None = None
         self._actuator: Actuator | None = None
@@ -173,6 +173,7 @@ class DeviceTask(Task):
         actuator = isinstance(self.driver, Actuator)
         if actuator:
             self.subscribe(CTRL, driver_class.type, self.command)
+            self.subscribe(NETWORK, TaskAt, self._told_where)
         self.kernel.registry.add_device(
             DeviceEntry(self.name, driver_class.type, actuator, driver_class.networked, self.address)
         )
@@ -242,17 +243,10 @@ class DeviceTask(Task):
         if refusal:
             self._refuse(packet, refusal)
             return
-        fence = packet.fence
-        if fence is not None and not self._fences.holds(self.name, fence):
-            self._waiting = (packet, self.now())
-            if self._put_up != fence:
-                self._put_up = fence
-                self._fences.put_up(
-                    self.name,
-                    fence,
-                    lambda: self.call(lambda: self._fence_stands(fence)),
-                    lambda reason: self.call(lambda: self._fence_failed(fence, reason)),
-                )
+        if not self._fence.stands(packet):
+            return
+        if refusal := self._claim(packet.source):
+            self._refuse(packet, refusal)
             return
         driver = self._actuator
         assert driver is not None
@@ -260,7 +254,7 @@ class DeviceTask(Task):
         self._command_s = self.now()
         self._holding = False
         # What a virtual actuator sends on is said under the right of the task that commands it.
-        self.fence = fence
+        self.fence = packet.fence
         try:
             driver.apply(packet.body, self.device.hold_after_s, packet.source)
         finally:
@@ -276,39 +270,37 @@ class DeviceTask(Task):
             self.event("command_refused", device=self.name, by=packet.source, reason=refusal)
             self.log("warning", f"{self.name} refused a command of {packet.source}: {refusal}")
 
-    def _fence_stands(self, fence: Fence) -> None:
-        """An epoch that is new here is on disk: what has waited for it is obeyed, if it still may be."""
-        if self._put_up != fence:
-            return  # a later one is being written
-        self._put_up = None
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None and self.now() - waiting[1] < self.device.hold_after_s:
-            self.command(waiting[0])
-
-    def _fence_failed(self, fence: Fence, reason: str) -> None:
-        if self._put_up != fence:
-            return
-        # The next command tries again.
-        self._put_up = None
-        waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            self._refuse(waiting[0], f"its epoch is not on disk: {reason}")
-
     def _refusal(self, packet: Packet) -> str:
-        fence = packet.fence
-        if fence is not None:
-            # First of all: who speaks without a right must not get hold of an actuator that is free just now.
-            mark = self._fences.highest(self.name, fence.task_id)
-            if mark is not None and tuple(fence.epoch) < mark:
-                return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark[0]} has been seen"
-        registry = self.kernel.registry
-        holder = registry.holder(self.name)
-        if not holder and agent_of(packet.source) != self.agent:
-            # Another agent's virtual actuator: it holds this one for as long as its commands are fresh.
-            holder = registry.claim(self.name, packet.source)
-        if packet.source != holder:
-            return f"it is held by {holder}" if holder else f"{packet.source} does not hold it"
+        # First of all: who speaks without a right must not get hold of an actuator that is free just now.
+        if passed := self._fence.passed(packet):
+            return passed
+        holder = self.kernel.registry.holder(self.name)
+        if holder and packet.source != holder:
+            return f"it is held by {holder}"
+        if not holder and agent_of(packet.source) == self.agent:
+            return f"{packet.source} does not hold it"
         return ""
+
+    def _claim(self, source: str) -> str:
+        """Lets another agent's virtual actuator hold this one for as long as its commands are fresh.
+
+        Returns:
+            Why it cannot; empty: it holds it.
+        """
+        registry = self.kernel.registry
+        holder = registry.holder(self.name) or registry.claim(self.name, source)
+        return f"it is held by {holder}" if holder and holder != source else ""
+
+    def _told_where(self, packet: Packet) -> None:
+        if packet.destination == self.address:
+            self._fence.told(packet)
+
+    def set_fence(self, change: ChangeTask) -> None:
+        body = change.body
+        assert isinstance(body, SetFence)
+        if self._actuator is None:
+            super().set_fence(change)
+        self._fence.set(body, change.request.by, lambda reason, result: self.answer_change(change, reason, result))
 
     def _guard(self) -> None:
         """Looks whether a fresh command has come in the time that the last one was good for."""
@@ -328,7 +320,7 @@ class DeviceTask(Task):
 
     def _hold(self, reason: str) -> None:
         self._holding = True
-        self._waiting = None
+        self._fence.drop()
         if isinstance(self.driver, Actuator):
             self.driver.hold()
             self.event("safe_hold", device=self.name, reason=reason)
@@ -345,7 +337,7 @@ class DeviceService(Service):
         fences: what the actuators have seen of the tasks that command them.
     """
 
-    def __init__(self, *args: Any, fences: Fences, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
+    def __init__(self, *args: Any, fences: FencesOfAgent, devices: Sequence[DeviceSpec] = (), **others: Any) -> None:
         super().__init__(*args, **others)
         self._devices = tuple(devices)
         self._shared = SharedThings()
@@ -372,6 +364,14 @@ class DeviceService(Service):
     def settings_class(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")
         return device.cls.Settings if device is not None else super().settings_class(slot)
+
+    def describe_in_detail(self, slot: Slot) -> dict[str, Any]:
+        marks = self._fences.fences.of(slot.name)
+        fences = [
+            {"task_id": task_id, "epoch": mark.n, "minter": mark.minter, "brought_by": mark.peer or self.agent}
+            for task_id, mark in sorted(marks.items())
+        ]
+        return {**super().describe_in_detail(slot), "fences": fences}
 
     def author_of(self, slot: Slot) -> type:
         device: DeviceSpec | None = slot.spec.arguments.get("device")

@@ -5,19 +5,18 @@ Without the disk, an agent that is started again would obey a copy of a task tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from pancakes.packet import Fence
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.journal import Disk, RecordTable
+from pancakes.runtime.services.fence_rule import Mark
 
 KIND = "fence"
 
-Epoch = tuple[int, str]
-
 
 class Fences:
-    """All marks of one agent. An actuator's are asked for and raised by its own task alone, in any thread.
+    """All marks of one agent. An actuator's are asked for and written by its own task alone, in any thread.
 
     One journal entry for each actuator holds its marks of all tasks.
 
@@ -29,25 +28,31 @@ class Fences:
         def malformed(actuator: str, why: str) -> None:
             disk.unread.append(f"the journal's fence of the actuator {actuator} is not used: {why}")
 
-        self._marks = RecordTable(disk, KIND, codecs.decoder(dict[str, Epoch]), malformed)
+        self._marks = RecordTable(disk, KIND, codecs.decoder(dict[str, Mark]), malformed)
 
-    def highest(self, actuator: str, task_id: str) -> Epoch | None:
+    def of(self, actuator: str) -> Mapping[str, Mark]:
+        """Returns what an actuator has seen, by task, on disk or about to be."""
+        return self._marks.newest.get(actuator, {})
+
+    def highest(self, actuator: str, task_id: str) -> Mark | None:
         """Returns the highest epoch that the actuator has seen of a task, on disk or about to be; None: none."""
-        return self._marks.newest.get(actuator, {}).get(task_id)
+        return self.of(actuator).get(task_id)
 
     def holds(self, actuator: str, fence: Fence) -> bool:
         """Returns whether a command under `fence` may be obeyed: its epoch is on disk, and none higher."""
-        return self._marks.on_disk.get(actuator, {}).get(fence.task_id) == tuple(fence.epoch)
+        mark = self._marks.on_disk.get(actuator, {}).get(fence.task_id)
+        return mark is not None and (mark.n, mark.minter) == tuple(fence.epoch)
 
-    def put_up(self, actuator: str, fence: Fence, then: Callable[[], None], failed: Callable[[str], None]) -> None:
-        """Begins to write down that the actuator has seen an epoch, which is not lower than the highest. Never waits.
+    def write(
+        self, actuator: str, task_id: str, mark: Mark, then: Callable[[], None], failed: Callable[[str], None]
+    ) -> None:
+        """Begins to write down what an actuator has seen of a task. Never waits.
 
         Args:
             actuator: the actuator's name.
-            fence: the task and its epoch.
+            task_id: the task.
+            mark: what it has seen.
             then: called, in the store's thread, when it is on disk for good.
             failed: called instead, with the reason, where it could not be written.
         """
-        marks = dict(self._marks.newest.get(actuator, {}))
-        marks[fence.task_id] = (fence.epoch[0], fence.epoch[1])
-        self._marks.write(actuator, marks, then, failed)
+        self._marks.write(actuator, {**self.of(actuator), task_id: mark}, then, failed)

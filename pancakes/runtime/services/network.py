@@ -94,14 +94,14 @@ class NetworkService(Service):
                 within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
                 saves power.
             insecure: whether it may listen where other machines can reach it, although links are not encrypted.
-            transport: settings of the transport that the addresses in `[agent]` name.
+            transports: settings of transports, by the scheme of their addresses: `{ tcp = { dial_s = 2.0 } }`.
         """
 
         discovery_hz: Annotated[float, Meta(ge=0, le=1000)] = 1.0
         heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
-        transport: dict[str, bool | int | float | str] = field(default_factory=dict)
+        transports: dict[str, dict[str, bool | int | float | str]] = field(default_factory=dict)
 
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
         super().__init__(*args, **others)

@@ -29,6 +29,7 @@ from pancakes.control import (
     Migrations,
     Reschedule,
     Restart,
+    SetFence,
     Shutdown,
     Start,
     Stop,
@@ -251,7 +252,7 @@ class Root(Component):
                 place.commands = (*place.commands, (body, request))
             else:
                 self._change_service(place, body, request)
-        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget)):
+        elif isinstance(body, (Reschedule, Configure, Migrate, Adopt, Forget, SetFence)):
             raise ControlRefused(f"{place.address} is a service: name one of its tasks")
         elif place.service is not None:
             self._hand(place.spec.name, "", body, request)

@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 
 from msgspec.structs import replace
 
-from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, Start, Stop
+from pancakes.control import Adopt, Configure, Describe, Forget, Migrate, Reschedule, Restart, SetFence, Start, Stop
 from pancakes.errors import ControlRefused
 from pancakes.runtime.kernel.keep import reliable
 from pancakes.runtime.kernel.kernel import Kernel
@@ -102,7 +102,9 @@ def restart(service: Commanded, slot: Slot, body: Restart, request: Request) -> 
     service.feed(slot, StopAsked(request, f"restart asked for by {request.by}", again=True))
 
 
-def change(service: Commanded, slot: Slot, body: Reschedule | Configure | Describe, request: Request) -> None:
+def change(
+    service: Commanded, slot: Slot, body: Reschedule | Configure | Describe | SetFence, request: Request
+) -> None:
     """Has a running task change, or say how it stands, in its own turn; the answer comes after that.
 
     Raises:
@@ -113,7 +115,7 @@ def change(service: Commanded, slot: Slot, body: Reschedule | Configure | Descri
     if isinstance(body, Configure):
         _check_paths(service, slot, body.settings)
     slot.changing = (*slot.changing, request)
-    lasting = not isinstance(body, Describe) and not body.dry_run
+    lasting = isinstance(body, (Reschedule, Configure)) and not body.dry_run
     tell(slot.task, ChangeTask(request, body, carry=lasting and service.keeps_changes))
 
 
@@ -136,6 +138,12 @@ def refuse_move(service: Commanded, slot: Slot, body: Any, request: Request) -> 
     raise ControlRefused(f"{slot.address} cannot move: what {service.address} looks after stays with its agent")
 
 
+CHANGES: Final[Mapping[type, str]] = {
+    Reschedule: "rate_changed",
+    Configure: "settings_changed",
+    SetFence: "fence_set",
+}
+"""The event that tells of a change, by what asked for it."""
 COMMANDS: Final[Mapping[type, Command]] = {
     Start: start,
     Stop: stop,
@@ -143,6 +151,7 @@ COMMANDS: Final[Mapping[type, Command]] = {
     Reschedule: change,
     Configure: change,
     Describe: tell_of,
+    SetFence: change,
     Migrate: refuse_move,
     Adopt: refuse_move,
     Forget: refuse_move,

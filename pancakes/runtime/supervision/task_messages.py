@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from pancakes.control import Configure, Describe, Reschedule
+from pancakes.control import Configure, Describe, Reschedule, SetFence
 from pancakes.mesh.migration.post import Letter
 from pancakes.mesh.migration.record import Epoch
 from pancakes.packet import Packet
@@ -47,7 +47,7 @@ class ChangeTask(msgspec.Struct, frozen=True):
     """
 
     request: Request
-    body: Reschedule | Configure | Describe
+    body: Reschedule | Configure | Describe | SetFence
     carry: bool = False
 
 

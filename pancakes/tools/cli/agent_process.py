@@ -163,9 +163,9 @@ def _register(running: Agent) -> Registration | None:
     from pancakes.runtime.runtime_dir import RunningAgent, register
 
     agent = running.config.agent
-    listen = reachable(running.mesh.listen, "tcp://127.0.0.1:0")
+    listen = tuple(reachable(address, "tcp://127.0.0.1:0") for address in running.mesh.listen)
     try:
-        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()))
+        return register(RunningAgent(agent.name, agent.fleet, agent.role, listen, os.getpid()), agent.local_group)
     except PancakesError as error:
         _warn(f"warning: `pancakes` will find {agent.name} only with --at: {error}")
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from pancakes.runtime.plugins import Plugins
 from pancakes.tools.demo.demo import Demo
 from pancakes.tools.launch.overrides import whose
 from pancakes.tools.launch.ports import Claim, claim_ports
+from pancakes.tools.launch.within_machine import within_machine
 
 LAUNCHER = "launcher"
 
@@ -45,7 +47,7 @@ class DemoPlan:
 
     def peers(self) -> tuple[str, ...]:
         """Returns the addresses of all agents."""
-        return tuple(config.agent.listen for config in self.configs.values())
+        return tuple(config.agent.addresses[-1] for config in self.configs.values())
 
     def buses(self) -> tuple[str, ...]:
         """Returns the addresses of the hardware buses, which no fault of the network concerns."""
@@ -68,6 +70,7 @@ def make_plan(
     extra: tuple[str, ...],
     live: bool,
     plugins: Plugins | None = None,
+    local: bool = False,
 ) -> DemoPlan:
     """Works out one run.
 
@@ -82,6 +85,7 @@ def make_plan(
         live: whether ports are really taken; ports in use are then replaced by free ones.
         plugins: where drivers and tasks come from, None for what is installed. What they ask of the configurations
             is checked here, before anything starts.
+        local: whether the agents of a live demo speak within this machine alone, and take no TCP port.
 
     Raises:
         PancakesError: a file is missing or wrong.
@@ -110,10 +114,10 @@ def make_plan(
         agents, change = whose(one, demo.agents)
         for agent in agents:
             sets[agent].append(change)
-    claim, moved = claim_ports(files) if live else (None, {})
-    for agent, changes in moved.items():
-        sets[agent].extend(changes)
     plugins = plugins or Plugins()
+    claim, elsewhere = _places(files, fleet, local) if live else (None, {})
+    for agent, changes in elsewhere.items():
+        sets[agent].extend(changes)
     try:
         configs = {agent: load(str(files[agent]), sets[agent], plugins) for agent in demo.agents}
     except PancakesError:
@@ -122,6 +126,17 @@ def make_plan(
         raise
     frozen = {agent: tuple(changes) for agent, changes in sets.items()}
     return DemoPlan(demo, out, seed, speed, duration_s, frozen, files, configs, claim)
+
+
+def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim | None, Mapping[str, list[str]]]:
+    """Returns what keeps other demos from the ports of a live one, and what is to be set where it has others."""
+    try:
+        tables = {agent: tomllib.loads(path.read_text(encoding="utf-8")) for agent, path in files.items()}
+    except (OSError, ValueError):
+        return None, {}  # whatever is wrong with it, reading it as a configuration says so better
+    if local:
+        return None, within_machine(tables, dict.fromkeys(files, fleet))
+    return claim_ports(tables)
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:

@@ -35,7 +35,7 @@ def check_alone(configs: Iterable[Config]) -> None:
         for entry in entries()
         if entry.fleet in fleets and entry.role == "agent"
     }
-    own = {agent.listen for agent in agents}
+    own = {address for agent in agents for address in agent.addresses}
     for fleet in fleets:
         peers = [peer for agent in agents if agent.fleet == fleet for peer in agent.peers if peer not in own]
         for name, address in _at(fleet, peers):
@@ -72,4 +72,4 @@ def _at(fleet: str, addresses: Sequence[str]) -> list[tuple[str, str]]:
             found = client.survey()
     except Unreachable:
         return []
-    return [(it["agent"], it["listen"]) for it in found.agents if it["role"] == "agent"]
+    return [(it["agent"], it["listen"][-1]) for it in found.agents if it["role"] == "agent"]

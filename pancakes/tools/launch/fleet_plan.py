@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from pancakes.errors import ConfigError, Fault, PancakesError
+from pancakes.mesh.address import DEFAULT_FLEET
 from pancakes.runtime.config import Address, load, parse_address
 from pancakes.runtime.config.key_places import set_text
+from pancakes.runtime.config.override import apply_set
 from pancakes.runtime.config.toml_source import tables_of, text_of
 from pancakes.runtime.config.toml_text import value_text
 from pancakes.runtime.plugins import Plugins
@@ -19,6 +22,7 @@ from pancakes.tools.launch.fleet_file import FLEET_FILE, is_fleet, load_fleet
 from pancakes.tools.launch.member import Member, Policy, ProcessRestart
 from pancakes.tools.launch.overrides import overrides, whose
 from pancakes.tools.launch.ports import Claim, listening_fault
+from pancakes.tools.launch.within_machine import within_machine
 
 _EVERYWHERE = ("0.0.0.0", "::")
 
@@ -47,6 +51,7 @@ def make_fleet(
     plugins: Plugins | None,
     *,
     must_load: bool = False,
+    local: bool = False,
 ) -> list[Member]:
     """Reads a fleet; nothing is started, and what runs already is not looked at.
 
@@ -57,6 +62,7 @@ def make_fleet(
         policy: whether an agent is started again when it ends; None: as the fleet file says.
         plugins: where drivers and tasks come from; None leaves what they ask of the configurations unchecked.
         must_load: whether it is a fault where one of these that a configuration names cannot be imported.
+        local: whether they speak within this machine alone, and take no TCP port.
 
     Raises:
         ConfigError: a file is not sound, or two of them do not fit together; it carries every fault.
@@ -72,6 +78,8 @@ def make_fleet(
             continue
         for agent in agents:
             sets[agent].append(rest)
+    if local:
+        _stay_within(drafts, sets)
     members: list[Member] = []
     for draft in drafts:
         changes = tuple(sets[draft.name])
@@ -106,17 +114,33 @@ def check_free(members: Sequence[Member]) -> Claim:
     for member in members:
         agent = member.config.agent
         pid = running.get((agent.fleet, agent.name))
-        address = _place(member)
         if pid is not None:
             problems.append(f"the agent {agent.name} of the fleet {agent.fleet} runs already (process {pid})")
-        elif address is not None and (fault := listening_fault(address.host, address.port)):
-            problems.append(f"{agent.name} cannot listen at {agent.listen}: {fault}")
-    claim = Claim.to(address.port for member in members if (address := _place(member)))
+            continue
+        for address in _places(member):
+            if fault := listening_fault(address.host, address.port):
+                problems.append(f"{agent.name} cannot listen at {address}: {fault}")
+    claim = Claim.to(address.port for member in members for address in _places(member))
     if problems or claim is None:
         if claim is not None:
             claim.release()
         raise PancakesError("\n".join(problems) or "another launcher is about to use the ports of this fleet")
     return claim
+
+
+def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> None:
+    """Changes what is set of the members' files so that they need no port. What is wrong in a file is said later."""
+    tables: dict[str, Any] = {}
+    for draft in drafts:
+        try:
+            tables[draft.name], places = tables_of(text_of(str(draft.path)), str(draft.path))
+        except ConfigError:
+            return
+        for change in sets[draft.name]:
+            apply_set(change, tables[draft.name], places)
+    fleets = {name: str(table.get("agent", {}).get("fleet", DEFAULT_FLEET)) for name, table in tables.items()}
+    for name, changes in within_machine(tables, fleets).items():
+        sets[name].extend(changes)
 
 
 def _drafts(paths: Sequence[Path]) -> tuple[list[_Draft], list[Fault]]:
@@ -191,21 +215,22 @@ def _clashes(members: Sequence[Member]) -> Iterator[Fault]:
     for index, member in enumerate(members):
         for other in members[:index]:
             places = member.config.places
-            if _same_port(_place(member), _place(other)):
-                yield places.fault(("agent", "listen"), f"{other.name} ({other.path}) listens at this port already")
+            for one, another in product(_places(member), _places(other)):
+                if _same_port(one, another):
+                    problem = f"{other.name} ({other.path}) listens at this port already"
+                    yield places.fault(("agent", "listen"), problem)
             directory, taken = state_dir_of(member.config), state_dir_of(other.config)
             if directory is not None and taken is not None and directory.absolute() == taken.absolute():
                 key = ("agent", "state_dir")
                 yield places.fault(key, f"is the state directory of {other.name} ({other.path}) as well")
 
 
-def _place(member: Member) -> Address | None:
-    """The address that a member listens at; None where it does not, or at any free port."""
-    address = parse_address(member.config.agent.listen) if member.config.agent.listen else None
-    return address if address is not None and address.port else None
+def _places(member: Member) -> list[Address]:
+    """The addresses that a member listens at, as far as they have a port that is known beforehand."""
+    return [address for address in map(parse_address, member.config.agent.listen) if address.port]
 
 
-def _same_port(one: Address | None, other: Address | None) -> bool:
-    if one is None or other is None or one.port != other.port:
+def _same_port(one: Address, other: Address) -> bool:
+    if one.port != other.port:
         return False
     return one.host == other.host or one.host in _EVERYWHERE or other.host in _EVERYWHERE

@@ -6,15 +6,13 @@ import contextlib
 import fcntl
 import os
 import socket
-import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from msgspec.structs import replace
 
-from pancakes.mesh.address import Address, parse_address
 from pancakes.runtime.runtime_dir import runtime_dir
+from pancakes.tools.launch.table_addresses import addresses_in, moved
 
 
 class Claim:
@@ -53,72 +51,27 @@ class Claim:
             os.close(lock)
 
 
-def claim_ports(files: Mapping[str, Path]) -> tuple[Claim | None, Mapping[str, list[str]]]:
+def claim_ports(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Claim | None, dict[str, list[str]]]:
     """Sees to it that the agents of a fleet can listen, at other ports if need be.
 
     Args:
-        files: the agents' configuration files, by agent.
+        tables: what the agents' files say, by agent.
 
     Returns:
         A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
         claim, and what is to be set in each agent's file so that all of them use free ones.
     """
-    tables: dict[str, Any] = {}
-    for agent, path in files.items():
-        try:
-            tables[agent] = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None, {}  # whatever is wrong with it, reading it as a configuration says so better
-    found = [_address(text) for table in tables.values() for _, text in _strings(table, ())]
-    addresses = [address for address in dict.fromkeys(found) if address is not None]
+    addresses = addresses_in(dict(tables))
     claim = Claim.to(dict.fromkeys(address.port for address in addresses))
     if claim is not None:
         if not any(listening_fault(it.host, it.port, it.scheme) for it in addresses):
             return claim, {}
         claim.release()
     taken = [_take_free_port(address.host, address.scheme) for address in addresses]
-    free = {address: port for address, (_, port) in zip(addresses, taken, strict=True)}
+    free = {it: str(replace(it, port=port)) for it, (_, port) in zip(addresses, taken, strict=True)}
     for held, _ in taken:
         held.close()
-    return None, {agent: _moved(table, free) for agent, table in tables.items()}
-
-
-def _moved(table: Any, free: Mapping[Address, int]) -> list[str]:
-    """Returns what is to be set in one agent's file so that its addresses have other ports."""
-    changes: list[str] = []
-    lists: dict[tuple[str, ...], list[str]] = {}
-    for keys, text in _strings(table, ()):
-        address = _address(text)
-        if address is None:
-            continue
-        moved = f'"{replace(address, port=free[address])}"'
-        if keys[-1] == "*":
-            lists.setdefault(keys[:-1], []).append(moved)
-        else:
-            changes.append(f"{'.'.join(keys)}={moved}")
-    changes.extend(f"{'.'.join(keys)}=[{', '.join(items)}]" for keys, items in lists.items())
-    return changes
-
-
-def _strings(value: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yields all strings of a table with the keys that lead to them; `*` stands for a place in a list."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _strings(inner, (*path, key))
-    elif isinstance(value, list):
-        for inner in value:
-            yield from _strings(inner, (*path, "*"))
-    elif isinstance(value, str):
-        yield path, value
-
-
-def _address(text: str) -> Address | None:
-    """Returns the address that a text is; None where it is none of TCP or UDP."""
-    try:
-        found = parse_address(text)
-    except ValueError:
-        return None
-    return found if found.scheme in ("tcp", "udp") else None
+    return None, {agent: moved(table, free) for agent, table in tables.items()}
 
 
 def listening_fault(host: str, port: int, scheme: str = "tcp") -> str:

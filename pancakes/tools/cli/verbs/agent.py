@@ -36,7 +36,7 @@ def list_(agents: tuple[str, ...], role: str, ask: Ask) -> None:
     rows = [
         {
             **found,
-            "address": found["listen"],
+            "address": ", ".join(found["listen"]),
             "mission_s": round(found["mission_s"], 3),
             "tasks": len(found["tasks"]),
         }
@@ -77,7 +77,7 @@ def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
         found["agent"]: {
             "role": found["role"],
             "fleet": found["fleet"],
-            "address": found["listen"] or None,
+            "addresses": found["listen"],
             "ready": found["ready"],
             "clock": _clock(found),
             "battery": found["battery_level"],
@@ -108,7 +108,7 @@ def _link(peer: dict[str, Any]) -> dict[str, Any]:
     return {
         "link to": peer["name"],
         "role": peer["role"],
-        "address": peer["address"] or peer["remote"],
+        "address": ", ".join(peer["addresses"]) or peer["remote"],
         "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
         "packets out": peer["packets_out"],
         "packets in": peer["packets_in"],

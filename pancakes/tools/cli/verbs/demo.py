@@ -75,6 +75,7 @@ class DemoNames(click.ParamType):
 @click.option("--view", "view_", is_flag=True, help="Show it on a page in the browser, which stays until Ctrl-C.")
 @click.option("--control", is_flag=True, help="Let that page move and stop tasks and change rates (live).")
 @port_option
+@click.option("--local", is_flag=True, help="The agents speak within this machine alone, and take no port (live).")
 @click.option("--faults", is_flag=True, help="Latency, jitter and broken links between the agents (with --virtual).")
 def demo(
     name: str | None,
@@ -87,6 +88,7 @@ def demo(
     control: bool,
     port: int | None,
     faults: bool,
+    local: bool,
     **asked: Any,
 ) -> None:
     """Run a demo and judge it: exit code 0 only where the verdict is PASS.
@@ -106,6 +108,8 @@ def demo(
         virtual = found.virtual
     if faults and not virtual:
         raise click.UsageError("--faults needs --virtual: a live network has faults of its own")
+    if local and virtual:
+        raise click.UsageError("--local does not go with --virtual: such a run has no network but its own memory")
     if not view_ and (control or port is not None):
         raise click.UsageError("--control and --port are about the page: they need --view")
     if control and virtual:
@@ -116,7 +120,7 @@ def demo(
     page = DemoPage(control, port, speed, interrupted) if view_ else None
     out = (out or Path("runs") / f"{name}-{seed}-{'virtual' if virtual else 'live'}").absolute()
     speed = 1.0 if virtual else speed
-    options = _Options(plugins, virtual, seed, speed, faults, interrupted, page, **asked)
+    options = _Options(plugins, virtual, seed, speed, faults, local, interrupted, page, **asked)
     try:
         try:
             code = _run(found, out, options)
@@ -149,6 +153,7 @@ class _Options:
     seed: int
     speed: float
     faults: bool
+    local: bool
     interrupted: threading.Event
     page: DemoPage | None
     duration: float | None
@@ -204,7 +209,8 @@ def _fly(found: Demo, out: Path, options: _Options) -> tuple[Run, dict[str, Any]
     configs = find_configs(found, options.configs)
     recording = (f'record.path="{out / RECORDING}/{{agent}}.mcap"',) if options.record else ()
     sets = (*recording, *options.sets)
-    plan = make_plan(found, configs, out, seed, options.speed, duration_s, sets, not virtual, options.plugins)
+    live, local = not virtual, options.local
+    plan = make_plan(found, configs, out, seed, options.speed, duration_s, sets, live, options.plugins, local)
     fresh(out, (*found.records.values(), "paths.png"))
     mission = Mission(plan.demo.agents, duration_s)
     plain = options.headless or virtual or not sys.stdout.isatty()

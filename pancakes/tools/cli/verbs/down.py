@@ -97,16 +97,12 @@ class _Ending:
 
     def end_all(self, here: dict[tuple[str, str], RunningAgent], fleet: str) -> None:
         """Ends the agents of this machine, or of one fleet on it; those on other machines are left alone."""
-        for entry in here.values():
-            if not entry.listen:
-                text = f"{entry.name} listens at no address, so it cannot be asked: end its process with"
-                self._fail(f"{text} kill {entry.pid}", UNREACHABLE)
-        reached = [entry for entry in here.values() if entry.listen]
+        reached = list(here.values())
         names = [entry.name for entry in reached]
         if len(set(names)) < len(names):
             # Agents of several fleets have the same name: their addresses tell them apart.
             for entry in sorted(reached, key=lambda entry: (entry.role == "environment", entry.fleet, entry.name)):
-                self.end(Where((entry.listen,), entry.fleet), [entry.name], here)
+                self.end(Where(entry.listen[:1], entry.fleet), [entry.name], here)
         elif names:
             self.end(Where(fleet=fleet), names, here)
 

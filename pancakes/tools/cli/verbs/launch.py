@@ -46,6 +46,9 @@ COLOURS: Final = ("cyan", "green", "yellow", "magenta", "blue", "bright_cyan", "
     help="Begin from empty state: the agents forget how far their tasks were, and where they are."
     " Refused while another agent of the fleet runs.",
 )
+@click.option(
+    "--local", is_flag=True, help="Let the agents speak within this machine alone, by local://, without ports."
+)
 @click.option("--dry-run", is_flag=True, help="Only check everything, and show what would be started.")
 @format_option
 def launch(
@@ -55,6 +58,7 @@ def launch(
     hold: bool,
     traceback: bool,
     fresh: bool,
+    local: bool,
     dry_run: bool,
     format_: str,
 ) -> None:
@@ -84,7 +88,7 @@ def launch(
 
     if traceback:
         sets = (*sets, SHOW_TRACEBACKS)
-    members = make_fleet(paths, sets, policy, Plugins())
+    members = make_fleet(paths, sets, policy, Plugins(), local=local)
     claim = check_free(members)
     try:
         if fresh:
@@ -105,7 +109,7 @@ def _show(members: Sequence[Member], format_: str) -> None:
             "role": member.config.agent.role,
             "config": str(member.path),
             "set": list(member.sets),
-            "listen": member.config.agent.listen,
+            "listen": member.config.agent.addresses,
             "after": list(member.after),
             "restart": member.restart.policy,
         }
@@ -150,7 +154,7 @@ def let_begin(pids: Mapping[str, int]) -> list[str]:
     now = MonotonicClock().now
     problems = []
     try:
-        there = {entry.pid: entry.listen for entry in entries()}
+        there = {entry.pid: next(iter(entry.listen), "") for entry in entries()}
         places = {name: there.get(pid, "") for name, pid in pids.items()}
         problems += [
             f"the mission of {name} waits at 0: it cannot be reached from here" for name in places if not places[name]

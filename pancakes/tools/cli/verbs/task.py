@@ -14,6 +14,7 @@ from pancakes.tools.cli.asking import order, placed, show_done, survey
 from pancakes.tools.cli.name_types import TaskName, a_task, agents
 from pancakes.tools.cli.options import Ask, FiniteRange, asks_agents, dry_run_option, keep_state_option, orders_agents
 from pancakes.tools.cli.output import show, show_json, show_sections
+from pancakes.tools.cli.verbs.fence import fence
 from pancakes.tools.cli.verbs.migration import adopt, forget, migrate, migrations
 from pancakes.tools.cli.verbs.param_names import Changes, set_option
 from pancakes.tools.cli.verbs.task_completion import timers
@@ -34,6 +35,7 @@ task.add_command(migrate)
 task.add_command(migrations)
 task.add_command(adopt)
 task.add_command(forget)
+task.add_command(fence)
 
 
 @task.command("list")

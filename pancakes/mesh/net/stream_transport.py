@@ -1,0 +1,285 @@
+"""Connections that the kernel keeps as streams of bytes: how they are dialled and taken, whatever their addresses."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import threading
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.net.loop import READ, WRITE, Loop
+from pancakes.mesh.net.stream_connection import OpenSocket, StreamConnection, why
+from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
+
+_READ_BYTES: Final = 64 * 1024
+"""So much is read at a time: its packets are handled before they have left the processor's cache."""
+_ACCEPT_PAUSE_S: Final = 0.5  # when the process is out of file descriptors
+
+Place = tuple[socket.AddressFamily, Any]
+"""Where a socket may be bound or connected, as the operating system has it."""
+
+
+class Bound(NamedTuple):
+    """A socket that takes connections.
+
+    Attributes:
+        sock: the socket.
+        address: where others dial it.
+        ended: called once it is closed.
+    """
+
+    sock: socket.socket
+    address: str
+    ended: Callable[[], None]
+
+
+class StreamTransport(SchemeTransport):
+    """A transport over stream sockets.
+
+    Args:
+        loop: the transport's thread.
+        settings: see `Settings`.
+    """
+
+    class Settings(msgspec.Struct):
+        """How it connects.
+
+        Attributes:
+            dial_s: so long a dial may take, in seconds of host time.
+        """
+
+        dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
+
+    def __init__(self, loop: Loop, settings: Settings) -> None:
+        self.dial_s = settings.dial_s
+        self.loop = loop
+        self.open: dict[OpenSocket, None] = {}
+        self.read_buffer = memoryview(bytearray(_READ_BYTES))
+
+    def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
+        try:
+            bound = self.bind(address)
+        except ValueError as error:
+            raise PancakesError(f"cannot listen at {address}: {error}") from None
+        except PancakesError as error:
+            raise PancakesError(f"cannot listen at {address}: {error}") from None
+        except OSError as error:
+            reason = error.strerror if isinstance(error, socket.gaierror) else why(error)
+            raise PancakesError(f"cannot listen at {address}: {reason}") from None
+        bound.sock.setblocking(False)
+        listener = _Listener(self, bound, accept)
+        self.loop.call_later(0.0, listener.begin)
+        return bound.address
+
+    def dial(self, address: str, handler: ConnectionHandler) -> None:
+        self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
+
+    def looks_up(self, address: str) -> bool:
+        try:
+            self.places(address, look_up=False)
+        except (OSError, ValueError):
+            return True
+        return False
+
+    def close(self) -> None:
+        for it in list(self.open):
+            it.dispose("the transport was closed")
+
+    # What addresses mean to it
+
+    @abstractmethod
+    def bind(self, address: str) -> Bound:
+        """Makes a socket that takes connections at an address.
+
+        Raises:
+            ValueError: it is none of this transport; the phrase says why.
+            OSError: the operating system refuses.
+        """
+
+    @abstractmethod
+    def places(self, address: str, look_up: bool) -> list[Place]:
+        """Returns where an address leads, the best place first.
+
+        Args:
+            address: what to dial.
+            look_up: whether a name may be looked up, which can take seconds.
+
+        Raises:
+            ValueError: it is none of this transport; the phrase says why.
+            socket.gaierror: a name leads nowhere, or would have to be looked up.
+            OSError: the operating system refuses.
+        """
+
+    @abstractmethod
+    def remote(self, sock: socket.socket, place: Any) -> str:
+        """Returns an address for the other end of a connection that came in from `place`."""
+
+    @abstractmethod
+    def prepare(self, sock: socket.socket, dialled: str) -> str:
+        """A connection stands; returns why there shall be none with what is at its other end, empty where it may be.
+
+        Args:
+            sock: its socket.
+            dialled: the address that was dialled; empty where it came in.
+        """
+
+    def connect(self, sock: socket.socket, place: Any) -> None:
+        """Connects a socket that does not block.
+
+        Raises:
+            OSError: as `socket.connect`.
+        """
+        sock.connect(place)
+
+
+class _Listener(OpenSocket):
+    """Takes connections at an address."""
+
+    def __init__(self, transport: StreamTransport, bound: Bound, accept: Callable[[], ConnectionHandler]) -> None:
+        self._transport = transport
+        self._sock = bound.sock
+        self._ended = bound.ended
+        self._make_handler = accept
+
+    def begin(self) -> None:
+        self._transport.open[self] = None
+        self._resume()
+
+    def dispose(self, reason: str) -> None:
+        self._transport.open.pop(self, None)
+        self._transport.loop.forget(self._sock)
+        self._sock.close()
+        self._ended()
+
+    def _resume(self) -> None:
+        if self in self._transport.open:
+            self._transport.loop.watch(self._sock, READ, self._ready)
+
+    def _ready(self, _events: int) -> None:
+        try:
+            sock, place = self._sock.accept()
+        except (BlockingIOError, ConnectionAbortedError):
+            return  # it was there, and has gone again
+        except OSError:  # no file descriptor is left: it would be ready again at once, for ever
+            self._transport.loop.forget(self._sock)
+            self._transport.loop.call_later(_ACCEPT_PAUSE_S, self._resume)
+            return
+        _begin(self._transport, sock, "", self._transport.remote(sock, place), self._make_handler())
+
+
+class _Connecting(OpenSocket):
+    """Opens a connection: finds out where a name leads, then tries one place after the other."""
+
+    def __init__(self, transport: StreamTransport, address: str, handler: ConnectionHandler) -> None:
+        self._transport = transport
+        self._address = address
+        self._handler = handler
+        self._sock: socket.socket | None = None
+        self._places: list[Place] = []
+        late = f"{address} did not answer within {transport.dial_s:g} s"
+        self._timer = transport.loop.call_later(transport.dial_s, lambda: self.dispose(late))
+
+    def begin(self) -> None:
+        self._transport.open[self] = None
+        try:
+            self._try(self._transport.places(self._address, look_up=False))
+        except ValueError as error:
+            self.dispose(str(error))
+        except socket.gaierror:  # a name: asking for it may take seconds, so not in this thread
+            threading.Thread(target=self._ask, name="resolve", daemon=True).start()
+        except OSError as error:
+            self._next(why(error))
+
+    def dispose(self, reason: str) -> None:
+        if self in self._transport.open:
+            self._drop_socket()
+            self._finish()
+            self._handler.closed(reason)
+
+    def _ask(self) -> None:
+        loop = self._transport.loop
+        try:
+            places = self._transport.places(self._address, look_up=True)
+        except OSError as error:
+            reason = f"{self._address} cannot be found: {error.strerror or error}"
+            loop.call_later(0.0, lambda: self.dispose(reason))
+        else:
+            loop.call_later(0.0, lambda: self._try(places))
+
+    def _finish(self) -> None:
+        del self._transport.open[self]
+        self._timer.cancel()
+
+    def _drop_socket(self) -> None:
+        if self._sock is not None:
+            self._transport.loop.forget(self._sock)
+            self._sock.close()
+            self._sock = None
+
+    def _try(self, places: list[Place]) -> None:
+        if self not in self._transport.open:
+            return  # too late
+        self._places = places
+        family, place = self._places.pop(0)
+        try:
+            self._sock = socket.socket(family, socket.SOCK_STREAM)
+            self._sock.setblocking(False)
+            self._transport.connect(self._sock, place)
+        except BlockingIOError as error:
+            assert self._sock is not None
+            if error.errno == errno.EAGAIN:  # within one machine a connection stands at once, or not at all
+                self._next("it has no room for one more that waits")
+                return
+            self._transport.loop.watch(self._sock, WRITE, self._ready)
+        except PancakesError as error:
+            self._next(str(error))
+        except OSError as error:
+            self._next(why(error))
+        else:
+            self._ready(WRITE)
+
+    def _ready(self, _events: int) -> None:
+        sock = self._sock
+        assert sock is not None
+        error = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error:
+            self._next(why(error))
+            return
+        try:
+            # The kernel may give a dial to a free local port that very port, and join the socket to itself.
+            is_its_own_peer = sock.getsockname() == sock.getpeername()
+        except OSError as gone:  # it was there, and has gone again
+            self._next(why(gone))
+            return
+        if is_its_own_peer:
+            self._next("connection refused")
+            return
+        self._sock = None
+        self._transport.loop.forget(sock)
+        self._finish()
+        _begin(self._transport, sock, self._address, self._address, self._handler)
+
+    def _next(self, why: str) -> None:
+        self._drop_socket()
+        if self._places:
+            self._try(self._places)
+        else:
+            self.dispose(f"{self._address} cannot be reached: {why}")
+
+
+def _begin(
+    transport: StreamTransport, sock: socket.socket, dialled: str, remote: str, handler: ConnectionHandler
+) -> None:
+    """A socket is connected: its connection begins, unless the transport will have none there."""
+    sock.setblocking(False)
+    refusal = transport.prepare(sock, dialled)
+    if refusal:
+        sock.close()
+        handler.closed(refusal)
+    else:
+        StreamConnection(transport, sock, remote, handler).begin()

@@ -1,0 +1,285 @@
+"""The fence of one actuator: which commands of tasks that move it lets pass, and who is asked before it is raised."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.control import SetFence
+from pancakes.errors import MigrationError, PancakesError
+from pancakes.mesh.migration.ledger import Ledger
+from pancakes.mesh.migration.record import Record, TaskId
+from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs, whereabouts
+from pancakes.packet import NETWORK, Packet, agent_of, join
+from pancakes.runtime.hosting.courier_messages import COURIER
+from pancakes.runtime.hosting.ledgers import Ledgers
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.services.fence_rule import (
+    AskAgent,
+    ClaimRefused,
+    EpochClaim,
+    Mark,
+    May,
+    PresentOwner,
+    Verdict,
+    answered,
+    judged,
+    present_owner,
+)
+from pancakes.runtime.services.fences import Fences
+
+ANSWER_S: Final = 1.0
+"""So long other agents have to say where a task is, in host time."""
+AGAIN_S: Final = 1.0
+"""An agent whose claim was refused makes no other for so long, in host time: each one costs questions and a line."""
+SET_RIGHT: Final = "pancakes task fence shows who has it, and sets that right"
+
+Done = Callable[[str, Mapping[str, Any]], None]
+"""Takes why something was not done, empty: it was, and what is to be known of it."""
+
+
+class FencesOfAgent(msgspec.Struct, frozen=True):
+    """What the fences of an agent rest on.
+
+    Attributes:
+        fences: their marks.
+        records: what is known of tasks here.
+        ledgers: the account of what was done about them.
+    """
+
+    fences: Fences
+    records: Records
+    ledgers: Ledgers
+
+
+class _Pending(msgspec.Struct):
+    """The newest command of an agent under an epoch that is new, and what is being done about that.
+
+    Attributes:
+        claim: the epoch, and the agent.
+        packet: the command.
+        since_s: since when it waits, in mission time.
+        peer: the agent that is asked who has the task; empty: the epoch is being written down.
+        asked: how many agents have been asked.
+        until_s: how long that one has to answer, in host time.
+    """
+
+    claim: EpochClaim
+    packet: Packet
+    since_s: float
+    peer: str = ""
+    asked: int = 0
+    until_s: float = 0.0
+
+
+class _Setting(msgspec.Struct):
+    """All connected agents are asked whether they have a task."""
+
+    body: SetFence
+    by: str
+    done: Done
+    answers: dict[str, TaskAt | None]
+
+
+class ActuatorFence:
+    """Lets the newest command of each agent under a new epoch wait until that is on disk. In the actuator's task.
+
+    Args:
+        task: the actuator's task, which speaks and waits for it.
+        shared: what all fences of the agent rest on.
+        good_for_s: so long a command may wait, in mission time.
+        obey: carries out a command that has waited.
+        refuse: takes a command that has waited for nothing, and why.
+        hold: brings the actuator to its safe hold; takes why.
+    """
+
+    def __init__(
+        self,
+        task: Component,
+        shared: FencesOfAgent,
+        good_for_s: float,
+        obey: Callable[[Packet], None],
+        refuse: Callable[[Packet, str], None],
+        hold: Callable[[str], None],
+    ) -> None:
+        self._task = task
+        self._marks = shared.fences
+        self._records = shared.records
+        self._ledgers = shared.ledgers
+        self._good_for_s = good_for_s
+        self._obey = obey
+        self._refuse = refuse
+        self._hold = hold
+        self._pending: dict[str, _Pending] = {}  # by the agent that a command comes from
+        self._again_s: dict[str, float] = {}  # when an agent may make another claim, in host time
+        self._setting: _Setting | None = None
+
+    def passed(self, packet: Packet) -> str:
+        """Returns why the sender of a command has no right to it any more; empty: it may have."""
+        fence = packet.fence
+        if fence is None:
+            return ""
+        mark = self._marks.highest(self._task.name, fence.task_id)
+        if mark is None or tuple(fence.epoch) >= (mark.n, mark.minter):
+            return ""
+        return f"epoch {fence.epoch[0]} of {fence.task_id} has passed, {mark.n} has been seen"
+
+    def stands(self, packet: Packet) -> bool:
+        """Returns whether a command may be obeyed now. Else it waits, or is refused."""
+        fence = packet.fence
+        if fence is None or self._marks.holds(self._task.name, fence):
+            return True
+        claim, now_s = EpochClaim(fence, agent_of(packet.source)), self._task.kernel.host.now()
+        pending = self._pending.get(claim.peer)
+        if pending is not None and pending.claim == claim:
+            pending.packet, pending.since_s = packet, self._task.now()
+            if pending.peer and now_s >= pending.until_s:
+                self._give_up(claim.peer, f"{pending.peer} does not say to whom it gave {fence.task_id}; {SET_RIGHT}")
+        elif now_s >= self._again_s.get(claim.peer, 0.0):
+            self._pending[claim.peer] = _Pending(claim, packet, self._task.now())
+            mark, record = self._marks.highest(self._task.name, fence.task_id), self._record(fence.task_id)
+            self._decide(claim.peer, judged(self._task.agent, claim, mark, record, self._linked()))
+        return False
+
+    def drop(self) -> None:
+        """Forgets the commands that wait, but not what is being done about their epochs."""
+        for pending in self._pending.values():
+            pending.since_s = -math.inf
+
+    def told(self, packet: Packet) -> None:
+        """An agent says who has a task."""
+        by, at = agent_of(packet.source), packet.body
+        for peer, pending in list(self._pending.items()):
+            if (pending.peer, pending.claim.fence.task_id) == (by, at.task_id):
+                self._decide(peer, answered(pending.claim, pending.asked, by, at, self._linked()))
+        setting = self._setting
+        if setting is not None and setting.body.task_id == at.task_id and by in setting.answers:
+            setting.answers[by] = at
+            if None not in setting.answers.values():
+                self._settle()
+
+    def _decide(self, peer: str, verdict: Verdict) -> None:
+        pending = self._pending[peer]
+        match verdict:
+            case May():
+                self._raise(pending)
+            case AskAgent(other):
+                pending.peer, pending.asked = other, pending.asked + 1
+                pending.until_s = self._task.kernel.host.now() + ANSWER_S
+                self._ask(other, pending.claim.fence.task_id)
+            case ClaimRefused(reason):
+                self._give_up(peer, f"{reason}; {SET_RIGHT}")
+
+    def _raise(self, pending: _Pending) -> None:
+        task, claim = self._task, pending.claim
+        if passed := self.passed(pending.packet):  # while others were asked
+            self._give_up(claim.peer, passed)
+            return
+        pending.peer = ""
+        n, minter = claim.fence.epoch
+        self._marks.write(
+            task.name,
+            claim.fence.task_id,
+            Mark(n, minter, "" if claim.peer == task.agent else claim.peer),
+            lambda: task.call(lambda: self._written(claim, "")),
+            lambda why_not: task.call(lambda: self._written(claim, why_not)),
+        )
+
+    def _written(self, claim: EpochClaim, why_not: str) -> None:
+        """An epoch is on disk, or is not: what has waited for it is obeyed, if it still may be."""
+        pending = self._pending.get(claim.peer)
+        if pending is None or pending.claim != claim:
+            return  # a later one is being written
+        if why_not:  # the next command tries again
+            self._give_up(claim.peer, f"its epoch is not on disk: {why_not}", again=True)
+            return
+        del self._pending[claim.peer]
+        if self._task.now() - pending.since_s < self._good_for_s:
+            self._obey(pending.packet)
+
+    def _give_up(self, peer: str, reason: str, again: bool = False) -> None:
+        pending = self._pending.pop(peer)
+        if not again:
+            self._again_s[peer] = self._task.kernel.host.now() + AGAIN_S
+        self._refuse(pending.packet, reason)
+
+    # By a person -----------------------------------------------------------------------------------------------
+
+    def set(self, body: SetFence, by: str, done: Done) -> None:
+        """Sets the mark of a task to the epoch under which it runs now, wherever that is.
+
+        Args:
+            body: what was asked for.
+            by: who asked.
+            done: called once it is done, or refused.
+        """
+        if self._setting is not None:
+            done(f"the fence of {self._task.address} is being set already", {})
+            return
+        setting = self._setting = _Setting(body, by, done, dict.fromkeys(self._linked()))
+        for peer in setting.answers:
+            self._ask(peer, body.task_id)
+        if not setting.answers:
+            self._settle()
+            return
+        self._task.after_host(ANSWER_S, lambda: self._settle() if self._setting is setting else None)
+
+    def _settle(self) -> None:
+        setting, self._setting = self._setting, None
+        assert setting is not None
+        task, body = self._task, setting.body
+        own = whereabouts(task.agent, body.task_id, self._record(body.task_id))
+        found = present_owner(task.agent, body.task_id, own, setting.answers)
+        if isinstance(found, ClaimRefused):
+            setting.done(found.reason, {})
+            return
+        before = self._marks.highest(task.name, body.task_id)
+        result = {
+            "actuator": task.address,
+            "task_id": body.task_id,
+            "owner": found.name,
+            "before": f"{before.n}@{before.minter}" if before is not None else None,
+            "now": f"{found.mark.n}@{found.mark.minter}",
+        }
+        if body.dry_run:
+            setting.done("", result)
+            return
+        self._hold("its fence is set")
+        self._pending.clear()
+        self._again_s.clear()
+        self._marks.write(
+            task.name,
+            body.task_id,
+            found.mark,
+            lambda: task.call(lambda: self._set(setting, found, result)),
+            lambda why_not: task.call(lambda: setting.done(f"the fence is not on disk: {why_not}", {})),
+        )
+
+    def _set(self, setting: _Setting, owner: PresentOwner, result: dict[str, Any]) -> None:
+        reason = (
+            f"the fence of {result['actuator']} was at {result['before'] or 'nothing'}, and is at {result['now']} now"
+        )
+        account = Ledger(setting.body.task_id, self._task.agent, setting.by, "", "fenced", owner.name, (), 0.0)
+        self._ledgers.add(account, reason, self._task.now())
+        setting.done("", result)
+
+    # Others ----------------------------------------------------------------------------------------------------
+
+    def _record(self, task_id: str) -> Record | None:
+        try:
+            return self._records.get(TaskId.parse(task_id))
+        except MigrationError:
+            return None
+
+    def _linked(self) -> list[str]:
+        return [link["name"] for link in self._task.kernel.links() if link["role"] != "client"]
+
+    def _ask(self, peer: str, task_id: str) -> None:
+        try:
+            self._task.publish(NETWORK, WhereIs(task_id), to=join(peer, COURIER))
+        except PancakesError as error:
+            self._task.log("debug", f"{peer} was not asked about {task_id}: {error}")

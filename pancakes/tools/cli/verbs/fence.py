@@ -1,0 +1,75 @@
+"""`pancakes task fence`: which epochs of tasks an actuator has seen, and what a person does where that is wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from pancakes.control import Describe, SetFence
+from pancakes.errors import MigrationError
+from pancakes.mesh.migration.record import TaskId
+from pancakes.tools.cli.asking import accepted, order, placed
+from pancakes.tools.cli.name_types import TASK_NAME, TaskName
+from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
+from pancakes.tools.cli.output import DRY_RUN
+
+COLUMNS = ("actuator", "task_id", "seen", "brought_by", "owner", "owner_has", "obeyed", "reason")
+"""What the actuator has seen of a task; who has the task now, and under which epoch, or why that cannot be said."""
+
+
+@click.command()
+@click.argument("name", metavar="AGENT/ACTUATOR", type=TASK_NAME)
+@click.option("--set", "task_id", metavar="BIRTHPLACE/NAME", default="", help="Set the fence for this task.")
+@dry_run_option
+@orders_agents
+def fence(name: TaskName, task_id: str, dry_run: bool, ask: Ask) -> None:
+    """Show which tasks have commanded an actuator, and whether it obeys those that have them now.
+
+    An actuator obeys no epoch of a task lower than the highest that it has seen: so a copy that has lost its right
+    moves no wheel. And it takes a higher one only from an agent that is known to have been given the task. Where those
+    that could say so are gone, or something brought an epoch too high, the task is refused, and the log says why.
+
+    With --set the actuator goes to its safe hold, and the fence is set to the epoch under which the task runs now. The
+    agent of the actuator asks all agents that it is connected to. It refuses where one of them does not answer, and
+    where none has the task; of two that have it, the higher epoch counts. See first, with `pancakes task list`, that
+    the task runs once. `pancakes task migrations` keeps the account.
+
+    \b
+    Example:
+        pancakes task fence agent1/motors
+        pancakes task fence agent1/motors --set agent1/ScanTarget --dry-run
+        pancakes task fence agent1/motors --set agent1/ScanTarget
+    """
+    if dry_run and not task_id:
+        raise click.UsageError("--dry-run is about what --set would do: say for which task")
+    if task_id:
+        try:
+            TaskId.parse(task_id)
+        except MigrationError as error:
+            raise click.BadParameter(str(error), param_hint="--set") from None
+    with ask.client() as client:
+        name = placed(client, name)
+        if task_id:
+            reply = accepted(client, name.agent, SetFence(name.target, task_id, dry_run))
+            row = {**reply.result, "done": DRY_RUN if dry_run else "set", "number": reply.number}
+            ask.show([row], tuple(row))
+            return
+        rows: list[dict[str, Any]] = []
+        for mark in order(client, name.agent, Describe(name.target)).get("fences", []):
+            tried = client.request(name.agent, SetFence(name.target, mark["task_id"], dry_run=True))
+            seen = f"{mark['epoch']}@{mark['minter']}"
+            found = tried.result if tried.ok else {"owner": "", "now": ""}
+            rows.append(
+                {
+                    "actuator": str(name),
+                    "task_id": mark["task_id"],
+                    "seen": seen,
+                    "brought_by": mark["brought_by"],
+                    "owner": found["owner"],
+                    "owner_has": found["now"],
+                    "obeyed": found["now"] == seen if tried.ok else None,
+                    "reason": tried.reason,
+                }
+            )
+    ask.show(rows, COLUMNS)

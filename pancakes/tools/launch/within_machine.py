@@ -1,0 +1,36 @@
+"""A fleet that speaks within its machine alone: it takes no port, and each address of the loopback becomes a name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pancakes.mesh.address import LOCAL, Address, local_address
+from pancakes.tools.launch.table_addresses import addresses_in, moved
+
+
+def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str, str]) -> dict[str, list[str]]:
+    """Returns what is to be set in each agent's file, as `--set` takes it.
+
+    An agent is found by its name; another place where something listens, such as a hardware bus, has its port as its
+    name.
+
+    Args:
+        tables: what the agents' files say, by agent.
+        fleets: the agents' fleets, likewise.
+    """
+    at_port = {
+        address.port: local_address(fleets[agent], agent)
+        for agent, table in tables.items()
+        for address in addresses_in(table.get("agent", {}).get("listen", ""))
+    }
+    found: dict[str, list[str]] = {}
+    for agent, table in tables.items():
+        others: dict[Address, str] = {
+            address: at_port.get(address.port, f"{LOCAL}://{fleets[agent]}/port-{address.port}")
+            for address in addresses_in(dict(table))
+            if address.loopback and address.scheme == "tcp"
+        }
+        own = {key: value for key, value in table.get("agent", {}).items() if key != "listen"}
+        found[agent] = ["agent.listen=[]", *moved({**table, "agent": own}, others)]
+    return found

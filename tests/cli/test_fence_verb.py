@@ -1,0 +1,80 @@
+"""`pancakes task fence`, on an agent that runs."""
+
+from __future__ import annotations
+
+import signal
+
+from cli.processes import Rig
+
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.journal import FileJournal, JournalEntry
+
+SOURCE = """
+from pancakes.bodies.devices.types import Twist
+from pancakes.task import Task, every
+
+
+class Circle(Task):
+    requires = ("motors",)
+
+    @every(hz=20)
+    def drive(self, tick):
+        self.publish("ctrl", Twist(0.1, 0.0))
+"""
+ENTRY_POINTS = "[pancakes.tasks]\ncircle.Circle = plugin_circle:Circle\n"
+CONFIG = """
+[device.wheels]
+driver = "null.motors"
+[device.load]
+driver = "host.load"
+[task.Circle]
+type = "circle.Circle"
+"""
+
+
+def test_a_fence_that_is_too_high_is_shown_and_set_right(rig: Rig):
+    rig.install("circle", ENTRY_POINTS, SOURCE)
+    agent = rig.ready("a", CONFIG)
+    (row,) = rig.listed("task", "fence", "a/wheels")
+    fine = {"actuator": "a/device/wheels", "task_id": "a/Circle", "brought_by": "a", "owner": "a", "owner_has": "0@a"}
+    assert row == {**fine, "seen": "0@a", "obeyed": True, "reason": ""}
+    assert rig.listed("task", "fence", "a/load") == []
+
+    agent.signalled(signal.SIGTERM)
+    journal = FileJournal(rig.directory / "state" / "pancakes" / "test" / "a")
+    journal.write([JournalEntry("fence", "wheels", codecs.encode({"a/Circle": [7, "z", "z"]}))])
+    journal.close()
+    agent = rig.ready("a", CONFIG)
+    agent.hear("epoch 0 of a/Circle has passed, 7 has been seen")
+    (row,) = rig.listed("task", "fence", "a/device/wheels")
+    assert row == {**fine, "seen": "7@z", "brought_by": "z", "obeyed": False, "reason": ""}
+
+    told = {"actuator": "a/device/wheels", "task_id": "a/Circle", "owner": "a", "before": "7@z", "now": "0@a"}
+    (tried,) = rig.listed("task", "fence", "a/wheels", "--set", "a/Circle", "--dry-run")
+    assert {**tried, "number": 0} == {**told, "done": "dry run", "number": 0}
+    assert rig.listed("task", "fence", "a/wheels")[0]["seen"] == "7@z"
+    (done,) = rig.listed("task", "fence", "a/wheels", "--set", "a/Circle")
+    assert {**done, "number": 0} == {**told, "done": "set", "number": 0}
+    assert rig.listed("task", "fence", "a/wheels") == [{**fine, "seen": "0@a", "obeyed": True, "reason": ""}]
+    (account,) = rig.listed("task", "migrations", "a")
+    assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "a", "a/Circle")
+    assert account["asked_by"].startswith("cli-")
+    assert "fenced" in rig.pancakes("task", "migrations").stdout
+
+
+def test_what_cannot_be_set_says_why(rig: Rig):
+    rig.install("circle", ENTRY_POINTS, SOURCE)
+    rig.ready("a", CONFIG)
+
+    def refused(*arguments: str) -> tuple[int, str]:
+        result = rig.pancakes("task", "fence", *arguments)
+        assert result.stdout == ""
+        return result.returncode, " ".join(result.stderr.split())
+
+    gone = "no agent that is connected has b/Circle, so its fence stays as it is: adopt the task first"
+    assert refused("a/wheels", "--set", "b/Circle") == (1, gone)
+    assert refused("a/load", "--set", "a/Circle") == (1, "a/device/load is no actuator: it has no fence")
+    code, said = refused("a/wheels", "--set", "Circle")
+    assert code == 2 and "'Circle' is no task id: it must read birthplace/name" in said
+    code, said = refused("a/wheels", "--dry-run")
+    assert code == 2 and "--dry-run is about what --set would do" in said

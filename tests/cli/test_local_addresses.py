@@ -1,0 +1,52 @@
+"""Agents at `local://`: whom they let in, and what they do where that cannot be."""
+
+from __future__ import annotations
+
+import grp
+import os
+import stat
+
+import pytest
+from cli.processes import Rig
+
+
+@pytest.fixture
+def group() -> str:
+    """A group of whoever runs the tests."""
+    return grp.getgrgid(os.getgid()).gr_name
+
+
+def test_a_group_finds_the_agent_and_its_socket(rig: Rig, group: str):
+    agent = rig.ready("a", agent=f'local_group = "{group}"')
+
+    modes = {
+        str(path.relative_to(rig.runtime)): stat.S_IMODE(path.stat().st_mode)
+        for path in [rig.runtime, *rig.runtime.rglob("*")]
+    }
+    assert modes == {
+        ".": 0o750,
+        f"a.{agent.pid}.json": 0o640,
+        "local": 0o750,
+        "local/test": 0o750,
+        "local/test/a.sock": 0o660,
+    }
+    assert [row["agent"] for row in rig.listed("agent", "list")] == ["a"]
+    assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://test/a", "--fleet", "test")] == ["a"]
+    assert [row["agent"] for row in rig.listed("agent", "list", "--at", "local://a", "--fleet", "test")] == ["a"]
+
+
+def test_an_agent_whose_place_another_has_taken_runs_without_it_and_says_so(rig: Rig):
+    rig.runtime.mkdir(mode=0o777)
+    rig.runtime.chmod(0o777)
+    agent = rig.agent(rig.config("a"))
+    agent.hear("a/kernel: ready")
+    agent.hear("a cannot be reached at local://test/a: the runtime directory")
+
+
+def test_a_group_that_is_not_there_ends_the_agent_with_a_sentence(rig: Rig):
+    agent = rig.agent(rig.config("a", agent='local_group = "pancakers"'))
+    agent.hear(
+        "cannot listen at local://test/a: there is no group 'pancakers' on this machine,"
+        " which [agent] local_group names"
+    )
+    assert agent.process.wait(10.0) == 1

@@ -1,0 +1,84 @@
+"""What agents tell each other of where others can be dialled."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.mesh.address import reachable_from
+
+LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
+
+
+@pytest.mark.parametrize(
+    ("remote", "told"),
+    [
+        ("local://process-7", (LOCAL, LOOPBACK, FIELD)),
+        ("tcp://127.0.0.1:5", (LOOPBACK, FIELD)),
+        ("tcp://localhost:5", (LOOPBACK, FIELD)),
+        ("tcp://10.0.0.9:5", (FIELD,)),
+        ("tcp://robot3:0", (FIELD,)),
+        ("tcp://0:0", (FIELD,)),  # no host
+    ],
+)
+def test_an_agent_hears_only_of_addresses_that_it_can_dial(remote, told):
+    assert reachable_from(remote, (LOCAL, LOOPBACK, FIELD)) == told
+
+
+def test_an_agent_says_how_to_dial_it_from_where_its_peer_is(memory_rig):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://127.0.0.1:1", "tcp://a:1"))
+    near = memory_rig.bare_peer("n", a)
+    far = memory_rig.bare_peer("f", a, at="tcp://a:1")
+    here = memory_rig.bare_peer("h", a, at="tcp://127.0.0.1:1")
+    memory_rig.until(lambda: near.is_up and far.is_up and here.is_up)
+    assert near.link.peer.listen == ("local://a", "tcp://127.0.0.1:1", "tcp://a:1")
+    assert here.link.peer.listen == ("tcp://127.0.0.1:1", "tcp://a:1")
+    assert far.link.peer.listen == ("tcp://a:1",)
+
+
+def test_of_each_agent_the_best_address_is_told_that_the_hearer_can_dial(memory_rig):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://a:1"))
+    b = memory_rig.agent("b", ["local://a"], listens=("local://b", "tcp://b:1"))
+    c = memory_rig.agent("c", ["tcp://a:1"], listens=("local://c", "tcp://c:1"))
+    memory_rig.until(lambda: a.knows("b", "c") and b.knows("a", "c") and c.knows("a", "b"))
+    near, far = memory_rig.bare_peer("n", a), memory_rig.bare_peer("f", a, at="tcp://a:1")
+    memory_rig.until(lambda: near.told and far.told)
+    assert (near.told[0], far.told[0]) == (("local://b", "tcp://c:1"), ("tcp://b:1", "tcp://c:1"))
+    assert "local://b" not in [it["address"] for it in c.mesh.describe()["addresses"]]
+
+
+def test_an_agent_that_can_be_reached_from_its_own_machine_alone_is_no_news_elsewhere(memory_rig):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://a:1"))
+    b = memory_rig.agent("b", ["local://a"], listens=("local://b",))
+    c = memory_rig.agent("c", ["tcp://a:1"], listens=("tcp://c:1",))
+    memory_rig.until(lambda: a.knows("b", "c") and b.knows("a", "c"))  # b dials c, whose address a has told it
+    memory_rig.timeline.run_until(10.0)
+    assert [it["address"] for it in c.mesh.describe()["addresses"]] == ["tcp://a:1"]
+
+
+def test_who_listens_on_all_interfaces_of_this_machine_is_dialled_elsewhere_at_the_address_of_who_told(memory_rig):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://a:1"))
+    memory_rig.bare_peer("b", a, listen="tcp://0.0.0.0:2")
+    c = memory_rig.agent("c", ["tcp://a:1"], listens=())
+    memory_rig.until(lambda: c.knows("a"))
+    memory_rig.until(lambda: "tcp://a:2" in [it["address"] for it in c.mesh.describe()["addresses"]])
+    assert "tcp://127.0.0.1:2" in [it["address"] for it in a.mesh.describe()["addresses"]]
+
+
+@pytest.mark.parametrize(
+    ("at", "dialled"),
+    [
+        ("local://a", ["local://victim", "tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]),
+        ("tcp://127.0.0.1:1", ["tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]),
+        ("tcp://a:1", ["tcp://10.0.0.9:9"]),
+    ],
+)
+@pytest.mark.parametrize("by", ["hello", "gossip"])
+def test_a_peer_elsewhere_sends_no_agent_to_places_of_its_own_machine(memory_rig, by, at, dialled):
+    a = memory_rig.agent("a", listens=("local://a", "tcp://127.0.0.1:1", "tcp://a:1"))
+    named = ["local:///run/victim", "local://victim", "tcp://127.0.0.1:9", "tcp://10.0.0.9:9"]
+    peer = memory_rig.bare_peer("z", a, at=at, listen=named if by == "hello" else "")
+    memory_rig.until(lambda: peer.is_up)
+    if by == "gossip":
+        peer.act(peer.link.gossip(tuple(named), memory_rig.clock.now()))
+    memory_rig.timeline.run_until(1.0)
+    assert [it["address"] for it in a.mesh.describe()["addresses"]] == dialled

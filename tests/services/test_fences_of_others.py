@@ -1,0 +1,248 @@
+"""No agent that never had a task keeps the task's own commands from an actuator."""
+
+import pytest
+from services.test_durable_fences import Circle, Wheels
+
+from pancakes.bodies.devices.types import Twist
+from pancakes.control import Describe, Migrate, Migrations, SetFence, Start
+from pancakes.mesh.net.memory import Quality
+from pancakes.packet import Fence, Packet
+from pancakes.runtime.services.fence_rule import Mark
+from pancakes.testing import FleetInTest
+
+CLASSES = {"test.Circle": Circle}
+REMOTE = {"type": "network.motors", "settings": {"target": "far/device/wheels"}}
+
+
+@pytest.fixture
+def fleet():
+    Wheels.told = []
+    with FleetInTest(3, classes=CLASSES) as made:
+        yield made
+
+
+def forge(fleet, speaker, epoch, task_id="a/Circle", to="far/device/wheels", for_s=0.3):
+    """An agent commands an actuator of another as if a task of some epoch did."""
+    agent = fleet.agents[speaker]
+    source = f"{speaker}/device/wheels"
+    packet = Packet(
+        "ctrl", "motors", source, to, agent.kernel.mission.now(), 1, Twist(9.0, 0.0), fence=Fence(task_id, epoch)
+    )
+    agent.agent.mesh.send(packet)
+    fleet.run_for(for_s)
+
+
+def marks(agent):
+    return {it["task_id"]: (it["epoch"], it["brought_by"]) for it in agent.ask(Describe("wheels")).result["fences"]}
+
+
+def drives(fleet, agent="far"):
+    Wheels.told.clear()
+    fleet.run_for(1.0)
+    return (agent, 0.1) in Wheels.told and (agent, 9.0) not in Wheels.told
+
+
+@pytest.mark.parametrize("epoch", [(1, "z"), (10**12, "z")])
+def test_a_stranger_to_a_task_does_not_lock_it_out_of_its_own_wheels(fleet, epoch):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.start("z")
+    fleet.connect()
+    fleet.run_for(0.5)
+    forge(fleet, "z", epoch, to="a/device/wheels")
+    assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
+
+
+def test_a_stranger_does_not_lock_the_task_of_another_out_of_wheels_elsewhere(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": {"type": Circle, "start": False}})
+    fleet.start("z")
+    fleet.connect()
+    forge(fleet, "z", (5, "z"))
+    assert marks(far) == {} and far.kernel.registry.holder("wheels") == "", "and it does not keep them either"
+    (refused,) = far.events("command_refused", by="z/device/wheels")
+    assert refused["reason"] == (
+        "a does not know that z was given a/Circle; pancakes task fence shows who has it, and sets that right"
+    )
+    assert fleet.agents["a"].ask(Start("Circle")).ok
+    assert drives(fleet) and marks(far) == {"a/Circle": (0, "a")}
+
+
+def test_a_task_goes_on_commanding_wheels_elsewhere_wherever_it_moves(fleet):
+    """From its birthplace to a second agent and to a third, which the agent of the wheels has not met with it."""
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    b = fleet.start("b", devices={"wheels": REMOTE})
+    c = fleet.start("c", devices={"wheels": REMOTE})
+    fleet.connect()
+    assert drives(fleet) and marks(far) == {"a/Circle": (0, "a")}
+    assert a.ask(Migrate("Circle", to="b")).ok
+    assert drives(fleet) and marks(far) == {"a/Circle": (1, "b")}
+    assert b.ask(Migrate("Circle", to="c")).ok
+    assert drives(fleet) and marks(far) == {"a/Circle": (2, "c")}
+    assert c.ask(Migrate("Circle", to="a")).ok
+    assert drives(fleet) and marks(far) == {"a/Circle": (3, "a")}
+    assert far.events("command_refused") == []
+
+
+def test_moves_that_wheels_did_not_see_are_told_by_those_that_made_them(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    names = ("a", "b", "c", "d")
+    for name in names:
+        tasks = {"Circle": {"type": Circle, "start": True}} if name == "a" else {}
+        fleet.start(name, devices={"wheels": REMOTE}, tasks=tasks)
+    fleet.connect()
+    fleet.run_for(0.5)
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    for source, to in zip(names, names[1:], strict=False):
+        assert fleet.agents[source].ask(Migrate("Circle", to=to)).ok
+    fleet.network.heal()
+    fleet.connect()
+    fleet.run_for(2.0)
+    assert drives(fleet) and marks(far) == {"a/Circle": (3, "d")}
+
+
+def lost(fleet):
+    """The task went from `a` to `b` and on to `c` while the wheels were away, and the two that gave it are gone."""
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    b = fleet.start("b", devices={"wheels": REMOTE})
+    fleet.start("c", devices={"wheels": REMOTE})
+    fleet.connect()
+    fleet.run_for(0.5)
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    assert a.ask(Migrate("Circle", to="b")).ok and b.ask(Migrate("Circle", to="c")).ok
+    fleet.crash("a")
+    fleet.crash("b")
+    fleet.network.heal()
+    assert fleet.run_until(lambda: {"c"} <= set(far.agent.mesh.neighbours()))
+    fleet.run_for(2.0)
+    return far
+
+
+def test_where_all_that_had_a_task_are_gone_a_person_sets_the_fence(fleet):
+    far = lost(fleet)
+    assert not drives(fleet)
+    reason = far.events("command_refused", by="c/device/wheels")[-1]["reason"]
+    assert reason.startswith(
+        "c is not known to have been given a/Circle, and a, which had it, cannot be asked; pancakes"
+    )
+
+    tried = far.ask(SetFence("wheels", "a/Circle", dry_run=True))
+    told = {"actuator": "far/device/wheels", "task_id": "a/Circle", "owner": "c", "before": "0@a", "now": "2@b"}
+    assert tried.ok and tried.result == told
+    assert marks(far) == {"a/Circle": (0, "a")} and not drives(fleet)
+
+    done = far.ask(SetFence("wheels", "a/Circle"))
+    assert done.ok and done.result == told
+    assert drives(fleet) and marks(far) == {"a/Circle": (2, "c")}
+    (account,) = far.ask(Migrations()).result
+    assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "c", "a/Circle")
+    assert account["reason"] == "the fence of far/device/wheels was at 0@a, and is at 2@b now"
+    assert far.events("fence_set", task="wheels")[-1]["owner"] == "c"
+
+
+def test_a_fence_that_was_set_too_high_is_set_back_and_the_wheels_hold_meanwhile(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.start("b")
+    fleet.connect()
+    fleet.run_for(0.5)
+    wrong = Fence("a/Circle", (9, "z"))
+    a.kernel.stream.publish(Packet("ctrl", "motors", "a/client/Circle", "", 0.0, 1, Twist(0.0, 0.0), fence=wrong))
+    fleet.run_for(0.5)
+    assert not drives(fleet, "a") and marks(a) == {"a/Circle": (9, "a")}
+    assert a.ask(SetFence("wheels", "a/Circle")).ok
+    assert a.events("safe_hold", device="wheels")[-1]["reason"] in ("its fence is set", "no fresh command")
+    assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
+    fleet.crash("a")
+    a = fleet.restart("a")
+    assert drives(fleet, "a") and marks(a) == {"a/Circle": (0, "a")}
+
+
+def test_a_fence_is_not_set_where_no_agent_has_the_task_or_one_does_not_answer(fleet):
+    far = lost(fleet)
+    assert "no agent that is connected has b/Other" in far.ask(SetFence("wheels", "b/Other")).reason
+    fleet.agents["c"].kernel.stream.unsubscribe("c/kernel/Courier")
+    refused = far.ask(SetFence("wheels", "a/Circle"))
+    assert refused.reason == "c did not say whether a/Circle is there: ask again, or end it first"
+    assert marks(far) == {"a/Circle": (0, "a")}
+
+
+def test_only_an_actuator_has_a_fence(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels, "load": {"type": "host.load"}}, tasks={"Circle": Circle})
+    assert a.ask(SetFence("load", "a/Circle")).reason == "a/device/load is no actuator: it has no fence"
+    assert a.ask(SetFence("Circle", "a/Circle")).reason == "a/client/Circle is no actuator: it has no fence"
+    assert a.ask(SetFence("device", "a/Circle")).reason == "a/device is a service: name one of its tasks"
+
+
+def test_an_answer_that_comes_late_lowers_no_fence(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    fleet.start("c", devices={"wheels": REMOTE})
+    fleet.connect()
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    assert a.ask(Migrate("Circle", to="c")).ok
+    fleet.network.set_quality("far", "a", Quality(latency_s=0.3))
+    asked: list[Packet] = []
+    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    fleet.network.heal()
+    assert fleet.run_until(lambda: asked, at_most_s=30.0)
+    fences = far.component("device").slots["wheels"].spec.arguments["fences"].fences
+    fences.write("wheels", "a/Circle", Mark(5, "x"), lambda: None, pytest.fail)
+    fleet.run_for(2.0)
+    assert marks(far) == {"a/Circle": (5, "far")}
+    assert "has passed, 5 has been seen" in far.events("command_refused", by="c/device/wheels")[-1]["reason"]
+
+
+def test_one_that_claims_all_the_time_costs_one_question_a_second_and_one_line(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a")
+    fleet.start("z")
+    fleet.connect()
+    asked: list[Packet] = []
+    a.kernel.stream.tap("network", asked.append, ("task.where",))
+    for number in range(200):
+        forge(fleet, "z", (number + 5, "z"), for_s=0.01)
+    assert 1 <= len(asked) <= 3
+    assert len(far.events("command_refused", by="z/device/wheels")) == 1
+
+
+def test_one_that_claims_all_the_time_keeps_no_other_from_being_heard(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a", devices={"wheels": REMOTE}, tasks={"Circle": Circle})
+    fleet.start("c", devices={"wheels": REMOTE})
+    fleet.start("z")
+    fleet.connect()
+    fleet.network.partition(["far"])
+    fleet.run_for(5.0)
+    assert a.ask(Migrate("Circle", to="c")).ok
+    fleet.network.set_quality("far", "a", Quality(latency_s=0.2))
+    fleet.network.heal()
+    assert fleet.run_until(lambda: {"a", "z"} <= set(far.agent.mesh.neighbours()), at_most_s=30.0)
+    for number in range(300):
+        forge(fleet, "z", (number + 5, "z"), for_s=0.01)
+    assert marks(far) == {"a/Circle": (1, "c")} and drives(fleet)
+
+
+def test_an_actuator_holds_while_its_fence_is_set_and_goes_on_after_that(fleet):
+    a = fleet.start("a", devices={"wheels": Wheels}, tasks={"Circle": Circle})
+    fleet.run_for(0.5)
+    assert a.ask(SetFence("wheels", "a/Circle", dry_run=True)).ok
+    assert a.events("safe_hold") == []
+    assert a.ask(SetFence("wheels", "a/Circle")).ok
+    assert [event["reason"] for event in a.events("safe_hold")] == ["its fence is set"]
+    assert drives(fleet, "a")
+
+
+def test_an_agent_that_does_not_say_to_whom_it_gave_a_task_is_named(fleet):
+    far = fleet.start("far", devices={"wheels": Wheels})
+    a = fleet.start("a")
+    fleet.start("z")
+    fleet.connect()
+    a.kernel.stream.unsubscribe("a/kernel/Courier")
+    for _ in range(6):
+        forge(fleet, "z", (5, "z"))
+    (refused,) = far.events("command_refused", by="z/device/wheels")
+    assert refused["reason"].startswith("a does not say to whom it gave a/Circle; pancakes task fence")
