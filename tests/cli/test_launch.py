@@ -264,6 +264,20 @@ def test_a_port_that_is_in_use_is_found_before_anything_starts(rig: Rig):
     assert result.stderr == f"b cannot listen at {listen}: address already in use\n"
 
 
+def test_a_fleet_within_its_machine_takes_no_port(rig: Rig):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        listen = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        files = [rig.config("a"), rig.config("b", agent=f'peers = ["{listen}"]')]
+        fleet = rig.launch(*files, "--set", f"a:agent.listen={listen}", "--local")
+        fleet.hear("b (agent, local://process-")
+        rows = rig.listed("agent", "list")
+    assert [(row["agent"], row["address"], row["neighbours"]) for row in rows] == [
+        ("a", "local://test/a", ["b"]),
+        ("b", "local://test/b", ["a"]),
+    ]
+    assert fleet.signalled(signal.SIGTERM)[0] == 0
+
+
 def test_a_fleet_is_not_launched_twice(rig: Rig, field: Path):
     fleet, gate, node = up(rig, field)
 

@@ -82,3 +82,16 @@ def test_a_peer_elsewhere_sends_no_agent_to_places_of_its_own_machine(memory_rig
         peer.act(peer.link.gossip(tuple(named), memory_rig.clock.now()))
     memory_rig.timeline.run_until(1.0)
     assert [it["address"] for it in a.mesh.describe()["addresses"]] == dialled
+
+
+@pytest.mark.parametrize("dialler", ["a", "c"])
+def test_an_agent_that_is_dialled_at_two_addresses_has_one_link(memory_rig, dialler):
+    b = memory_rig.agent("b", listens=("local://b", "tcp://127.0.0.1:2"))
+    a = memory_rig.agent(dialler, ["tcp://127.0.0.1:2", "local://b"], listens=(f"local://{dialler}",))
+    memory_rig.until(lambda: a.ups and b.ups)
+    memory_rig.timeline.run_until(30.0)
+    assert (a.ups, a.downs, b.ups, b.downs) == (["b"], [], [dialler], [])
+    memory_rig.network.break_links(dialler, "b")
+    memory_rig.timeline.run_until(60.0)
+    assert a.knows("b") and b.knows(dialler) and len(a.ups) == len(a.downs) + 1
+    assert len(memory_rig.network.pipes) == 1

@@ -8,6 +8,7 @@ from pancakes.packet import Fence
 from pancakes.runtime.services.fence_rule import (
     MOST_ASKED,
     MOST_STEP,
+    MOST_TASKS,
     AskAgent,
     ClaimRefused,
     EpochClaim,
@@ -20,6 +21,10 @@ from pancakes.runtime.services.fence_rule import (
 )
 
 TASK = TaskId("b", "T")
+
+
+def marks(mark):
+    return {"b/T": mark} if mark is not None else {}
 
 
 def claim(peer, n=3, task_id="b/T"):
@@ -44,7 +49,7 @@ def record(phase, peer="", n=1):
     ],
 )
 def test_who_has_the_task_or_was_given_it_raises_the_fence(peer, mark, known):
-    assert judged("me", claim(peer), mark, known, ["b", "c", "d"]) == May()
+    assert judged("me", claim(peer), marks(mark), known, ["b", "c", "d"]) == May()
 
 
 @pytest.mark.parametrize(
@@ -63,38 +68,49 @@ def test_who_has_the_task_or_was_given_it_raises_the_fence(peer, mark, known):
     ],
 )
 def test_who_is_not_known_to_have_been_given_it_does_not(peer, mark, known, linked, why):
-    assert judged("me", claim(peer), mark, known, linked) == ClaimRefused(why)
+    assert judged("me", claim(peer), marks(mark), known, linked) == ClaimRefused(why)
 
 
 def test_a_task_that_was_born_here_and_never_given_away_is_nobody_elses():
-    verdict = judged("me", claim("c", task_id="me/T"), None, None, ["c"])
+    verdict = judged("me", claim("c", task_id="me/T"), marks(None), None, ["c"])
     assert verdict == ClaimRefused("c is not known to have been given me/T")
 
 
 @pytest.mark.parametrize("task_id", ["T", "", "a/b/c", "/T"])
 def test_what_is_no_task_raises_no_fence(task_id):
-    assert isinstance(judged("me", claim("c", task_id=task_id), None, None, ["c"]), ClaimRefused)
+    assert isinstance(judged("me", claim("c", task_id=task_id), marks(None), None, ["c"]), ClaimRefused)
 
 
 def test_the_last_that_brought_an_epoch_is_asked_before_the_others():
-    assert judged("me", claim("c"), Mark(2, "x", "d"), None, ["b", "c", "d"]) == AskAgent("d")
-    assert judged("me", claim("c"), Mark(2, "x", "d"), None, ["b", "c"]) == AskAgent("b")
-    assert judged("me", claim("c"), None, record(Phase.RELEASED, "d"), ["b", "c", "d"]) == AskAgent("d")
-    assert judged("me", claim("c"), Mark(2, "me"), None, ["b", "c", "d"]) == AskAgent("b")
+    assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c", "d"]) == AskAgent("d")
+    assert judged("me", claim("c"), marks(Mark(2, "x", "d")), None, ["b", "c"]) == AskAgent("b")
+    assert judged("me", claim("c"), marks(None), record(Phase.RELEASED, "d"), ["b", "c", "d"]) == AskAgent("d")
+    assert judged("me", claim("c"), marks(Mark(2, "me")), None, ["b", "c", "d"]) == AskAgent("b")
+
+
+def test_an_actuator_that_has_seen_very_many_tasks_takes_no_new_one_from_elsewhere():
+    seen = {f"b/T{number}": Mark(1, "b", "b") for number in range(MOST_TASKS)}
+    assert judged("me", claim("b"), seen, None, []) == ClaimRefused(
+        "1000 tasks have commanded it, and b/T is none of them"
+    )
+    assert judged("me", claim("b", task_id="b/T7"), seen, None, []) == May()
+    assert judged("me", claim("me"), seen, None, []) == May()
 
 
 @pytest.mark.parametrize("phase", [Phase.PREPARED, Phase.ABSENT])
 def test_an_agent_that_offers_a_task_is_not_thereby_known_to_have_it(phase):
-    assert judged("me", claim("c"), None, record(phase, "c"), ["b", "c"]) == AskAgent("b")
+    assert judged("me", claim("c"), marks(None), record(phase, "c"), ["b", "c"]) == AskAgent("b")
 
 
 @pytest.mark.parametrize("mark", [None, Mark(7, "x", "c")])
 def test_no_step_is_further_than_tasks_come(mark):
     n = MOST_STEP + (mark.n if mark else 0)
     known = record(Phase.RELEASED, "c", n=0)
-    assert judged("me", claim("c", n), mark, known, []) == May()
-    assert isinstance(judged("me", claim("c", n + 1), mark, known, []), ClaimRefused)
-    assert judged("me", claim("me", n + 1), mark, known, []) == May(), "the kernel says under which epoch its tasks run"
+    assert judged("me", claim("c", n), marks(mark), known, []) == May()
+    assert isinstance(judged("me", claim("c", n + 1), marks(mark), known, []), ClaimRefused)
+    assert judged("me", claim("me", n + 1), marks(mark), known, []) == May(), (
+        "the kernel says under which epoch its tasks run"
+    )
 
 
 def test_answers_lead_from_one_that_had_it_to_the_next():

@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.address import LOCAL, parse_address
+from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
 from pancakes.runtime.runtime_dir import make_directory, open_to, runtime_dir, usable
@@ -123,6 +124,8 @@ class LocalTransport(StreamTransport):
             return f"{LOCAL}://process"
 
     def prepare(self, sock: socket.socket, dialled: str) -> str:
+        with contextlib.suppress(OSError):  # as `bound_buffers` does for TCP
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, NOT_SENT_BYTES)
         try:
             process, user, group = _peer(sock)
             if user in (os.getuid(), 0):

@@ -141,8 +141,8 @@ class ActuatorFence:
                 self._give_up(claim.peer, f"{pending.peer} does not say to whom it gave {fence.task_id}; {SET_RIGHT}")
         elif now_s >= self._again_s.get(claim.peer, 0.0):
             self._pending[claim.peer] = _Pending(claim, packet, self._task.now())
-            mark, record = self._marks.highest(self._task.name, fence.task_id), self._record(fence.task_id)
-            self._decide(claim.peer, judged(self._task.agent, claim, mark, record, self._linked()))
+            marks, record = self._marks.of(self._task.name), self._record(fence.task_id)
+            self._decide(claim.peer, judged(self._task.agent, claim, marks, record, self._linked()))
         return False
 
     def drop(self) -> None:
@@ -260,9 +260,8 @@ class ActuatorFence:
         )
 
     def _set(self, setting: _Setting, owner: PresentOwner, result: dict[str, Any]) -> None:
-        reason = (
-            f"the fence of {result['actuator']} was at {result['before'] or 'nothing'}, and is at {result['now']} now"
-        )
+        before = result["before"] or "nothing"
+        reason = f"the fence of {result['actuator']} was at {before}, and is at {result['now']} now"
         account = Ledger(setting.body.task_id, self._task.agent, setting.by, "", "fenced", owner.name, (), 0.0)
         self._ledgers.add(account, reason, self._task.now())
         setting.done("", result)

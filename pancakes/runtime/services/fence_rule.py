@@ -20,6 +20,8 @@ MOST_STEP: Final = 10_000_000
 """An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
 million for each time that it was lost.
 """
+MOST_TASKS: Final = 1000
+"""An actuator that has seen so many tasks takes no other from elsewhere: what it has seen is never forgotten."""
 MOST_ASKED: Final = 8
 """So many agents, one after the other, may each say that they gave the task to the next one."""
 
@@ -69,19 +71,24 @@ class AskAgent(msgspec.Struct, frozen=True):
 Verdict = May | ClaimRefused | AskAgent
 
 
-def judged(me: str, claim: EpochClaim, mark: Mark | None, record: Record | None, linked: Collection[str]) -> Verdict:
+def judged(
+    me: str, claim: EpochClaim, marks: Mapping[str, Mark], record: Record | None, linked: Collection[str]
+) -> Verdict:
     """Returns what becomes of a claim.
 
     Args:
         me: the agent that has the actuator.
-        claim: the claim, whose epoch is not lower than the mark.
-        mark: what the actuator has seen of this task.
+        claim: the claim, whose epoch is not lower than the mark of its task.
+        marks: what the actuator has seen, by task.
         record: what this agent knows of the task.
         linked: the agents that can be asked.
     """
     task_id, n = claim.fence.task_id, claim.fence.epoch[0]
     if claim.peer == me:
         return May()
+    mark = marks.get(task_id)
+    if mark is None and len(marks) >= MOST_TASKS:
+        return ClaimRefused(f"{len(marks)} tasks have commanded it, and {task_id} is none of them")
     known_n = max(mark.n if mark is not None else 0, record.seen.n if record is not None else 0)
     if n > known_n + MOST_STEP:
         return ClaimRefused(f"the epoch {n} of {task_id} is further from {known_n} than any task comes")

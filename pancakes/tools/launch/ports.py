@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import os
 import socket
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -51,17 +51,20 @@ class Claim:
             os.close(lock)
 
 
-def claim_ports(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Claim | None, dict[str, list[str]]]:
+def claim_ports(
+    tables: Mapping[str, Mapping[str, Any]], schemes: Sequence[str] = ("tcp", "udp")
+) -> tuple[Claim | None, dict[str, list[str]]]:
     """Sees to it that the agents of a fleet can listen, at other ports if need be.
 
     Args:
         tables: what the agents' files say, by agent.
+        schemes: of the addresses whose ports are meant.
 
     Returns:
         A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
         claim, and what is to be set in each agent's file so that all of them use free ones.
     """
-    addresses = addresses_in(dict(tables))
+    addresses = [address for address in addresses_in(dict(tables)) if address.scheme in schemes]
     claim = Claim.to(dict.fromkeys(address.port for address in addresses))
     if claim is not None:
         if not any(listening_fault(it.host, it.port, it.scheme) for it in addresses):
