@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import random
 import socket
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 from msgspec.structs import replace
 
 from pancakes.runtime.runtime_dir import runtime_dir
 from pancakes.tools.launch.table_addresses import addresses_in, moved
+
+NOT_LENT: Final = range(15_000, 32_000)
+"""The system lends none of these ports to a program that dials, before an agent listens there."""
 
 
 class Claim:
@@ -96,5 +100,9 @@ def _kind(scheme: str) -> socket.SocketKind:
 def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
     """Takes a free port; the socket keeps it until it is closed, so that no two calls return the same."""
     held = socket.socket(type=_kind(scheme))
+    for port in random.SystemRandom().sample(NOT_LENT, len(NOT_LENT)):
+        with contextlib.suppress(OSError):
+            held.bind((host, port))
+            return held, port
     held.bind((host, 0))
     return held, held.getsockname()[1]
