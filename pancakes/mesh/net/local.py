@@ -65,7 +65,7 @@ class LocalTransport(StreamTransport):
             except FileNotFoundError:
                 if not left:
                     raise
-        raise AssertionError
+        raise AssertionError("the last try returns, or raises")
 
     def _bound(self, address: str, path: Path) -> Bound:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -138,7 +138,7 @@ def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim |
         return claim_ports(tables)
     claim, elsewhere = claim_ports(tables, ("udp",))
     within = within_machine(tables, dict.fromkeys(files, fleet))
-    return claim, {agent: [*elsewhere.get(agent, ()), *within[agent]] for agent in files}
+    return claim, {agent: [*elsewhere.get(agent, ()), *within.get(agent, ())] for agent in files}
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:
