@@ -19,6 +19,7 @@ from harness.report import json_option, write
 TOPICS = (
     "fan_out",
     "two_processes",
+    "local_link",
     "lateness",
     "many_tasks",
     "start_up",

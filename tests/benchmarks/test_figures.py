@@ -107,7 +107,7 @@ def test_a_short_run_writes_its_figures_as_json(tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     figures = json.loads(path.read_text())
-    assert len(figures) == 7
+    assert len(figures) == 5
     for figure in figures:
         wanted = {"name", "value", "unit", "baseline", "ratio", "wanted", "sense", "runs"}
         assert wanted <= set(figure)

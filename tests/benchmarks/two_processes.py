@@ -125,20 +125,6 @@ def measure(plan: Plan) -> Iterator[Figure]:
         small_bare,
     )
 
-    def over(local: bool) -> list[float]:
-        report = pancakes(64, trips, small, local=local)
-        return [trips_us(report)[0], report["per_s"]]
-
-    yield from in_turns(
-        plan,
-        [
-            Figure("local:// to TCP, round trip, 64 B: p50", "µs", wanted=1.0),
-            Figure("local:// to TCP, one way, 64 B", "1/s", "min"),
-        ],
-        lambda: over(True),
-        lambda: over(False),
-    )
-
     def megabytes(report: dict[str, Any]) -> list[float]:
         return [report["per_s"] * 65_536 / 1e6]
 

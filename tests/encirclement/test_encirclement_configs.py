@@ -21,10 +21,10 @@ def read(demo: str) -> dict[str, Config]:
 @pytest.mark.parametrize("demo", ["encirclement", "pioneer", "intruder"])
 def test_they_are_sound_and_find_each_other(demo: str) -> None:
     configs = read(demo)
-    addresses = {config.agent.listen for config in configs.values()}
+    addresses = {address for config in configs.values() for address in config.agent.listen}
     for agent, config in configs.items():
         assert config.agent.name == agent
-        assert set(config.agent.peers) == addresses - {config.agent.listen}
+        assert set(config.agent.peers) == addresses - set(config.agent.listen)
         assert config.clock.hold, "the mission waits until all are ready"
     bus = configs["world"].tasks["World"].settings["bus"]
     simulated = [device for config in configs.values() for device in config.devices.values() if "sim." in device.driver]

@@ -60,6 +60,12 @@ def test_what_is_wrong_with_a_file_is_said_as_ever(tmp_path: Path):
         make_fleet([tmp_path], [], None, Plugins(), local=True)
 
 
+def test_a_file_that_says_of_its_agent_no_table_is_refused_with_a_sentence(tmp_path: Path):
+    (tmp_path / "a.toml").write_text("schema = 1\nagent = 5\n")
+    with pytest.raises(ConfigError, match=r"\[agent\]: expected a table"):
+        make_fleet([tmp_path], [], None, Plugins(), local=True)
+
+
 def test_a_demo_in_virtual_time_has_no_network():
     result = CliRunner().invoke(pancakes, ["demo", "encirclement", "--virtual", "--local"])
     assert result.exit_code == 2 and "--local does not go with --virtual" in result.output

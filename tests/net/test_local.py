@@ -140,6 +140,14 @@ def test_a_path_may_be_named_as_it_is(rig, tmp_path):
     assert there.connection.remote == f"local://process-{os.getpid()}"
 
 
+def test_an_agent_of_the_default_fleet_is_found_with_and_without_its_fleet(rig):
+    there = rig.ear()
+    rig.transport("a").listen("local://a", lambda: there)
+    here = rig.ear()
+    rig.transport("b").dial("local://default/a", here)
+    rig.until(lambda: here.connection and there.connection)
+
+
 @pytest.mark.parametrize("address", ["local://", "local://a:7401", "local://a/b/c", "local://../a", "local://a b"])
 def test_what_names_no_socket_is_said(rig, address):
     with pytest.raises(PancakesError, match="is no address: write it as local://NAME"):

@@ -180,9 +180,9 @@ def read_configs() -> dict[str, Config]:
 
 def test_the_configurations_are_sound_and_find_each_other() -> None:
     configs = read_configs()
-    addresses = {config.agent.listen for config in configs.values()}
+    addresses = {address for config in configs.values() for address in config.agent.listen}
     for agent, config in configs.items():
-        assert config.agent.name == agent and set(config.agent.peers) == addresses - {config.agent.listen}
+        assert config.agent.name == agent and set(config.agent.peers) == addresses - set(config.agent.listen)
     bus = configs["field"].tasks["Field"].settings["bus"]
     simulated = [
         device for config in configs.values() for device in config.devices.values() if "world" in device.settings
@@ -200,11 +200,12 @@ def test_the_tiny_nodes_are_where_the_gateway_listens() -> None:
         assert {f"{name}_temperature", f"{name}_motion"} <= devices.keys()
 
 
-def test_where_another_demo_has_the_ports_all_lines_move_along(tmp_path: Path) -> None:
+@pytest.mark.parametrize("local", [False, True])
+def test_where_another_demo_has_the_ports_all_lines_move_along(tmp_path: Path, local: bool) -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as taken:
         with contextlib.suppress(OSError):  # then somebody else has it, which does as well
             taken.bind(("127.0.0.1", 7521))
-        plan = make_plan(SENSOR_FIELD, CONFIGS, tmp_path, 1, 5.0, 240.0, (), live=True)
+        plan = make_plan(SENSOR_FIELD, CONFIGS, tmp_path, 1, 5.0, 240.0, (), live=True, local=local)
     assert plan.claim is None
     listens = plan.configs["gateway"].devices["gate_line"].settings["listen"]
     assert listens.startswith("udp://127.0.0.1:") and listens != "udp://127.0.0.1:7521"

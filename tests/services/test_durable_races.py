@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import pytest
+from services.counting import Count
 
 from pancakes.bodies.devices.driver import Actuator
 from pancakes.bodies.devices.types import Load, Twist
@@ -14,18 +15,6 @@ from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.hosting.machine import idle
 from pancakes.task import Task, every, on
 from pancakes.testing import FleetInTest
-
-
-class Count(Task):
-    """Counts its ticks."""
-
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
 
 
 class Odd(Task):

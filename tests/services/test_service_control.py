@@ -4,6 +4,7 @@ import threading
 from dataclasses import dataclass
 
 import pytest
+from services.counting import Count
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import (
@@ -23,25 +24,13 @@ from pancakes.events import LogLine
 from pancakes.packet import SYSCTRL
 from pancakes.runtime.kernel.handlers import on
 from pancakes.service import Service
-from pancakes.task import Task, TaskSpec, every
+from pancakes.task import Task, TaskSpec
 from pancakes.testing import FleetInTest, Probe, assert_published, no_thread_left, threaded_agent
 
 
 def said(reply):
     """What a reply says, apart from its number."""
     return reply.ok, reply.reason, reply.result
-
-
-class Count(Task):
-    """Counts its ticks."""
-
-    @dataclass
-    class State:
-        n: int = 0
-
-    @every(hz=10)
-    def tick(self, tick):
-        self.state.n += 1
 
 
 class Mapper(Service):

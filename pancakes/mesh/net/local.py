@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.address import LOCAL, parse_address
+from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, parse_address
 from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
@@ -65,7 +65,7 @@ class LocalTransport(StreamTransport):
             except FileNotFoundError:
                 if not left:
                     raise
-        raise AssertionError
+        raise AssertionError("the last try returns, or raises")
 
     def _bound(self, address: str, path: Path) -> Bound:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -101,7 +101,8 @@ class LocalTransport(StreamTransport):
             raise ValueError(f"{address!r} is no address within one machine: write it as {LOCAL}://NAME")
         if parts.path.startswith("/"):
             return Path(parts.path)
-        return self._base() / DIRECTORY / f"{parts.path}{_SUFFIX}"
+        name = parts.path.removeprefix(f"{DEFAULT_FLEET}/")
+        return self._base() / DIRECTORY / f"{name}{_SUFFIX}"
 
     def _directories(self, path: Path) -> list[Path]:
         """Returns the directories on the way to a socket that are Pancakes' own, the outermost first."""

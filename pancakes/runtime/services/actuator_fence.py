@@ -140,6 +140,10 @@ class ActuatorFence:
             if pending.peer and now_s >= pending.until_s:
                 self._give_up(claim.peer, f"{pending.peer} does not say to whom it gave {fence.task_id}; {SET_RIGHT}")
         elif now_s >= self._again_s.get(claim.peer, 0.0):
+            # Those that were not answered, and whose agents have sent nothing since.
+            old = [it for it, other in self._pending.items() if other.peer and now_s >= other.until_s + AGAIN_S]
+            for it in old:
+                del self._pending[it]
             self._pending[claim.peer] = _Pending(claim, packet, self._task.now())
             marks, record = self._marks.of(self._task.name), self._record(fence.task_id)
             self._decide(claim.peer, judged(self._task.agent, claim, marks, record, self._linked()))
@@ -204,7 +208,10 @@ class ActuatorFence:
     def _give_up(self, peer: str, reason: str, again: bool = False) -> None:
         pending = self._pending.pop(peer)
         if not again:
-            self._again_s[peer] = self._task.kernel.host.now() + AGAIN_S
+            now_s = self._task.kernel.host.now()
+            # Terminals come under ever new names.
+            self._again_s = {it: again_s for it, again_s in self._again_s.items() if again_s > now_s}
+            self._again_s[peer] = now_s + AGAIN_S
         self._refuse(pending.packet, reason)
 
     # By a person -----------------------------------------------------------------------------------------------

@@ -297,9 +297,9 @@ class DeviceTask(Task):
 
     def set_fence(self, change: ChangeTask) -> None:
         body = change.body
-        assert isinstance(body, SetFence)
-        if self._actuator is None:
-            super().set_fence(change)
+        if self._actuator is None or not isinstance(body, SetFence):
+            super().set_fence(change)  # which refuses
+            return
         self._fence.set(body, change.request.by, lambda reason, result: self.answer_change(change, reason, result))
 
     def _guard(self) -> None:

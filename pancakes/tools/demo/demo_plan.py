@@ -134,9 +134,11 @@ def _places(files: Mapping[str, Path], fleet: str, local: bool) -> tuple[Claim |
         tables = {agent: tomllib.loads(path.read_text(encoding="utf-8")) for agent, path in files.items()}
     except (OSError, ValueError):
         return None, {}  # whatever is wrong with it, reading it as a configuration says so better
-    if local:
-        return None, within_machine(tables, dict.fromkeys(files, fleet))
-    return claim_ports(tables)
+    if not local:
+        return claim_ports(tables)
+    claim, elsewhere = claim_ports(tables, ("udp",))
+    within = within_machine(tables, dict.fromkeys(files, fleet))
+    return claim, {agent: [*elsewhere.get(agent, ()), *within.get(agent, ())] for agent in files}
 
 
 def find_configs(demo: Demo, given: Path | None = None) -> Path:

@@ -138,7 +138,8 @@ def _stay_within(drafts: Sequence[_Draft], sets: Mapping[str, list[str]]) -> Non
             return
         for change in sets[draft.name]:
             apply_set(change, tables[draft.name], places)
-    fleets = {name: str(table.get("agent", {}).get("fleet", DEFAULT_FLEET)) for name, table in tables.items()}
+    agents = {name: table.get("agent") for name, table in tables.items()}
+    fleets = {name: str(it.get("fleet", DEFAULT_FLEET)) for name, it in agents.items() if isinstance(it, dict)}
     for name, changes in within_machine(tables, fleets).items():
         sets[name].extend(changes)
 

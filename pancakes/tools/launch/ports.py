@@ -5,14 +5,18 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import random
 import socket
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
 
 from msgspec.structs import replace
 
 from pancakes.runtime.runtime_dir import runtime_dir
 from pancakes.tools.launch.table_addresses import addresses_in, moved
+
+NOT_LENT: Final = range(15_000, 32_000)
+"""The system lends none of these ports to a program that dials, before an agent listens there."""
 
 
 class Claim:
@@ -51,17 +55,20 @@ class Claim:
             os.close(lock)
 
 
-def claim_ports(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Claim | None, dict[str, list[str]]]:
+def claim_ports(
+    tables: Mapping[str, Mapping[str, Any]], schemes: Sequence[str] = ("tcp", "udp")
+) -> tuple[Claim | None, dict[str, list[str]]]:
     """Sees to it that the agents of a fleet can listen, at other ports if need be.
 
     Args:
         tables: what the agents' files say, by agent.
+        schemes: of the addresses whose ports are meant.
 
     Returns:
         A claim to the ports that the files name, and nothing to be set; or, where one of these ports is taken, no
         claim, and what is to be set in each agent's file so that all of them use free ones.
     """
-    addresses = addresses_in(dict(tables))
+    addresses = [address for address in addresses_in(dict(tables)) if address.scheme in schemes]
     claim = Claim.to(dict.fromkeys(address.port for address in addresses))
     if claim is not None:
         if not any(listening_fault(it.host, it.port, it.scheme) for it in addresses):
@@ -93,5 +100,9 @@ def _kind(scheme: str) -> socket.SocketKind:
 def _take_free_port(host: str, scheme: str) -> tuple[socket.socket, int]:
     """Takes a free port; the socket keeps it until it is closed, so that no two calls return the same."""
     held = socket.socket(type=_kind(scheme))
+    for port in random.SystemRandom().sample(NOT_LENT, len(NOT_LENT)):
+        with contextlib.suppress(OSError):
+            held.bind((host, port))
+            return held, port
     held.bind((host, 0))
     return held, held.getsockname()[1]

@@ -19,18 +19,20 @@ def within_machine(tables: Mapping[str, Mapping[str, Any]], fleets: Mapping[str,
         tables: what the agents' files say, by agent.
         fleets: the agents' fleets, likewise.
     """
+    own = {agent: table["agent"] for agent, table in tables.items() if isinstance(table.get("agent"), dict)}
     at_port = {
         address.port: local_address(fleets[agent], agent)
-        for agent, table in tables.items()
-        for address in addresses_in(table.get("agent", {}).get("listen", ""))
+        for agent, it in own.items()
+        for address in addresses_in(it.get("listen"))
     }
     found: dict[str, list[str]] = {}
-    for agent, table in tables.items():
+    for agent, it in own.items():  # another file is not sound, and reading it as a configuration says so
+        table = tables[agent]
         others: dict[Address, str] = {
             address: at_port.get(address.port, f"{LOCAL}://{fleets[agent]}/port-{address.port}")
             for address in addresses_in(dict(table))
             if address.loopback and address.scheme == "tcp"
         }
-        own = {key: value for key, value in table.get("agent", {}).items() if key != "listen"}
-        found[agent] = ["agent.listen=[]", *moved({**table, "agent": own}, others)]
+        rest = {key: value for key, value in it.items() if key != "listen"}
+        found[agent] = ["agent.listen=[]", *moved({**table, "agent": rest}, others)]
     return found
