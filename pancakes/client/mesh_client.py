@@ -5,8 +5,6 @@ Threads are only here: the terminal may wait, agents may not.
 
 from __future__ import annotations
 
-import os
-import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -15,16 +13,16 @@ from typing import Any, Final
 
 from pancakes.client.door import Door
 from pancakes.client.greeting import Greeting
+from pancakes.client.way import Way
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
 from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, reachable_from
 from pancakes.mesh.net.peers import reachable
-from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.security.key_folders import fleets_of_person
 from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import entries, runtime_dir
 
 Answers = dict[tuple[str, str], Reply]
@@ -102,9 +100,8 @@ class Client:
     def __init__(self, at: Where | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
         where = Where.of(at)
         self.timeout_s = timeout_s
-        self.name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
         self._clock = MonotonicClock()
-        self._transport = SocketTransport(self._clock, self.name, Plugins())
+        self._ways: dict[str, Way] = {}
         self._lock = threading.RLock()
         # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
         # leaves its lock in disorder, and a program that then ends in good order waits for ever.
@@ -116,8 +113,12 @@ class Client:
         self._at = where.addresses
         self._fleet = where.fleet
         fleet = self._fleet or DEFAULT_FLEET
-        for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
-            self._follow(lead)
+        try:
+            for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
+                self._follow(lead)
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Client:
         return self
@@ -131,7 +132,8 @@ class Client:
             doors = list(self._doors.values())
         for door in doors:
             door.close()
-        self._transport.close()
+        for way in self._ways.values():
+            way.transport.close()
 
     def request(self, agent: str, body: Any, timeout_s: float | None = None) -> Reply:
         """Asks one agent for something, and waits for its answer.
@@ -236,6 +238,10 @@ class Client:
                 return False
             self._no_news.acquire(timeout=min(left_s, LOOK_S))
 
+    def is_own(self, name: str) -> bool:
+        """Returns whether a name of the mesh is that of this client in a fleet."""
+        return any(way.name == name for way in self._ways.values())
+
     def doors(self) -> list[Door]:
         """Returns the doors of the fleets that are known by now."""
         with self._lock:
@@ -287,16 +293,26 @@ class Client:
             self._changed()
 
         self._greeted += 1
-        name, fleet = f"{self.name}.{self._greeted}", self._fleet_at(lead)
-        Greeting(self._transport, lead.address, name, fleet, self._clock, told)
+        fleet = self._fleet_at(lead)
+        way = self._way(fleet)
+        Greeting(way.transport, lead.address, f"{way.name}.{self._greeted}", fleet, self._clock, told)
+
+    def _way(self, fleet: str) -> Way:
+        """Returns how the agents of a fleet are reached."""
+        made = self._ways.get(fleet)
+        if made is None:
+            made = self._ways[fleet] = Way.to(fleet, self._clock)
+        return made
 
     def _fleet_at(self, lead: Lead) -> str:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
         if lead.fleet or self._fleet:
             return lead.fleet or self._fleet
         with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
-            return next((entry.fleet for entry in entries() if lead.address in entry.listen), DEFAULT_FLEET)
-        return DEFAULT_FLEET
+            if here := [entry.fleet for entry in entries() if lead.address in entry.listen]:
+                return here[0]
+        own = fleets_of_person()
+        return own[0] if len(own) == 1 else DEFAULT_FLEET
 
     def _met(self, lead: Lead, what: Hello | str) -> None:
         if isinstance(what, str):
@@ -309,7 +325,8 @@ class Client:
             lead.name, lead.fleet = what.name, what.fleet
             door = self._doors.get(what.fleet)
             if door is None:
-                door = Door(self.name, what.fleet, self._transport, self._clock, self._changed)
+                way = self._way(what.fleet)
+                door = Door(way.name, what.fleet, way.transport, self._clock, self._changed)
                 self._doors[what.fleet] = door
             door.learn(lead.address)
 

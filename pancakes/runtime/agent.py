@@ -28,7 +28,7 @@ from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
 from pancakes.runtime.composition import Composition
-from pancakes.runtime.config import Config, parse_address
+from pancakes.runtime.config import Config
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
@@ -56,6 +56,7 @@ from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
+from pancakes.runtime.transport_settings import TCP, tcp_addresses, transport_settings
 from pancakes.service import Service
 from pancakes.settings import make_settings
 
@@ -99,6 +100,7 @@ class Agent:
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
+        insecure: whether it speaks over TCP without keys.
         fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
 
     Raises:
@@ -125,6 +127,7 @@ class Agent:
         )
         self.ready = threading.Event()
         self.fatal: str = ""
+        self.insecure = False
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
         self._on_shutdown: Callable[[], None] | None = None
@@ -286,11 +289,9 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
-        for address in self.mesh.listen:
-            if not parse_address(address).loopback:
-                self.kernel.log(
-                    "warning", f"{self.name} listens at {address}: links are not encrypted, and no peer is checked"
-                )
+        if self.insecure:
+            text = f"{self.name} speaks over tcp:// without keys: nothing is encrypted, and no peer is checked"
+            self.kernel.log("warning", text)
         self.ready.set()
         self._say_unsaid()
 
@@ -369,6 +370,7 @@ class Agent:
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
+            "insecure": self.insecure,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
@@ -443,12 +445,9 @@ class Agent:
         return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
-        return SocketTransport(self.kernel.host, self.name, self._plugins, self._transport_settings())
-
-    def _transport_settings(self) -> dict[str, dict[str, Any]]:
-        given = self._network_settings().transports
-        group = self.config.agent.local_group
-        return {**given, LOCAL: {**given.get(LOCAL, {}), "group": group}} if group else given
+        settings = transport_settings(self.config.agent, self._network_settings())
+        self.insecure = bool(tcp_addresses(self.config.agent)) and "keys" not in settings[TCP]
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings)
 
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""
@@ -470,7 +469,8 @@ class Agent:
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transports") if name in given}
+        early = ("heartbeat_s", "busy_poll_s", "insecure", "transports")
+        known = {name: given[name] for name in early if name in given}
         return make_settings(NetworkService.Settings, known)
 
     def _resting(self) -> dict[str, str]:

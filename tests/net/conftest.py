@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.net.certified import CertifiedRole
+from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
@@ -25,7 +25,7 @@ from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 from pancakes.runtime.plugins import Plugins
-from pancakes.security.authority import Authority
+from pancakes.mesh.security.authority import Authority
 
 PATIENCE_S = 20.0
 
@@ -67,8 +67,8 @@ class TransportRig(ABC):
     clock: Clock
 
     @abstractmethod
-    def transport(self, name: str) -> Transport:
-        """Returns a transport for an agent."""
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        """Returns a transport for an agent, or for what has another role."""
 
     def ear(self) -> Ear:
         return Ear(self)
@@ -105,8 +105,8 @@ class SocketRig(TransportRig):
         self.changed = threading.Condition()
         self.transports: list[Transport] = []
 
-    def transport(self, name: str) -> Transport:
-        made = SocketTransport(self.clock, name, Plugins())
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        made = SocketTransport(self.clock, name, Plugins(), {"tcp": {"insecure": True}})
         self.transports.append(made)
         return made
 
@@ -141,8 +141,10 @@ class TlsRig(TcpRig):
         self.directory = directory
         self.authority = Authority.founded("default", directory / "authority")
 
-    def transport(self, name: str) -> Transport:
-        return self.with_keys(self.enrol(name))
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        if role == "client":
+            return self.with_keys(self.enrol(name.partition(".")[0], "operator"))
+        return self.with_keys(self.enrol(name, role))
 
     def enrol(self, name: str, role: CertifiedRole = "agent", **more: Any) -> Path:
         """Makes keys; returns the folder that they are in."""
@@ -150,7 +152,7 @@ class TlsRig(TcpRig):
 
     def with_keys(self, folder: Path | None) -> Transport:
         """Returns a transport that shows these keys; None: none."""
-        settings = {"tcp": {"keys": str(folder)}} if folder is not None else None
+        settings = {"tcp": {"keys": str(folder)} if folder is not None else {"insecure": True}}
         made = SocketTransport(self.clock, folder.name if folder is not None else "none", Plugins(), settings)
         self.transports.append(made)
         return made
@@ -180,7 +182,7 @@ class MemoryRig(TransportRig):
         self.clock: Clock = self.timeline.clock
         self.network = MemoryNetwork(self.timeline.call_at, self.clock.now, random.Random(1))
 
-    def transport(self, name: str) -> Transport:
+    def transport(self, name: str, role: Role = "agent") -> Transport:
         return self.network.transport(name)
 
     def note(self) -> None:
@@ -346,7 +348,7 @@ class Agent:
         self.downs: list[tuple[str, str, float | None]] = []
         self.lines: list[tuple[str, str]] = []
         self._seq = 0
-        self.transport = rig.transport(name)
+        self.transport = rig.transport(name, role)
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,

@@ -13,7 +13,7 @@ from net.conftest import Ear, TlsRig
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
-from pancakes.security.authority import Authority
+from pancakes.mesh.security.authority import Authority
 
 
 @pytest.fixture
@@ -61,12 +61,19 @@ def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listen
     folder = stranger(rig).enrol(rig.directory / "x", "agent", "a")
     here = dialled(rig, folder, address)
     assert both_closed(rig, here, there)[0] == "its certificate is of another fleet"
-    shutil.copy(rig.directory / "authority" / "fleet.pem", folder / "fleet.pem")  # it believes ours, and shows its own
-    here.closed_for.clear()
     there.closed_for.clear()
-    here = dialled(rig, folder, address)
+    with raw(address) as link, bare_context(rig, folder).wrap_socket(link) as tls:  # it believes ours, shows its own
+        with pytest.raises(ssl.SSLError, match="UNKNOWN_CA"):
+            tls.recv(1)
     rig.until(lambda: there.closed_for)
     assert there.closed_for[0].endswith("its certificate is of another fleet")
+
+
+def test_keys_of_two_fleets_in_one_folder_are_refused(rig):
+    folder = stranger(rig).enrol(rig.directory / "x", "agent", "a")
+    shutil.copy(rig.directory / "authority" / "fleet.pem", folder / "fleet.pem")
+    with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
+        rig.with_keys(folder).listen(rig.listen_at, rig.ear)
 
 
 def test_a_person_does_not_listen(rig):

@@ -24,6 +24,7 @@ from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
+from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.wire.link import (
     Action,
     Greeted,
@@ -236,8 +237,8 @@ class Mesh:
         if self._state != "new":
             return
         self._state = "running"
-        times, looks_up = self._times, self._transport.looks_up
-        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, looks_up)
+        times, may_be_named = self._times, self._transport.may_be_named
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -410,6 +411,10 @@ class Mesh:
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
+        if session.certified is not None and (fault := fault_of_bearer(session.certified, hello.name, hello.role, hello.fleet)):
+            self._act(session, session.link.answer(now_s))
+            self._act(session, session.link.refuse("name", fault, now_s))
+            return
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
         if not is_namesake(session.number, decisions):
             self._act(session, session.link.answer(now_s))

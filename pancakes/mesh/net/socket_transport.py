@@ -41,17 +41,17 @@ class SocketTransport(Transport):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         try:
             transport = self._of(address)
-        except PluginError as error:
+        except PancakesError as error:
             reason = f"{address} cannot be dialled: {error}"
             self.call_later(0.0, lambda: handler.closed(reason))
         else:
             transport.dial(address, handler)
 
-    def looks_up(self, address: str) -> bool:
+    def may_be_named(self, address: str) -> bool:
         try:
-            return self._of(address).looks_up(address)
-        except PluginError:
-            return True
+            return self._of(address).may_be_named(address)
+        except PancakesError:
+            return False
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
@@ -70,7 +70,7 @@ class SocketTransport(Transport):
         """Returns the transport that an address names.
 
         Raises:
-            PluginError: no distribution offers it, or it cannot be made.
+            PancakesError: no distribution offers it, or it cannot be made.
         """
         scheme = address.partition("://")[0]
         made = self._made.get(scheme)

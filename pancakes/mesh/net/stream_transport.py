@@ -79,12 +79,12 @@ class StreamTransport(SchemeTransport):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
 
-    def looks_up(self, address: str) -> bool:
+    def may_be_named(self, address: str) -> bool:
         try:
             self.places(address, look_up=False)
         except (OSError, ValueError):
-            return True
-        return False
+            return False
+        return True
 
     def close(self) -> None:
         for it in list(self.open):

@@ -5,23 +5,25 @@ from __future__ import annotations
 import os
 import socket
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.mesh.address import parse_address
 from pancakes.mesh.net.buffers import bound_buffers
 from pancakes.mesh.net.handshakes import Handshakes
-from pancakes.mesh.net.keys import Keys
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
-from pancakes.mesh.net.tls_connection import TlsConnection
 from pancakes.mesh.net.transport import ConnectionHandler
+
+if TYPE_CHECKING:
+    from pancakes.mesh.net.tls_connection import TlsConnection
+    from pancakes.mesh.security.keys import Keys
 
 _USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for so long
 
 
 class TcpTransport(StreamTransport):
-    """Connections over TCP: encrypted, and between bearers of the fleet's certificates, where it has keys.
+    """Connections over TCP: encrypted, and between bearers of the fleet's certificates.
 
     Args:
         loop: the transport's thread.
@@ -35,23 +37,32 @@ class TcpTransport(StreamTransport):
         """How it connects.
 
         Attributes:
-            keys: the directory with this agent's keys; empty: it has none, and nothing is encrypted.
+            keys: the folder with the keys of this agent, or of this person; empty: there are none.
+            insecure: whether it connects without keys too: what is said can then be read, changed and made up by all
+                that reach the network.
         """
 
         keys: str = ""
+        insecure: bool = False
 
     def __init__(self, loop: Loop, settings: Settings) -> None:
         super().__init__(loop, settings)
-        self._keys = Keys(Path(settings.keys)) if settings.keys else None
+        self._insecure = settings.insecure
         self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
+        self._keys: Keys | None = None
+        if settings.keys:
+            from pancakes.mesh.security.keys import Keys
+
+            self._keys = Keys(Path(settings.keys))
 
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
         if self._keys is None:
             return super().connection(sock, remote, handler, dialled)
-        context = self._keys.dialling if dialled else self._keys.listening
-        made = TlsConnection(self, sock, remote, handler, context, dialled, lambda certified: "", self._handshakes.over)
+        from pancakes.mesh.net.tls_connection import TlsConnection
+
+        made = TlsConnection(self, sock, remote, handler, self._keys, dialled, self._handshakes.over)
         if not dialled and (oldest := self._handshakes.begun(made)) is not None:
             oldest.dispose("it was slow to say who it is, and others wait")
         return made
@@ -73,6 +84,8 @@ class TcpTransport(StreamTransport):
         parts = parse_address(address)
         if parts.scheme != "tcp" or parts.path:
             raise ValueError(f"{address!r} is no address of TCP: write it as tcp://host:port")
+        if self._keys is None and not self._insecure:
+            raise ValueError(needs_keys(address))
         # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
         flags = 0 if look_up else socket.AI_NUMERICHOST
         found = socket.getaddrinfo(parts.host.encode(), parts.port, type=socket.SOCK_STREAM, flags=flags)
@@ -89,6 +102,16 @@ class TcpTransport(StreamTransport):
         if self._keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
             return "too many begin at once to say who they are"
         return ""
+
+
+def needs_keys(address: str, name: str = "NAME") -> str:
+    """Returns why there is no connection over TCP, as a sentence.
+
+    Args:
+        address: the address.
+        name: the agent's name.
+    """
+    return f"{address!r} needs keys: run pancakes fleet join, or use local://{name} for this machine alone"
 
 
 def _address(place: Any) -> str:

@@ -13,10 +13,10 @@ import ssl
 from collections.abc import Callable
 from typing import Final
 
-from pancakes.mesh.net.certified import Certified, certified
 from pancakes.mesh.net.stream_connection import SocketOwner, StreamConnection
 from pancakes.mesh.net.tls_sentences import sentence_of
 from pancakes.mesh.net.transport import ConnectionHandler, Scheduled
+from pancakes.mesh.security.keys import Keys, certificate_shown
 
 HANDSHAKE_S: Final = 5.0
 RECORD_BYTES: Final = 16 * 1024
@@ -33,9 +33,8 @@ class TlsConnection(StreamConnection):
         sock: its socket.
         remote: the address of the other end.
         handler: takes what comes.
-        context: the keys.
+        keys: what it shows, and whom it believes.
         dialled: whether it was dialled.
-        believe: returns why what a certificate says is not believed, as a clause; empty: it is.
         shaken: called when the handshake is over, whatever came of it.
     """
 
@@ -45,15 +44,15 @@ class TlsConnection(StreamConnection):
         sock: socket.socket,
         remote: str,
         handler: ConnectionHandler,
-        context: ssl.SSLContext,
+        keys: Keys,
         dialled: bool,
-        believe: Callable[[Certified], str],
         shaken: Callable[[TlsConnection], None],
     ) -> None:
         super().__init__(owner, sock, remote, handler)
-        self._believe = believe
+        self._keys = keys
         self._shaken = shaken
         self._in, self._out = ssl.MemoryBIO(), ssl.MemoryBIO()
+        context = keys.dialling if dialled else keys.listening
         self._tls = context.wrap_bio(self._in, self._out, server_side=not dialled)
         self._late: Scheduled | None = None
         self._bytes = 0
@@ -126,12 +125,11 @@ class TlsConnection(StreamConnection):
 
     def _look(self) -> str:
         """Learns who is there; returns why that is not believed, as a clause."""
-        shown = self._tls.getpeercert() or {}
         try:
-            found = certified(shown, float(ssl.cert_time_to_seconds(str(shown["notAfter"]))))
-        except (ValueError, KeyError) as error:
+            found = certificate_shown(self._tls)
+        except ValueError as error:
             return str(error)
-        fault = self._believe(found)
+        fault = self._keys.fault_of(found)
         if not fault:
             self.certified = found
         return fault

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from pancakes.mesh.net.certified import Certified
+from pancakes.mesh.security.certified import Certified
 from pancakes.mesh.net.loop import Loop
 from pancakes.runtime.kernel.guest import Guest
 
@@ -99,9 +99,9 @@ class SchemeTransport(ABC):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
 
-    def looks_up(self, address: str) -> bool:
-        """See `Transport.looks_up`."""
-        return False
+    def may_be_named(self, address: str) -> bool:
+        """See `Transport.may_be_named`."""
+        return True
 
     @abstractmethod
     def close(self) -> None:
@@ -130,9 +130,9 @@ class Transport(ABC):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
-    def looks_up(self, address: str) -> bool:
-        """Returns whether a name must be looked up before `address` can be dialled. Peers may name no such address."""
-        return False
+    def may_be_named(self, address: str) -> bool:
+        """Returns whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
+        return True
 
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:

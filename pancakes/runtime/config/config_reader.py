@@ -223,17 +223,9 @@ class _ConfigReader:
         if text in config.agent.listen[:index]:
             self._fault(key, f"{text!r} stands in the list for the second time")
         try:
-            address = parse_address(text)
+            parse_address(text)
         except ValueError as error:
             self._fault(key, str(error))
-            return
-        network = config.services.get("network")
-        if not address.loopback and not (network and network.settings.get("insecure") is True):
-            self._fault(
-                key,
-                f"{text!r} can be reached from other computers, and links are neither encrypted nor"
-                " checked: listen on 127.0.0.1, or say settings = { insecure = true } in [service.network]",
-            )
 
     def _check_restart(self, key: KeyPath, spec: RestartSpec) -> None:
         if spec.at_most < 0:

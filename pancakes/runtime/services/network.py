@@ -93,7 +93,8 @@ class NetworkService(Service):
             busy_poll_s: so long the network's thread stays awake for the next packet where one comes after the other
                 within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
                 saves power.
-            insecure: whether it may listen where other machines can reach it, although links are not encrypted.
+            insecure: whether it speaks over TCP although it has no keys, so that nothing is encrypted and no peer is
+                checked. Where it has keys, it uses them.
             transports: settings of transports, by the scheme of their addresses: `{ tcp = { dial_s = 2.0 } }`.
         """
 

@@ -9,7 +9,6 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.foundation.names import NAME
 
 CertifiedRole = Literal["agent", "environment", "operator", "observer"]
@@ -74,20 +73,28 @@ def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
     )
 
 
-def fault_of_bearer(it: Certified, hello: Hello) -> str:
-    """Returns in what a hello is not as the certificate of its sender says, as a sentence; empty: in nothing."""
-    role = "client" if it.is_person else it.role
-    bears = hello.name.startswith(f"{it.name}.") if it.is_person else hello.name == it.name
-    if not bears:
-        return f"it calls itself {hello.name}, and its certificate is {it.name}'s ({it.role})"
-    if hello.role != role:
-        return f"{hello.name} comes as {hello.role}, and its certificate is for the role {it.role}"
-    if hello.fleet != it.fleet:
-        return f"{hello.name} says that it is of the fleet {hello.fleet}, and its certificate says {it.fleet}"
+def fault_of_bearer(it: Certified, name: str, role: str, fleet: str) -> str:
+    """Returns in what somebody is not as the own certificate says, as a sentence; empty: in nothing.
+
+    Args:
+        it: what the certificate says.
+        name: the name on the mesh; that of a person's terminal is the person's, a dot and more.
+        role: the role on the mesh; that of a person is `client`.
+        fleet: the fleet.
+    """
+    if not (name.startswith(f"{it.name}.") if it.is_person else name == it.name):
+        return f"it calls itself {name}, and its certificate is {it.name}'s ({it.role})"
+    if role != ("client" if it.is_person else it.role):
+        return f"{name} comes as {role}, and its certificate is for the role {it.role}"
+    if fleet != it.fleet:
+        return f"{name} says that it is of the fleet {fleet}, and its certificate says {it.fleet}"
     return ""
 
 
 def fault_of_end(it: Certified, time_s: float) -> str:
     """Returns whether a certificate has ended by a time, as a clause; empty: it has not."""
     late_s = time_s - it.ends_s
-    return f"its certificate ended {late_s / 86_400:.0f} days ago" if late_s > SLACK_S else ""
+    if late_s <= SLACK_S:
+        return ""
+    ago = f"{late_s / 86_400:.0f} days" if late_s > 2 * 86_400 else f"{late_s / 3600:.1f} hours"
+    return f"its certificate ended {ago} ago"

@@ -14,11 +14,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.net.certified import PEOPLE, CertifiedRole
+from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
+from pancakes.mesh.security.key_folders import FLEET, KEY
 
 AUTHORITY_KEY: Final = "authority.key"
-FLEET: Final = "fleet.pem"
-KEY: Final = "key.pem"
 PERSON_DAYS: Final = 90
 """So long a person's certificate is good; that of an agent has no end: one whose key ended would be lost."""
 

@@ -1,0 +1,128 @@
+"""An agent's own key and the certificate of its fleet: what it shows at each connection, and whom it believes."""
+
+from __future__ import annotations
+
+import os
+import ssl
+import stat
+from pathlib import Path
+from typing import Final
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.security.certified import Certified, certified, fault_of_end
+from pancakes.mesh.security.key_folders import FLEET, KEY
+from pancakes.runtime.clock import wall_ns
+
+_NO_CHECK_TIME: Final = 0x200000
+"""X509_V_FLAG_NO_CHECK_TIME, which Python does not name: a robot without a clock wakes up in 1970."""
+
+
+class Keys:
+    """What TLS needs of keys, for connections that are dialled and those that come in.
+
+    Args:
+        folder: where `key.pem` and `fleet.pem` are.
+
+    Attributes:
+        folder: the same.
+        dialling: for connections that are dialled.
+        listening: for connections that come in.
+        own: what the own certificate says.
+
+    Raises:
+        PancakesError: a file is missing, is of no use, or others can read the key; the sentence names it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        check_private(folder / KEY)
+        self.dialling = _context(ssl.PROTOCOL_TLS_CLIENT, folder)
+        self.listening = _context(ssl.PROTOCOL_TLS_SERVER, folder)
+        try:
+            self.own = certificate_shown(_shown_to_itself(self.listening, folder))
+        except (ssl.SSLError, ValueError):
+            raise PancakesError(
+                f"the key {folder / KEY} is of no use in the fleet of {folder / FLEET}: the authority of that fleet"
+                " has not signed its certificate"
+            ) from None
+
+    def fault_of(self, shown: Certified) -> str:
+        """Returns why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
+        if shown.fleet != self.own.fleet:
+            return f"its certificate is of the fleet {shown.fleet}, and ours of {self.own.fleet}"
+        return fault_of_end(shown, wall_ns() / 1e9)
+
+
+def certificate_shown(side: ssl.SSLObject) -> Certified:
+    """Returns what the certificate says that the other side has shown.
+
+    Raises:
+        ValueError: it is none of a fleet; the message says why, as a clause.
+    """
+    shown = side.getpeercert() or {}
+    try:
+        return certified(shown, float(ssl.cert_time_to_seconds(str(shown["notAfter"]))))
+    except KeyError as error:
+        raise ValueError(f"its certificate lacks {error}") from None
+
+
+def _context(protocol: int, folder: Path) -> ssl.SSLContext:
+    context = ssl.SSLContext(protocol)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    context.check_hostname = False  # the name stands in the certificate's URI, and the hello is held against it
+    context.verify_mode = ssl.CERT_REQUIRED
+    context.verify_flags = ssl.VerifyFlags(int(context.verify_flags) | _NO_CHECK_TIME)
+    for file, load in ((FLEET, context.load_verify_locations), (KEY, context.load_cert_chain)):
+        path = folder / file
+        try:
+            load(path)
+        except ssl.SSLError as error:
+            raise PancakesError(f"the key file {path} cannot be used: {(error.reason or str(error)).lower()}") from None
+        except OSError as error:
+            raise PancakesError(f"the key file {path} cannot be used: {error.strerror or error}") from None
+    if protocol == ssl.PROTOCOL_TLS_SERVER:
+        context.num_tickets = 0  # a peer that comes again shows its certificate again
+    return context
+
+
+def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
+    """Returns the listening side of a handshake with itself: Python reads no certificate but one that it was shown.
+
+    Raises:
+        ssl.SSLError: the key would not be believed.
+    """
+    dialling = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    dialling.check_hostname = False
+    dialling.verify_mode = ssl.CERT_NONE  # a person's certificate is for dialling alone
+    dialling.load_cert_chain(folder / KEY)
+    to_listener, to_dialler = ssl.MemoryBIO(), ssl.MemoryBIO()
+    sides = (
+        dialling.wrap_bio(to_dialler, to_listener),
+        listening.wrap_bio(to_listener, to_dialler, server_side=True),
+    )
+    for side in (*sides, *sides):
+        try:
+            side.do_handshake()
+        except ssl.SSLWantReadError:
+            continue
+    return sides[1]
+
+
+def check_private(path: Path) -> None:
+    """Checks that no other user can read a private key.
+
+    Raises:
+        PancakesError: another user can, or it is not there; the sentence says what to do.
+    """
+    try:
+        found = path.lstat()
+    except OSError as error:
+        raise PancakesError(f"the key {path} cannot be used: {(error.strerror or str(error)).lower()}") from None
+    if not stat.S_ISREG(found.st_mode):
+        raise PancakesError(f"the key {path} is no file")
+    if found.st_uid != os.getuid():
+        raise PancakesError(f"the key {path} belongs to another user (uid {found.st_uid})")
+    if found.st_mode & 0o077:
+        raise PancakesError(
+            f"the key {path} can be read by others (mode {stat.S_IMODE(found.st_mode):o}): chmod 600 it"
+        )
