@@ -1,0 +1,40 @@
+"""How a terminal reaches the agents of one fleet: as the person whose keys this user has, or without a name."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from typing import NamedTuple
+
+from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.security.key_folders import keys_of_person
+from pancakes.runtime.clock import Clock
+from pancakes.runtime.plugins import Plugins
+
+
+class Way(NamedTuple):
+    """How the agents of a fleet are reached.
+
+    Attributes:
+        name: the name of the terminal in that fleet.
+        transport: how bytes travel.
+    """
+
+    name: str
+    transport: SocketTransport
+
+    @classmethod
+    def to(cls, fleet: str, clock: Clock) -> Way:
+        """Makes the way to a fleet: with the keys of this person, where there are any, else in the clear.
+
+        Raises:
+            PancakesError: the keys cannot be used; the sentence says why.
+        """
+        folder = keys_of_person(fleet)
+        if folder is None:
+            name, settings = f"cli-{os.getpid()}-{secrets.token_hex(3)}", {"insecure": True}
+        else:
+            from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, which takes its time
+
+            name, settings = f"{Keys(folder).own.name}.{secrets.token_hex(4)}", {"keys": str(folder)}
+        return cls(name, SocketTransport(clock, name, Plugins(), {"tcp": settings}))
