@@ -9,8 +9,6 @@ import os
 from pathlib import Path
 from typing import Final
 
-VARIABLE: Final = "PANCAKES_KEYS"
-"""The environment variable that names another directory for the keys of agents."""
 KEY: Final = "key.pem"
 """In a folder of keys: the certificate of their bearer, and the private key."""
 FLEET: Final = "fleet.pem"
@@ -20,14 +18,13 @@ _OF_SERVICES: Final = Path("/etc/pancakes/keys")
 
 def folder_of_agent(fleet: str, name: str) -> Path:
     """Returns where the keys of an agent belong, for this user."""
-    named = os.environ.get(VARIABLE)
-    return (Path(named) if named else _data_home() / "keys") / fleet / name
+    base = os.environ.get("XDG_DATA_HOME")
+    return (Path(base) if base else Path.home() / ".local" / "share") / "pancakes" / "keys" / fleet / name
 
 
 def keys_of_agent(fleet: str, name: str) -> Path | None:
     """Returns the folder with the keys of an agent, of this user or else of the machine; None where it has none."""
-    own = folder_of_agent(fleet, name)
-    places = (own,) if os.environ.get(VARIABLE) else (own, _OF_SERVICES / fleet / name)
+    places = (folder_of_agent(fleet, name), _OF_SERVICES / fleet / name)
     return next((it for it in places if os.path.lexists(it / KEY)), None)
 
 
@@ -54,8 +51,3 @@ def fleets_of_person() -> list[str]:
         return sorted(it.name for it in fleets().iterdir() if keys_of_person(it.name))
     except OSError:
         return []
-
-
-def _data_home() -> Path:
-    base = os.environ.get("XDG_DATA_HOME")
-    return (Path(base) if base else Path.home() / ".local" / "share") / "pancakes"
