@@ -32,9 +32,10 @@ class Way(NamedTuple):
         """
         folder = keys_of_person(fleet)
         if folder is None:
-            name, settings = f"cli-{os.getpid()}-{secrets.token_hex(3)}", {"insecure": True}
-        else:
-            from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, which takes its time
+            name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
+            return cls(name, SocketTransport(clock, name, Plugins(), {"tcp": {"insecure": True}}))
+        from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, which takes its time
 
-            name, settings = f"{Keys(folder).own.name}.{secrets.token_hex(4)}", {"keys": str(folder)}
-        return cls(name, SocketTransport(clock, name, Plugins(), {"tcp": settings}))
+        keys = Keys(folder)
+        name = f"{keys.own.name}.{secrets.token_hex(4)}"
+        return cls(name, SocketTransport(clock, name, Plugins(), keys=keys))

@@ -56,7 +56,7 @@ from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
-from pancakes.runtime.transport_settings import TCP, tcp_addresses, transport_settings
+from pancakes.runtime.transport_settings import keys_for, tcp_addresses, transport_settings
 from pancakes.service import Service
 from pancakes.settings import make_settings
 
@@ -445,9 +445,11 @@ class Agent:
         return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
-        settings = transport_settings(self.config.agent, self._network_settings())
-        self.insecure = bool(tcp_addresses(self.config.agent)) and "keys" not in settings[TCP]
-        return SocketTransport(self.kernel.host, self.name, self._plugins, settings)
+        agent, network = self.config.agent, self._network_settings()
+        keys = keys_for(agent, network)
+        self.insecure = keys is None and bool(tcp_addresses(agent))
+        settings = transport_settings(agent, network)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
 
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""
@@ -469,7 +471,7 @@ class Agent:
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        early = ("heartbeat_s", "busy_poll_s", "insecure", "transports")
+        early = ("heartbeat_s", "busy_poll_s", "insecure", "keys", "transports")
         known = {name: given[name] for name in early if name in given}
         return make_settings(NetworkService.Settings, known)
 

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from pancakes.mesh.security.certified import CertifiedRole
+from pancakes.mesh.security.keys import Keys
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
@@ -152,8 +153,9 @@ class TlsRig(TcpRig):
 
     def with_keys(self, folder: Path | None) -> Transport:
         """Returns a transport that shows these keys; None: none."""
-        settings = {"tcp": {"keys": str(folder)} if folder is not None else {"insecure": True}}
-        made = SocketTransport(self.clock, folder.name if folder is not None else "none", Plugins(), settings)
+        keys = Keys(folder) if folder is not None else None
+        settings = {"tcp": {"insecure": keys is None}}
+        made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
         self.transports.append(made)
         return made
 

@@ -43,7 +43,7 @@ def stranger(rig: TlsRig) -> Authority:
 def both_closed(rig: TlsRig, here: Ear, there: Ear) -> tuple[str, str]:
     rig.until(lambda: here.closed_for and there.closed_for)
     assert there.connection is None, "nothing of it reaches the handler"
-    return here.closed_for[0].partition(": ")[2] or here.closed_for[0], there.closed_for[0].partition(": ")[2]
+    return here.closed_for[0], there.closed_for[0].partition(": ")[2]
 
 
 def test_both_know_who_is_there(rig, listening):

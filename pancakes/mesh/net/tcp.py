@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.mesh.address import parse_address
@@ -28,43 +27,34 @@ class TcpTransport(StreamTransport):
     Args:
         loop: the transport's thread.
         settings: see `Settings`.
-
-    Raises:
-        PancakesError: the keys cannot be used; the sentence says why.
+        keys: see `SchemeTransport`.
     """
 
     class Settings(StreamTransport.Settings):
         """How it connects.
 
         Attributes:
-            keys: the folder with the keys of this agent, or of this person; empty: there are none.
             insecure: whether it connects without keys too: what is said can then be read, changed and made up by all
                 that reach the network.
         """
 
-        keys: str = ""
         insecure: bool = False
 
-    def __init__(self, loop: Loop, settings: Settings) -> None:
-        super().__init__(loop, settings)
+    def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
+        super().__init__(loop, settings, keys)
         self._insecure = settings.insecure
         self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
-        self._keys: Keys | None = None
-        if settings.keys:
-            from pancakes.mesh.security.keys import Keys
-
-            self._keys = Keys(Path(settings.keys))
 
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
-        if self._keys is None:
+        if self.keys is None:
             return super().connection(sock, remote, handler, dialled)
         from pancakes.mesh.net.tls_connection import TlsConnection
 
-        made = TlsConnection(self, sock, remote, handler, self._keys, dialled, self._handshakes.over)
+        made = TlsConnection(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
         if not dialled and (oldest := self._handshakes.begun(made)) is not None:
-            oldest.dispose("it was slow to say who it is, and others wait")
+            oldest.dispose(f"{oldest.remote}: it was slow to say who it is, and others wait")
         return made
 
     def bind(self, address: str) -> Bound:
@@ -84,7 +74,7 @@ class TcpTransport(StreamTransport):
         parts = parse_address(address)
         if parts.scheme != "tcp" or parts.path:
             raise ValueError(f"{address!r} is no address of TCP: write it as tcp://host:port")
-        if self._keys is None and not self._insecure:
+        if self.keys is None and not self._insecure:
             raise ValueError(needs_keys(address))
         # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
         flags = 0 if look_up else socket.AI_NUMERICHOST
@@ -99,7 +89,7 @@ class TcpTransport(StreamTransport):
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
         bound_buffers(sock)
-        if self._keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
+        if self.keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
             return "too many begin at once to say who they are"
         return ""
 

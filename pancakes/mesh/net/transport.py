@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
 from pancakes.mesh.security.certified import Certified
 from pancakes.mesh.net.loop import Loop
 from pancakes.runtime.kernel.guest import Guest
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
 
 
 class Connection(ABC):
@@ -83,13 +86,14 @@ class SchemeTransport(ABC):
     Args:
         loop: the transport's thread.
         settings: what the configuration says under `transports.SCHEME` in the settings of `[service.network]`.
+        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
     class Settings(msgspec.Struct):
         """It has no settings."""
 
     @abstractmethod
-    def __init__(self, loop: Loop, settings: Any) -> None: ...
+    def __init__(self, loop: Loop, settings: Any, keys: Keys | None) -> None: ...
 
     @abstractmethod
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:

@@ -95,6 +95,7 @@ class NetworkService(Service):
                 saves power.
             insecure: whether it speaks over TCP although it has no keys, so that nothing is encrypted and no peer is
                 checked. Where it has keys, it uses them.
+            keys: the folder with the agent's keys; empty: where `pancakes fleet join` puts them.
             transports: settings of transports, by the scheme of their addresses: `{ tcp = { dial_s = 2.0 } }`.
         """
 
@@ -102,6 +103,7 @@ class NetworkService(Service):
         heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
+        keys: str = ""
         transports: dict[str, dict[str, bool | int | float | str]] = field(default_factory=dict)
 
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:

@@ -49,7 +49,7 @@ def keys_of_run(configs: Mapping[str, Config]) -> Iterator[Mapping[str, tuple[st
                 folder = authorities[agent.fleet].enrol(there / name, "operator", name.partition(".")[0])
             else:
                 folder = authorities[agent.fleet].enrol(there / name, agent.role, name)
-            found[name] = (f"service.network.settings.transports.{TCP}.keys={value_text(str(folder))}",)
+            found[name] = (f"service.network.settings.keys={value_text(str(folder))}",)
         yield found
 
 
@@ -68,8 +68,7 @@ def _network(config: Config) -> Mapping[str, Any]:
 
 
 def _has_keys(config: Config) -> bool:
-    given = _network(config).get("transports", {}).get(TCP, {}).get("keys")
-    return bool(given) or keys_of_agent(config.agent.fleet, config.agent.name) is not None
+    return bool(_network(config).get("keys")) or keys_of_agent(config.agent.fleet, config.agent.name) is not None
 
 
 def _speaks_tcp(config: Config) -> bool:
