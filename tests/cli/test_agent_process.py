@@ -193,7 +193,7 @@ def test_a_state_directory_in_use(rig: Rig):
 @pytest.mark.parametrize(
     ("network", "reason"),
     [
-        (INSECURE, "no link over a connection from tcp://127.0.0.1: the peer broke the protocol"),
+        (INSECURE, "no link over a connection from tcp://127.0.0.1: the other side broke the protocol"),
         ("", "no link over a connection: tcp://127.0.0.1:"),
     ],
     ids=["insecure", "with keys"],
