@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pancakes.mesh.security.authority import Authority
 from pancakes.mesh.security.certified import CertifiedRole
+from pancakes.mesh.security.fleet_office import FleetOffice
 
 
 class KeysInTest:
-    """Authorities of fleets, each made when it is first asked for.
+    """Fleets, each founded when it is first asked for.
 
     Args:
         directory: where all keys lie.
@@ -21,21 +21,21 @@ class KeysInTest:
     def __init__(self, directory: Path) -> None:
         self._config = directory / "config"
         self._data = directory / "data"
-        self._authorities: dict[str, Authority] = {}
+        self._offices: dict[str, FleetOffice] = {}
         self.environment = {"XDG_CONFIG_HOME": str(self._config), "XDG_DATA_HOME": str(self._data)}
 
-    def authority(self, fleet: str) -> Authority:
-        """Returns the authority of a fleet, of which the person alice is an operator."""
-        made = self._authorities.get(fleet)
+    def office(self, fleet: str) -> FleetOffice:
+        """Returns the office of a fleet, of which the person alice is an operator."""
+        made = self._offices.get(fleet)
         if made is None:
             folder = self._config / "pancakes" / "fleets" / fleet
-            made = self._authorities[fleet] = Authority.founded(fleet, folder)
-            made.enrol(folder / "me", "operator", "alice")
+            made = self._offices[fleet] = FleetOffice.founded(fleet, folder)
+            made.enrol_with_key("operator", "alice").write(folder / "me")
         return made
 
     def of_agent(self, fleet: str, name: str, role: CertifiedRole = "agent") -> Path:
         """Makes the keys of an agent, where it has none; returns their folder."""
         folder = self._data / "pancakes" / "keys" / fleet / name
         if not folder.exists():
-            self.authority(fleet).enrol(folder, role, name)
+            self.office(fleet).enrol_with_key(role, name).write(folder)
         return folder

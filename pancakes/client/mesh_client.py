@@ -326,7 +326,7 @@ class Client:
             door = self._doors.get(what.fleet)
             if door is None:
                 way = self._way(what.fleet)
-                door = Door(way.name, what.fleet, way.transport, self._clock, self._changed)
+                door = Door(way.name, what.fleet, way.transport, self._clock, self._changed, way.keys)
                 self._doors[what.fleet] = door
             door.learn(lead.address)
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import secrets
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.security.key_folders import keys_of_person
 from pancakes.runtime.clock import Clock
 from pancakes.runtime.plugins import Plugins
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 
 class Way(NamedTuple):
@@ -18,10 +21,12 @@ class Way(NamedTuple):
     Attributes:
         name: the name of the terminal in that fleet.
         transport: how bytes travel.
+        keys: those of this person; None: there are none.
     """
 
     name: str
     transport: SocketTransport
+    keys: Keys | None = None
 
     @classmethod
     def to(cls, fleet: str, clock: Clock) -> Way:
@@ -38,4 +43,4 @@ class Way(NamedTuple):
 
         keys = Keys(folder)
         name = f"{keys.own.name}.{secrets.token_hex(4)}"
-        return cls(name, SocketTransport(clock, name, Plugins(), keys=keys))
+        return cls(name, SocketTransport(clock, name, Plugins(), keys=keys), keys)

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -59,6 +59,9 @@ from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDow
 from pancakes.runtime.transport_settings import keys_for, tcp_addresses, transport_settings
 from pancakes.service import Service
 from pancakes.settings import make_settings
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 _TOLD_ONCE = ("name", "role", "fleet", "listen")
 """What a description of the agent says by itself, and not again with its mesh."""
@@ -128,6 +131,7 @@ class Agent:
         self.ready = threading.Event()
         self.fatal: str = ""
         self.insecure = False
+        self._keys: Keys | None = None
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
         self._on_shutdown: Callable[[], None] | None = None
@@ -192,6 +196,7 @@ class Agent:
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
+            keys=self._keys,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
@@ -371,6 +376,7 @@ class Agent:
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
             "insecure": self.insecure,
+            "roster": roster.number if (roster := self._keys and self._keys.roster) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
@@ -446,10 +452,10 @@ class Agent:
 
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, self._network_settings()
-        keys = keys_for(agent, network)
-        self.insecure = keys is None and bool(tcp_addresses(agent))
+        self._keys = keys_for(agent, network)
+        self.insecure = self._keys is None and bool(tcp_addresses(agent))
         settings = transport_settings(agent, network)
-        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, self._keys)
 
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""

@@ -26,7 +26,7 @@ from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 from pancakes.runtime.plugins import Plugins
-from pancakes.mesh.security.authority import Authority
+from pancakes.mesh.security.fleet_office import FleetOffice
 
 PATIENCE_S = 20.0
 
@@ -140,7 +140,7 @@ class TlsRig(TcpRig):
     def __init__(self, directory: Path) -> None:
         super().__init__()
         self.directory = directory
-        self.authority = Authority.founded("default", directory / "authority")
+        self.office = FleetOffice.founded("default", directory / "authority")
 
     def transport(self, name: str, role: Role = "agent") -> Transport:
         if role == "client":
@@ -149,7 +149,9 @@ class TlsRig(TcpRig):
 
     def enrol(self, name: str, role: CertifiedRole = "agent", **more: Any) -> Path:
         """Makes keys; returns the folder that they are in."""
-        return self.authority.enrol(self.directory / f"{role}-{name}-{len(self.transports)}", role, name, **more)
+        folder = self.directory / f"{role}-{name}-{len(self.transports)}"
+        self.office.enrol_with_key(role, name, **more).write(folder)
+        return folder
 
     def with_keys(self, folder: Path | None) -> Transport:
         """Returns a transport that shows these keys; None: none."""

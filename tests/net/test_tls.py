@@ -13,7 +13,7 @@ from net.conftest import Ear, TlsRig
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
-from pancakes.mesh.security.authority import Authority
+from pancakes.mesh.security.fleet_office import FleetOffice
 
 
 @pytest.fixture
@@ -36,8 +36,10 @@ def dialled(rig: TlsRig, folder: Path | None, address: str) -> Ear:
     return here
 
 
-def stranger(rig: TlsRig) -> Authority:
-    return Authority.founded("default", rig.directory / "elsewhere")
+def keys_of_a_stranger(rig: TlsRig) -> Path:
+    folder = rig.directory / "x"
+    FleetOffice.founded("default", rig.directory / "elsewhere").enrol_with_key("agent", "a").write(folder)
+    return folder
 
 
 def both_closed(rig: TlsRig, here: Ear, there: Ear) -> tuple[str, str]:
@@ -58,7 +60,7 @@ def test_both_know_who_is_there(rig, listening):
 
 def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listening):
     there, address = listening
-    folder = stranger(rig).enrol(rig.directory / "x", "agent", "a")
+    folder = keys_of_a_stranger(rig)
     here = dialled(rig, folder, address)
     assert both_closed(rig, here, there)[0] == "its certificate is of another fleet"
     there.closed_for.clear()
@@ -70,7 +72,7 @@ def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listen
 
 
 def test_keys_of_two_fleets_in_one_folder_are_refused(rig):
-    folder = stranger(rig).enrol(rig.directory / "x", "agent", "a")
+    folder = keys_of_a_stranger(rig)
     shutil.copy(rig.directory / "authority" / "fleet.pem", folder / "fleet.pem")
     with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
         rig.with_keys(folder).listen(rig.listen_at, rig.ear)

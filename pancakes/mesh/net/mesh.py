@@ -9,21 +9,23 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.errors import PancakesError
 from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
+from pancakes.mesh.net.rosters import Rosters
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
 from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
+from pancakes.mesh.net.why_lost import why_lost
 from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.wire.link import (
     Action,
@@ -33,13 +35,17 @@ from pancakes.mesh.wire.link import (
     LinkTimes,
     Over,
     PacketsReceived,
+    RosterHeard,
     SendMessage,
     Up,
 )
-from pancakes.mesh.wire.link_messages import Goodbye, Hello, Identity
+from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, RosterNumber, RosterText
 from pancakes.mesh.wire.runs import Unfit
-from pancakes.packet import Packet, agent_of
+from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 MAX_HANDSHAKES: Final = 256
 """Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
@@ -71,6 +77,7 @@ class Mesh:
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
         follows: whether it is a terminal, which takes packets of any source on any channel.
+        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
     def __init__(
@@ -89,6 +96,7 @@ class Mesh:
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
         follows: bool = False,
+        keys: Keys | None = None,
     ) -> None:
         self.identity = identity
         self._transport = transport
@@ -110,6 +118,7 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
+        self._rosters = Rosters(keys, self._links, self._tell, self._disown, transport.call_later, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -219,17 +228,9 @@ class Mesh:
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
-        own, name = self.identity.name, agent_of(packet.destination)
-        what = f"the packet {packet.type!r} of {packet.source}"
-        if name == own or not name:
-            return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
-        if self._state == "asleep":
-            return PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
-        if name in asleep:
-            return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
-        there = ", ".join(session.peer for session in self._links) or "no other agent"
-        return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
+        there = [session.peer for session in self._links]
+        return why_lost(packet, self.identity.name, self._state == "asleep", asleep, there)
 
     # In the transport's thread from here on
 
@@ -239,6 +240,7 @@ class Mesh:
         self._state = "running"
         times, may_be_named = self._times, self._transport.may_be_named
         self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
+        self._rosters.begin()
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -398,6 +400,8 @@ class Mesh:
                 decisions = self._peers.learnt(action.addresses, self._now(), session.peer, session.remote)
                 if decisions:
                     self._carry_out(decisions)
+            elif isinstance(action, RosterHeard):
+                self._rosters.heard(session, action.message)
             else:
                 self._over(session, action)
 
@@ -413,7 +417,7 @@ class Mesh:
         now_s = self._now()
         if session.certified is not None and (fault := fault_of_bearer(session.certified, hello.name, hello.role, hello.fleet)):
             self._act(session, session.link.answer(now_s))
-            self._act(session, session.link.refuse("name", fault, now_s))
+            self._disown(session, fault)
             return
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
         if not is_namesake(session.number, decisions):
@@ -423,6 +427,11 @@ class Mesh:
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
         self._watch(session)  # from now on it sends heartbeats
+
+    def _disown(self, session: Session, fault: str) -> None:
+        """Ends the link with a peer whose certificate is not for what it is, or not any more."""
+        if session.link is not None and session.number in self._sessions:
+            self._act(session, session.link.refuse("name", fault, self._now()))
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
@@ -435,6 +444,7 @@ class Mesh:
         self._log.stood_up(session, hello)
         self._call(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
+        self._rosters.stood_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
@@ -482,9 +492,9 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _tell(self, session: Session, addresses: tuple[str, ...]) -> None:
+    def _tell(self, session: Session, message: Gossip | RosterNumber | RosterText) -> None:
         if session.link is not None:
-            self._act(session, session.link.gossip(addresses, self._now()))
+            self._act(session, session.link.tell(message, self._now()))
 
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls what was given to us; its failure must not cost a link."""

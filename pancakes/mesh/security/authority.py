@@ -3,27 +3,45 @@
 from __future__ import annotations
 
 import datetime
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
+import msgspec
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
-from pancakes.mesh.security.key_folders import FLEET, KEY
+from pancakes.mesh.security.key_files import FLEET, write_private
+from pancakes.mesh.security.roster import MOST_BYTES, Roster, SignedRoster, signed_bytes
 
-AUTHORITY_KEY: Final = "authority.key"
+AUTHORITY: Final = "authority.key"
+"""In the operator's folder: the authority's private key."""
 PERSON_DAYS: Final = 90
 """So long a person's certificate is good; that of an agent has no end: one whose key ended would be lost."""
 
 _FOREVER: Final = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC)  # RFC 5280, 4.1.2.5
 _BEGINNING: Final = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
 _PEM: Final = serialization.Encoding.PEM
+_LOCKED: Final = b"ENCRYPTED PRIVATE KEY"
+
+
+class Given(NamedTuple):
+    """A certificate that was given out.
+
+    Attributes:
+        pem: the certificate.
+        serial: its number, as a peer reads it.
+        ends_s: when it ends, in seconds since 1970; None: it has no end.
+    """
+
+    pem: bytes
+    serial: str
+    ends_s: float | None
 
 
 class Authority:
@@ -39,7 +57,7 @@ class Authority:
 
     def __init__(self, directory: Path, password: bytes | None = None) -> None:
         try:
-            key = serialization.load_pem_private_key((directory / AUTHORITY_KEY).read_bytes(), password)
+            key = serialization.load_pem_private_key((directory / AUTHORITY).read_bytes(), password)
             certificate = x509.load_pem_x509_certificate((directory / FLEET).read_bytes())
         except OSError as error:
             raise PancakesError(f"the authority in {directory} cannot be used: {error.strerror or error}") from None
@@ -59,9 +77,9 @@ class Authority:
         Raises:
             PancakesError: there is one in that directory already.
         """
-        if (directory / AUTHORITY_KEY).exists():
+        if (directory / AUTHORITY).exists():
             raise PancakesError(f"the fleet {fleet} has its authority in {directory} already")
-        key = ec.generate_private_key(ec.SECP256R1())
+        key = new_key()
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, fleet)])
         built = (
             x509.CertificateBuilder()
@@ -76,7 +94,7 @@ class Authority:
             .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
         )
         certificate = built.sign(key, hashes.SHA256())
-        write_private(directory / AUTHORITY_KEY, _pem(key, password))
+        write_private(directory / AUTHORITY, pem_of_key(key, password))
         write_private(directory / FLEET, certificate.public_bytes(_PEM))
         return cls(directory, password)
 
@@ -87,8 +105,8 @@ class Authority:
         name: str,
         groups: Sequence[str] = (),
         days: float | None = None,
-    ) -> bytes:
-        """Returns a certificate of a key, as PEM.
+    ) -> Given:
+        """Returns a certificate of a key.
 
         Args:
             public_key: the key.
@@ -108,12 +126,13 @@ class Authority:
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if role not in PEOPLE:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
+        serial = x509.random_serial_number()
         built = (
             x509.CertificateBuilder()
             .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)]))
             .issuer_name(self._certificate.subject)
             .public_key(public_key)
-            .serial_number(x509.random_serial_number())
+            .serial_number(serial)
             .not_valid_before(_BEGINNING)
             .not_valid_after(end)
             .add_extension(
@@ -124,25 +143,76 @@ class Authority:
             .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key()), critical=False)
             .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         )
-        return built.sign(self._key, hashes.SHA256()).public_bytes(_PEM)
+        pem = built.sign(self._key, hashes.SHA256()).public_bytes(_PEM)
+        # As `ssl` reads it: an even number of capital hexadecimal digits.
+        return Given(pem, f"{serial:X}".zfill(2 * ((serial.bit_length() + 7) // 8)), None if days is None else end.timestamp())
 
-    def enrol(
-        self, directory: Path, role: CertifiedRole, name: str, groups: Sequence[str] = (), days: float | None = None
-    ) -> Path:
-        """Makes a key and its certificate, as one folder that may be copied; returns the folder."""
-        key = ec.generate_private_key(ec.SECP256R1())
-        write_private(directory / KEY, self.certify(key.public_key(), role, name, groups, days) + _pem(key, None))
-        write_private(directory / FLEET, self._certificate.public_bytes(_PEM))
-        return directory
+    def signed(self, roster: Roster) -> bytes:
+        """Returns a roster as it travels, signed.
+
+        Raises:
+            PancakesError: it is too large.
+        """
+        payload = msgspec.json.encode(roster).decode()
+        signature = self._key.sign(signed_bytes(payload), ec.ECDSA(hashes.SHA256()))
+        text = msgspec.json.encode(SignedRoster(payload, signature.hex()))
+        if len(text) > MOST_BYTES:
+            raise PancakesError(
+                f"the roster of the fleet {self.fleet} would have {len(text)} bytes, and {MOST_BYTES} are the most: so"
+                " many are revoked that it is time for a new authority"
+            )
+        return text
 
 
-def write_private(path: Path, data: bytes) -> None:
-    """Writes a file that its user alone can read, in a directory that is that user's alone."""
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-    with os.fdopen(handle, "wb") as file:
-        os.fchmod(file.fileno(), 0o600)
-        file.write(data)
+def is_locked(directory: Path) -> bool:
+    """Returns whether the key of the authority in a directory needs a password.
+
+    Raises:
+        PancakesError: there is none.
+    """
+    try:
+        return _LOCKED in (directory / AUTHORITY).read_bytes()
+    except OSError as error:
+        raise PancakesError(f"the authority in {directory} cannot be used: {error.strerror or error}") from None
+
+
+def signed_by(authorities: Path, signed: SignedRoster) -> bool:
+    """Returns whether a roster was signed by the authority of a fleet, or by one of two.
+
+    Args:
+        authorities: the file with their certificates.
+        signed: the roster.
+
+    Raises:
+        PancakesError: the file cannot be read.
+    """
+    try:
+        certificates = x509.load_pem_x509_certificates(authorities.read_bytes())
+        signature = bytes.fromhex(signed.signature)
+    except OSError as error:
+        raise PancakesError(f"{authorities} cannot be read: {error.strerror or error}") from None
+    except ValueError:
+        return False
+    for certificate in certificates:
+        key = certificate.public_key()
+        assert isinstance(key, ec.EllipticCurvePublicKey)
+        try:
+            key.verify(signature, signed_bytes(signed.payload), ec.ECDSA(hashes.SHA256()))
+        except InvalidSignature:
+            continue
+        return True
+    return False
+
+
+def new_key() -> ec.EllipticCurvePrivateKey:
+    """Makes a private key: P-256, which secure elements and TPMs have too."""
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def pem_of_key(key: ec.EllipticCurvePrivateKey, password: bytes | None = None) -> bytes:
+    """Returns a private key as PEM, locked with a password where there is one."""
+    lock = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
+    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, lock)
 
 
 def _usage(signs_certificates: bool) -> x509.KeyUsage:
@@ -157,8 +227,3 @@ def _usage(signs_certificates: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
-
-
-def _pem(key: ec.EllipticCurvePrivateKey, password: bytes | None) -> bytes:
-    lock = serialization.BestAvailableEncryption(password) if password else serialization.NoEncryption()
-    return key.private_bytes(_PEM, serialization.PrivateFormat.PKCS8, lock)

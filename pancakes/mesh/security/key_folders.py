@@ -9,10 +9,8 @@ import os
 from pathlib import Path
 from typing import Final
 
-KEY: Final = "key.pem"
-"""In a folder of keys: the certificate of their bearer, and the private key."""
-FLEET: Final = "fleet.pem"
-"""In a folder of keys: the certificate of the fleet's authority, or of two while the fleet changes from one to another."""
+from pancakes.mesh.security.key_files import KEY
+
 _OF_SERVICES: Final = Path("/etc/pancakes/keys")
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
-from pancakes.mesh.security.certified import Certified, certified, fault_of_end
-from pancakes.mesh.security.key_folders import FLEET, KEY
+from pancakes.mesh.security.certified import Certified, certified
+from pancakes.mesh.security.key_files import FLEET, KEY, ROSTER
+from pancakes.mesh.security.roster import Roster, fault_of_certified, fault_of_news, read_signed
 from pancakes.runtime.clock import wall_ns
 
 _NO_CHECK_TIME: Final = 0x200000
@@ -28,6 +29,8 @@ class Keys:
         dialling: for connections that are dialled.
         listening: for connections that come in.
         own: what the own certificate says.
+        roster: the last roster that is known; None: none is.
+        roster_text: the same, as it was signed.
 
     Raises:
         PancakesError: a file is missing, is of no use, or others can read the key; the sentence names it.
@@ -46,11 +49,35 @@ class Keys:
                 " has not signed its certificate"
             ) from None
 
+        self.roster, self.roster_text = _kept(folder / ROSTER)
+
     def fault_of(self, shown: Certified) -> str:
         """Returns why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
-        if shown.fleet != self.own.fleet:
-            return f"its certificate is of the fleet {shown.fleet}, and ours of {self.own.fleet}"
-        return fault_of_end(shown, wall_ns() / 1e9)
+        return fault_of_certified(shown, self.own.fleet, self.roster, wall_ns() / 1e9)
+
+    def fault_of_roster(self, new: Roster) -> str:
+        """Returns why a roster is not to be taken, as a sentence; empty: it is, if it was signed."""
+        return fault_of_news(new, self.roster, self.own.fleet, wall_ns() / 1e9)
+
+    def learn(self, roster: Roster, text: bytes) -> bool:
+        """Takes a roster whose signature has been checked; returns whether it is news."""
+        if self.fault_of_roster(roster):
+            return False
+        self.roster, self.roster_text = roster, text
+        return True
+
+
+def _kept(path: Path) -> tuple[Roster | None, bytes]:
+    """Returns the roster beside the keys. It was checked before it came there, and is believed like them."""
+    try:
+        text = path.read_bytes()
+        return read_signed(text)[1], text
+    except FileNotFoundError:
+        return None, b""
+    except OSError as error:
+        raise PancakesError(f"the roster {path} cannot be used: {error.strerror or error}") from None
+    except ValueError as error:
+        raise PancakesError(f"the roster {path} cannot be used: {error}. Remove it, and the fleet gives another") from None
 
 
 def certificate_shown(side: ssl.SSLObject) -> Certified:

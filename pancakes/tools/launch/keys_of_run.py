@@ -36,19 +36,20 @@ def keys_of_run(configs: Mapping[str, Config]) -> Iterator[Mapping[str, tuple[st
         yield dict.fromkeys(configs, ())
         return
     with needing_extra("no keys can be made for this run (without --local)"):
-        from pancakes.mesh.security.authority import Authority
+        from pancakes.mesh.security.fleet_office import FleetOffice
     with tempfile.TemporaryDirectory(prefix="pancakes-keys-") as directory:
-        authorities: dict[str, Authority] = {}
+        offices: dict[str, FleetOffice] = {}
         found: dict[str, tuple[str, ...]] = dict.fromkeys(configs, ())
         for name in wanting:
             agent = configs[name].agent
             there = Path(directory) / agent.fleet
-            if agent.fleet not in authorities:
-                authorities[agent.fleet] = Authority.founded(agent.fleet, there / "authority")
+            office = offices.get(agent.fleet) or FleetOffice.founded(agent.fleet, there / "office")
+            offices[agent.fleet] = office
+            folder = there / "keys" / name
             if agent.role == "client":
-                folder = authorities[agent.fleet].enrol(there / name, "operator", name.partition(".")[0])
+                office.enrol_with_key("operator", name.partition(".")[0]).write(folder)
             else:
-                folder = authorities[agent.fleet].enrol(there / name, agent.role, name)
+                office.enrol_with_key(agent.role, name).write(folder)
             found[name] = (f"service.network.settings.keys={value_text(str(folder))}",)
         yield found
 
