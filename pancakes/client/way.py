@@ -6,6 +6,7 @@ import os
 import secrets
 from typing import TYPE_CHECKING, NamedTuple
 
+from pancakes.errors import PancakesError
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.security.key_folders import keys_of_person
 from pancakes.runtime.clock import Clock
@@ -42,5 +43,7 @@ class Way(NamedTuple):
         from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, which takes its time
 
         keys = Keys(folder)
+        if fault := keys.fault_of(keys.own):
+            raise PancakesError(f"your keys for the fleet {fleet} are of no use ({folder}): {fault}")
         name = f"{keys.own.name}.{secrets.token_hex(4)}"
         return cls(name, SocketTransport(clock, name, Plugins(), keys=keys), keys)

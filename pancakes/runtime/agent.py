@@ -453,6 +453,8 @@ class Agent:
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, self._network_settings()
         self._keys = keys_for(agent, network)
+        if self._keys is not None and (fault := self._keys.fault_of(self._keys.own)):
+            self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
         self.insecure = self._keys is None and bool(tcp_addresses(agent))
         settings = transport_settings(agent, network)
         return SocketTransport(self.kernel.host, self.name, self._plugins, settings, self._keys)

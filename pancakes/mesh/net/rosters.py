@@ -108,6 +108,8 @@ class Rosters:
         elif keys.learn(roster, text):
             revoked = len(roster.revoked)
             self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
+            if own := keys.fault_of(keys.own):
+                self._log("error", f"no agent of {roster.fleet} believes this one any more: {own}")
             self._end_those_revoked(keys)
             self._tell_all()
 

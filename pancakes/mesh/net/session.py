@@ -16,9 +16,10 @@ import msgspec
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.mesh.security.certified import Certified
+from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Link
-from pancakes.mesh.wire.link_messages import Hello
+from pancakes.mesh.wire.link_messages import Hello, RefuseLink
 from pancakes.mesh.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
@@ -180,6 +181,10 @@ class Session(ConnectionHandler):
         """See `ConnectionHandler`."""
         self.counters.bytes_in += len(data)
         self._owner.session_received(self, data)
+
+    def last_words(self, fault: str) -> bytes:
+        """See `ConnectionHandler`."""
+        return frame([Encoder().link_message(RefuseLink("name", fault[:1000]))])
 
     def drained(self) -> None:
         """The connection took all it was given: give it more."""

@@ -111,6 +111,8 @@ class TlsConnection(StreamConnection):
             try:
                 self._tls.do_handshake()
                 fault = self._look()
+                if fault and (words := self._handler.last_words(fault)):
+                    self._put(self._seal(words))
             except ssl.SSLWantReadError:
                 self._flush()
                 return

@@ -61,6 +61,14 @@ class ConnectionHandler(Protocol):
         """The connection is gone; called last, once. Also called where it never came to stand."""
         ...
 
+    def last_words(self, fault: str) -> bytes:
+        """Returns what the other side is told whose certificate is of the fleet, and is not believed all the same.
+
+        Args:
+            fault: why, as a clause. The connection ends without having been `opened`.
+        """
+        return b""
+
     def drained(self) -> None:
         """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent.
 

@@ -20,10 +20,14 @@ from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, show, show_text
 
 if TYPE_CHECKING:
+    from pancakes.client import Client
     from pancakes.mesh.security.fleet_office import FleetOffice
     from pancakes.mesh.security.register import Entry
 
 PORT: Final = 7490
+TOLD_S: Final = 5.0
+"""So long a command waits for agents to hear of a roster."""
+LOOK_S: Final = 0.2
 COLUMNS: Final = ("name", "role", "groups", "state", "since", "ends", "came_from", "serial")
 _LONGEST_NAME: Final = 40  # a person's terminals bear it with a dot and more
 
@@ -370,13 +374,24 @@ def _spread(office: FleetOffice, addresses: Sequence[str]) -> None:
         show_text(f"You have no keys of the fleet {office.fleet}, so no agent can be told from here.", err=True)
         return
     try:
-        with Client(Where.of(Where(tuple(addresses), office.fleet)), 5.0) as client:
-            know = client.until_known(number)
+        with Client(Where.of(Where(tuple(addresses), office.fleet)), TOLD_S) as client:
+            know = _told(client, number)
     except PancakesError as error:
         show_text(f"No agent has heard of the roster {number} yet: {error}", err=True)
         show_text("Name one with: pancakes fleet sign --tell HOST:PORT", err=True)
         return
     show_text(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
+
+
+def _told(client: Client, number: int) -> list[str]:
+    """Waits until all agents know a roster, which this terminal gives to them; returns those that do."""
+    until_s = client.now() + TOLD_S
+    while True:
+        found = client.survey().agents
+        know = [agent["agent"] for agent in found if (agent["roster"] or 0) >= number]
+        if len(know) == len(found) or client.now() > until_s:
+            return know
+        client.wait(client.now() + LOOK_S, lambda: False)
 
 
 def _show_entries(entries: Sequence[Entry], done: str) -> None:
