@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pancakes.client.door import Door
+from pancakes.client.fleet_way import FleetWay
 from pancakes.client.greeting import Greeting
-from pancakes.client.way import Way
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
@@ -101,7 +101,7 @@ class Client:
         where = Where.of(at)
         self.timeout_s = timeout_s
         self._clock = MonotonicClock()
-        self._ways: dict[str, Way] = {}
+        self._ways: dict[str, FleetWay] = {}
         self._lock = threading.RLock()
         # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
         # leaves its lock in disorder, and a program that then ends in good order waits for ever.
@@ -297,11 +297,11 @@ class Client:
         way = self._way(fleet)
         Greeting(way.transport, lead.address, f"{way.name}.{self._greeted}", fleet, self._clock, told)
 
-    def _way(self, fleet: str) -> Way:
+    def _way(self, fleet: str) -> FleetWay:
         """Returns how the agents of a fleet are reached."""
         made = self._ways.get(fleet)
         if made is None:
-            made = self._ways[fleet] = Way.to(fleet, self._clock)
+            made = self._ways[fleet] = FleetWay.to(fleet, self._clock)
         return made
 
     def _fleet_at(self, lead: Lead) -> str:

@@ -376,7 +376,7 @@ class Agent:
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
             "insecure": self.insecure,
-            "roster": roster.number if (roster := self._keys and self._keys.roster) is not None else None,
+            "roster": self._keys.roster.number if self._keys is not None and self._keys.roster is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.

@@ -9,7 +9,7 @@ from cli.strangers import Strangers
 
 from pancakes.client.door import Door
 from pancakes.control import Describe
-from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
 from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.runtime.clock import MonotonicClock

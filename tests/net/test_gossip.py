@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pancakes.mesh.address import reachable_from
+from pancakes.mesh.wire.link_messages import Gossip
 
 LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
 

@@ -8,7 +8,7 @@ from net.conftest import BarePeer
 from net.meetings import message_of, pair, raw_hello
 
 from pancakes.bodies.devices.types import Pose
-from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.mesh.wire.link import LinkTimes

@@ -19,7 +19,9 @@ from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
+from pancakes.mesh.net.rekeying import Rekeying
 from pancakes.mesh.net.rosters import Rosters
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
@@ -39,7 +41,7 @@ from pancakes.mesh.wire.link import (
     SendMessage,
     Up,
 )
-from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, RosterNumber, RosterText
+from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, Refusal, RosterNumber, RosterText
 from pancakes.mesh.wire.runs import Unfit
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
@@ -47,8 +49,6 @@ from pancakes.runtime.clock import Clock
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
 
-MAX_HANDSHAKES: Final = 256
-"""Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
 TOGETHER: Final = 0.1
 """So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
 
@@ -118,7 +118,8 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
-        self._rosters = Rosters(keys, self._links, self._tell, self._disown, transport.call_later, on_log)
+        self._rosters = Rosters(keys, self._links, self._tell, self._refuse, transport.call_later, on_log)
+        self._rekeying = Rekeying(keys, self._links, self._refuse, transport.call_later, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -183,6 +184,10 @@ class Mesh:
         """Dials again after `sleep`."""
         self._transport.call_later(0.0, self._wake)
 
+    def reload_keys(self) -> bool:
+        """See `Rekeying.reload`."""
+        return self._rekeying.reload()
+
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""
         self._transport.call_later(0.0, self._stop)
@@ -229,8 +234,7 @@ class Mesh:
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
-        there = [session.peer for session in self._links]
-        return why_lost(packet, self.identity.name, self._state == "asleep", asleep, there)
+        return why_lost(packet, self.identity.name, self._state == "asleep", asleep, [it.peer for it in self._links])
 
     # In the transport's thread from here on
 
@@ -241,6 +245,7 @@ class Mesh:
         times, may_be_named = self._times, self._transport.may_be_named
         self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
         self._rosters.begin()
+        self._rekeying.begin()
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -289,24 +294,12 @@ class Mesh:
     def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
-        waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
-        if len(waiting) >= MAX_HANDSHAKES:
-            self._end_handshake(waiting)
+        if (oldest := makes_room(self._sessions.values())) is not None:
+            full = f"{self.identity.name} is full: {MAX_HANDSHAKES} connections have not become links"
+            self._refuse(oldest, "full", f"{full}, and this is the oldest")
         session = Session(self, self._peers.new_link(), "", self._now)
         self._sessions[session.number] = session
         return session
-
-    def _end_handshake(self, waiting: Sequence[Session]) -> None:
-        """Refuses the connection that is the least likely to become a link: the oldest that has not said hello."""
-        mute = [session for session in waiting if session.link is None or session.link.peer is None]
-        oldest = (mute or waiting)[0]
-        reason = (
-            f"{self.identity.name} is full: {len(waiting)} connections have not become links, and this is the oldest"
-        )
-        if oldest.link is None:
-            self._over(oldest, Over(reason))
-        else:
-            self._act(oldest, oldest.link.refuse("full", reason, self._now()))
 
     def _quiet_s(self, link: int, now_s: float) -> float:
         return self._sessions[link].quiet_s(now_s)
@@ -415,9 +408,10 @@ class Mesh:
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
-        if session.certified is not None and (fault := fault_of_bearer(session.certified, hello.name, hello.role, hello.fleet)):
+        shown = session.certified
+        if shown is not None and (fault := fault_of_bearer(shown, hello.name, hello.role, hello.fleet)):
             self._act(session, session.link.answer(now_s))
-            self._disown(session, fault)
+            self._refuse(session, "name", fault)
             return
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
         if not is_namesake(session.number, decisions):
@@ -428,10 +422,12 @@ class Mesh:
             self._act(session, session.link.leave(self._goodbye(), now_s))
         self._watch(session)  # from now on it sends heartbeats
 
-    def _disown(self, session: Session, fault: str) -> None:
-        """Ends the link with a peer whose certificate is not for what it is, or not any more."""
-        if session.link is not None and session.number in self._sessions:
-            self._act(session, session.link.refuse("name", fault, self._now()))
+    def _refuse(self, session: Session, code: Refusal, reason: str) -> None:
+        """Ends a link, where it has not ended, and tells the peer why."""
+        if session.link is None:
+            self._over(session, Over(reason))
+        elif session.number in self._sessions:
+            self._act(session, session.link.refuse(code, reason, self._now()))
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
@@ -480,7 +476,7 @@ class Mesh:
             if isinstance(decision, Admit):
                 self._act(found, found.link.admit(self._now()))
             else:
-                self._act(found, found.link.refuse(decision.code, decision.reason, self._now()))
+                self._refuse(found, decision.code, decision.reason)
         self._arm()
 
     def _arm(self) -> None:

@@ -11,7 +11,7 @@ from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.net.transport import Scheduled
 from pancakes.mesh.security.roster import Roster, read_signed
-from pancakes.mesh.wire.link_messages import LinkMessage, RosterNumber, RosterText
+from pancakes.mesh.wire.link_messages import Refusal, RosterNumber, RosterText
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -42,8 +42,8 @@ class Rosters:
         self,
         keys: Keys | None,
         links: Links,
-        tell: Callable[[Session, LinkMessage], None],
-        refuse: Callable[[Session, str], None],
+        tell: Callable[[Session, RosterNumber | RosterText], None],
+        refuse: Callable[[Session, Refusal, str], None],
         call_later: LookAgain,
         log: Callable[[str, str], None],
     ) -> None:
@@ -83,7 +83,7 @@ class Rosters:
         try:
             _, roster = read_signed(text)
         except ValueError as error:
-            self._refuse(session, f"the roster that it gave cannot be read: {error}")
+            self._refuse(session, "name", f"the roster that it gave cannot be read: {error}")
             return
         if keys.roster is not None and roster.number <= keys.roster.number:
             return  # another peer was faster
@@ -104,7 +104,7 @@ class Rosters:
         self._checking.discard(session.peer)
         if fault:
             self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
-            self._refuse(session, fault)
+            self._refuse(session, "name", fault)
         elif keys.learn(roster, text):
             revoked = len(roster.revoked)
             self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
@@ -126,7 +126,7 @@ class Rosters:
     def _end_those_revoked(self, keys: Keys) -> None:
         for session in self._links:
             if session.certified is not None and (fault := keys.fault_of(session.certified)):
-                self._refuse(session, f"{session.peer} is not believed any more: {fault}")
+                self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
 
 
 def keep(keys: Keys, text: bytes) -> str:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
-from pancakes.mesh.security.certified import Certified
 from pancakes.mesh.net.loop import Loop
+from pancakes.mesh.security.certified import Certified
 from pancakes.runtime.kernel.guest import Guest
 
 if TYPE_CHECKING:

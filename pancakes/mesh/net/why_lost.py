@@ -8,7 +8,9 @@ from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
 from pancakes.packet import Packet, agent_of
 
 
-def why_lost(packet: Packet, own: str, sleeps: bool, asleep: Mapping[str, float], there: Sequence[str]) -> PancakesError:
+def why_lost(
+    packet: Packet, own: str, sleeps: bool, asleep: Mapping[str, float], there: Sequence[str]
+) -> PancakesError:
     """Returns why a packet cannot go to its agent.
 
     Args:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-import msgspec
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes, serialization
@@ -18,6 +17,7 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
 from pancakes.mesh.security.key_files import FLEET, write_private
 from pancakes.mesh.security.roster import MOST_BYTES, Roster, SignedRoster, signed_bytes
+from pancakes.runtime.foundation import codecs
 
 AUTHORITY: Final = "authority.key"
 """In the operator's folder: the authority's private key."""
@@ -27,10 +27,11 @@ PERSON_DAYS: Final = 90
 _FOREVER: Final = datetime.datetime(9999, 12, 31, 23, 59, 59, tzinfo=datetime.UTC)  # RFC 5280, 4.1.2.5
 _BEGINNING: Final = datetime.datetime(2020, 1, 1, tzinfo=datetime.UTC)
 _PEM: Final = serialization.Encoding.PEM
+_JSON: Final = codecs.json_encoder()
 _LOCKED: Final = b"ENCRYPTED PRIVATE KEY"
 
 
-class Given(NamedTuple):
+class Issued(NamedTuple):
     """A certificate that was given out.
 
     Attributes:
@@ -105,7 +106,7 @@ class Authority:
         name: str,
         groups: Sequence[str] = (),
         days: float | None = None,
-    ) -> Given:
+    ) -> Issued:
         """Returns a certificate of a key.
 
         Args:
@@ -144,8 +145,8 @@ class Authority:
             .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         )
         pem = built.sign(self._key, hashes.SHA256()).public_bytes(_PEM)
-        # As `ssl` reads it: an even number of capital hexadecimal digits.
-        return Given(pem, f"{serial:X}".zfill(2 * ((serial.bit_length() + 7) // 8)), None if days is None else end.timestamp())
+        digits = 2 * ((serial.bit_length() + 7) // 8)  # as `ssl` reads it: an even number of hexadecimal ones
+        return Issued(pem, f"{serial:0{digits}X}", None if days is None else end.timestamp())
 
     def signed(self, roster: Roster) -> bytes:
         """Returns a roster as it travels, signed.
@@ -153,9 +154,9 @@ class Authority:
         Raises:
             PancakesError: it is too large.
         """
-        payload = msgspec.json.encode(roster).decode()
+        payload = _JSON(roster).decode()
         signature = self._key.sign(signed_bytes(payload), ec.ECDSA(hashes.SHA256()))
-        text = msgspec.json.encode(SignedRoster(payload, signature.hex()))
+        text = _JSON(SignedRoster(payload, signature.hex()))
         if len(text) > MOST_BYTES:
             raise PancakesError(
                 f"the roster of the fleet {self.fleet} would have {len(text)} bytes, and {MOST_BYTES} are the most: so"

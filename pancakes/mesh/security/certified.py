@@ -74,7 +74,7 @@ def certified(certificate: Mapping[str, Any], ends_s: float) -> Certified:
 
 
 def fault_of_bearer(it: Certified, name: str, role: str, fleet: str) -> str:
-    """Returns in what somebody is not as the own certificate says, as a sentence; empty: in nothing.
+    """Returns in what an agent or a person is not as its certificate says, as a sentence; empty: in nothing.
 
     Args:
         it: what the certificate says.

@@ -66,8 +66,8 @@ class KeyFiles(NamedTuple):
         Raises:
             KeyError, AttributeError: a part is missing, or is no text.
         """
-        parts = [text[name].encode() for name in ("certificate", "authority", "roster")]
-        return cls(str(text["fleet"]), str(text["role"]), str(text["name"]), *parts, key)
+        certificate, authority, roster = (text[name].encode() for name in ("certificate", "authority", "roster"))
+        return cls(str(text["fleet"]), str(text["role"]), str(text["name"]), certificate, authority, roster, key)
 
 
 def write_private(path: Path, data: bytes) -> None:

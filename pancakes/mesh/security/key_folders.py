@@ -27,7 +27,7 @@ def keys_of_agent(fleet: str, name: str) -> Path | None:
 
 
 def fleets() -> Path:
-    """Returns the directory with what this person has of fleets: own keys, and of those that it founded the authority."""
+    """Returns the directory of this person's fleets: own keys, and the authorities of those that were founded here."""
     base = os.environ.get("XDG_CONFIG_HOME")
     return (Path(base) if base else Path.home() / ".config") / "pancakes" / "fleets"
 

@@ -38,7 +38,7 @@ class Keys:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        check_private(folder / KEY)
+        self._stamp = check_private(folder / KEY)
         self.dialling = _context(ssl.PROTOCOL_TLS_CLIENT, folder)
         self.listening = _context(ssl.PROTOCOL_TLS_SERVER, folder)
         try:
@@ -50,6 +50,25 @@ class Keys:
             ) from None
 
         self.roster, self.roster_text = _kept(folder / ROSTER)
+
+    def reload(self) -> bool:
+        """Takes the key that lies there now; returns whether it is a new one.
+
+        Raises:
+            PancakesError: it cannot be used, or is another's. The old one stays; the next call says nothing of it.
+        """
+        stamp = check_private(self.folder / KEY)
+        if stamp == self._stamp:
+            return False
+        self._stamp = stamp
+        new = Keys(self.folder)
+        if (new.own.fleet, new.own.role, new.own.name) != (self.own.fleet, self.own.role, self.own.name):
+            raise PancakesError(
+                f"the new key in {self.folder} is of {new.own.name} ({new.own.role}) in the fleet {new.own.fleet}: the"
+                f" old one, of {self.own.name}, stays in use"
+            )
+        self.dialling, self.listening, self.own = new.dialling, new.listening, new.own
+        return True
 
     def fault_of(self, shown: Certified) -> str:
         """Returns why the bearer of a certificate of the authority is not believed, as a clause; empty: it is."""
@@ -77,7 +96,7 @@ def _kept(path: Path) -> tuple[Roster | None, bytes]:
     except OSError as error:
         raise PancakesError(f"the roster {path} cannot be used: {error.strerror or error}") from None
     except ValueError as error:
-        raise PancakesError(f"the roster {path} cannot be used: {error}. Remove it, and the fleet gives another") from None
+        raise PancakesError(f"the roster {path} cannot be used: {error}: remove it") from None
 
 
 def certificate_shown(side: ssl.SSLObject) -> Certified:
@@ -135,8 +154,11 @@ def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
     return sides[1]
 
 
-def check_private(path: Path) -> None:
+def check_private(path: Path) -> tuple[int, int]:
     """Checks that no other user can read a private key.
+
+    Returns:
+        What changes when another file is put there.
 
     Raises:
         PancakesError: another user can, or it is not there; the sentence says what to do.
@@ -153,3 +175,4 @@ def check_private(path: Path) -> None:
         raise PancakesError(
             f"the key {path} can be read by others (mode {stat.S_IMODE(found.st_mode):o}): chmod 600 it"
         )
+    return found.st_ino, found.st_mtime_ns

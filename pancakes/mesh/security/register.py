@@ -63,6 +63,7 @@ class Register(msgspec.Struct, frozen=True):
         return [it for it in self.entries if not it.revoked and who in (it.name, it.who)]
 
 
+_ENCODE: Final = codecs.json_encoder()
 _DECODE: Final = codecs.json_decoder(Register)
 
 
@@ -85,4 +86,4 @@ def read_register(folder: Path) -> Register:
 
 def write_register(folder: Path, register: Register) -> None:
     """Writes the register of a fleet."""
-    write_private(folder / REGISTER, msgspec.json.format(msgspec.json.encode(register)))
+    write_private(folder / REGISTER, msgspec.json.format(_ENCODE(register)))

@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, Struct, field
 
-from pancakes.control import Follow, Stop, Unfollow
-from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
+from pancakes.control import Follow, ReloadKeys, Stop, Unfollow
+from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
 from pancakes.mesh.net.busy_poll import BUSY_POLL_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.link import LinkTimes
@@ -170,6 +170,11 @@ class NetworkService(Service):
         elif isinstance(body, Unfollow):
             self._unfollow(body.channel, request.by)
             self.reply(request)
+        elif isinstance(body, ReloadKeys):
+            try:
+                self.reply(request, result=self._mesh.reload_keys())
+            except PancakesError as error:
+                raise ControlRefused(str(error)) from None
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
             # Without it no answer leaves.
             raise ControlRefused(

@@ -27,6 +27,7 @@ from pancakes.control import (
     History,
     Migrate,
     Migrations,
+    ReloadKeys,
     Reschedule,
     Restart,
     SetFence,
@@ -171,7 +172,7 @@ class Root(Component):
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
-        if isinstance(body, (Follow, Unfollow)):
+        if isinstance(body, (Follow, Unfollow, ReloadKeys)):
             self._hand(NETWORK, "", body, request)
             return
         if isinstance(body, (History, Traces)):

@@ -7,9 +7,10 @@ from typing import Any
 
 import click
 
-from pancakes.tools.cli.asking import survey
+from pancakes.control import ReloadKeys
+from pancakes.tools.cli.asking import ask_each, survey
 from pancakes.tools.cli.name_types import agents, the_agent
-from pancakes.tools.cli.options import Ask, asks_agents
+from pancakes.tools.cli.options import Ask, asks_agents, orders_agents
 from pancakes.tools.cli.output import show_json, show_sections
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
@@ -66,6 +67,22 @@ def info(agent: str, ask: Ask) -> None:
         show_json([found])
     else:
         show_sections(_sections(found, client.is_own))
+
+
+@agent.command("reload-keys")
+@agents
+@orders_agents
+def reload_keys(agents: tuple[str, ...], ask: Ask) -> None:
+    """Have agents take a new key that `pancakes fleet join` has put in the place of the old one.
+
+    An agent looks for one each minute by itself. New links use it, and the old ones are made anew, one after the other.
+
+    \b
+    Example:
+        pancakes agent reload-keys agent1
+    """
+    rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(), *agents)]
+    ask.show(rows, ("agent", "new_key"))
 
 
 def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:

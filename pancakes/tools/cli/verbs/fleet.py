@@ -72,7 +72,7 @@ def fleet() -> None:
 @fleet.command()
 @click.argument("name", metavar="FLEET", type=BearerName())
 @click.option("--me", "person", metavar="NAME", type=BearerName(), help="Your name in it. [default: your user's]")
-@click.option("--no-password", is_flag=True, help="Leave the authority's key unlocked, for all that can read your files.")
+@click.option("--no-password", is_flag=True, help="Leave the authority's key unlocked.")
 def init(name: str, person: str | None, no_password: bool) -> None:
     """Found a fleet: its authority is made here, and you become its operator.
 
@@ -158,7 +158,8 @@ def renew(name: str, out: Path | None, host: str, port: int, for_s: float, fleet
     own = key_folders.keys_of_person(office.fleet)
     if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
         office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
-        show_text(f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {_date(office.latest(name).ends_s)}.")
+        until = _date(office.latest(name).ends_s)
+        show_text(f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
     else:
         _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s)
 
@@ -227,7 +228,7 @@ def list_(fleet_name: str, format_: str) -> None:
 @forced
 @click.option("--dry-run", is_flag=True, help="Only show what would be revoked.")
 def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool) -> None:
-    """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or somebody has left.
+    """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
 
     Agents end its links within a second of hearing of it, and tell each other. An agent that is away hears of it when
     it is linked again.
@@ -281,8 +282,8 @@ def _founded(name: str) -> Path:
     if name and name in here:
         return base / name
     if name or not here:
-        of = f"the fleet {name}" if name else "no fleet"
-        raise PancakesError(f"{of} was {'not ' if name else ''}founded here ({base}): pancakes fleet init {name or 'NAME'}")
+        which = f"the fleet {name} was not" if name else "no fleet was"
+        raise PancakesError(f"{which} founded here ({base}): pancakes fleet init {name or 'NAME'}")
     if len(here) > 1:
         raise PancakesError(f"several fleets were founded here: say which with --fleet ({', '.join(here)})")
     return base / here[0]
@@ -312,7 +313,7 @@ def _give(
         if out.exists() and any(out.iterdir()):
             raise PancakesError(f"the folder {out} is not empty")
         office.enrol_with_key(role, name, groups).write(out)
-        show_text(f"Copy {out} to {name} by a way that others cannot read, and run there: pancakes fleet join {out.name}")
+        show_text(f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}")
         show_text("It has the private key: remove it here afterwards.")
         return
     from pancakes.mesh.security.joining import Desk, own_address
@@ -395,7 +396,8 @@ def _told(client: Client, number: int) -> list[str]:
 
 
 def _show_entries(entries: Sequence[Entry], done: str) -> None:
-    show([{"name": it.name, "role": it.role, "serial": it.serial, "done": done} for it in entries], ("name", "role", "serial", "done"), "table")
+    rows = [{"name": it.name, "role": it.role, "serial": it.serial, "done": done} for it in entries]
+    show(rows, ("name", "role", "serial", "done"), "table")
 
 
 def _own_name() -> str:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
 
 
-class Way(NamedTuple):
+class FleetWay(NamedTuple):
     """How the agents of a fleet are reached.
 
     Attributes:
@@ -30,7 +30,7 @@ class Way(NamedTuple):
     keys: Keys | None = None
 
     @classmethod
-    def to(cls, fleet: str, clock: Clock) -> Way:
+    def to(cls, fleet: str, clock: Clock) -> FleetWay:
         """Makes the way to a fleet: with the keys of this person, where there are any, else in the clear.
 
         Raises:
