@@ -69,7 +69,6 @@ class Door:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            follows=True,
             keys=keys,
         )
         self._mesh.start()

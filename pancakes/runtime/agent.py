@@ -24,6 +24,8 @@ from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.security.access import Access
+from pancakes.mesh.security.roster import Roster
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
@@ -161,6 +163,8 @@ class Agent:
         network = self._network_settings()
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
+        own = config.access
+        self.kernel.access = Access(self.name, self._roster, own.allow, own.refuse)
         if virtual is None:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
@@ -196,6 +200,7 @@ class Agent:
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
+            access=self.kernel.access,
             keys=self._keys,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
@@ -376,13 +381,16 @@ class Agent:
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
             "insecure": self.insecure,
-            "roster": self._keys.roster.number if self._keys is not None and self._keys.roster is not None else None,
+            "roster": roster.number if (roster := self._roster()) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
             "process": self._process() if self.kernel.virtual is None else None,
             **self.host_state.describe(),
         }
+
+    def _roster(self) -> Roster | None:
+        return self._keys.roster if self._keys is not None else None
 
     def _process(self) -> dict[str, Any]:
         return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
@@ -452,12 +460,12 @@ class Agent:
 
     def _open_transport(self) -> Transport:
         agent, network = self.config.agent, self._network_settings()
-        self._keys = keys_for(agent, network)
-        if self._keys is not None and (fault := self._keys.fault_of(self._keys.own)):
+        self._keys = keys = keys_for(agent, network)
+        if keys is not None and (fault := keys.fault_of(keys.own)):
             self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
-        self.insecure = self._keys is None and bool(tcp_addresses(agent))
+        self.insecure = keys is None and bool(tcp_addresses(agent))
         settings = transport_settings(agent, network)
-        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, self._keys)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
 
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""

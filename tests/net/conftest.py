@@ -18,9 +18,11 @@ from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
+from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.keys import Keys
+from pancakes.mesh.security.rules import Rule
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
@@ -70,6 +72,10 @@ class TransportRig(ABC):
     @abstractmethod
     def transport(self, name: str, role: Role = "agent") -> Transport:
         """Returns a transport for an agent, or for what has another role."""
+
+    def keys_of(self, transport: Transport) -> Keys | None:
+        """Returns what a transport shows; None: it has no keys."""
+        return None
 
     def ear(self) -> Ear:
         return Ear(self)
@@ -140,7 +146,9 @@ class TlsRig(TcpRig):
     def __init__(self, directory: Path) -> None:
         super().__init__()
         self.directory = directory
+        self._keys: dict[Transport, Keys | None] = {}
         self.office = FleetOffice.founded("default", directory / "authority")
+        self.office.allow(Rule(("role:agent",), ("command",)))
 
     def transport(self, name: str, role: Role = "agent") -> Transport:
         if role == "client":
@@ -159,7 +167,11 @@ class TlsRig(TcpRig):
         settings = {"tcp": {"insecure": keys is None}}
         made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
         self.transports.append(made)
+        self._keys[made] = keys
         return made
+
+    def keys_of(self, transport: Transport) -> Keys | None:
+        return self._keys[transport]
 
 
 class LocalRig(SocketRig):
@@ -353,6 +365,8 @@ class Agent:
         self.lines: list[tuple[str, str]] = []
         self._seq = 0
         self.transport = rig.transport(name, role)
+        keys = rig.keys_of(self.transport)
+        access = Access(name, lambda: keys.roster if keys is not None else None)
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,
@@ -367,7 +381,8 @@ class Agent:
             on_log=lambda *line: self._note(self.lines, line),
             defer=defer,
             times=times,
-            follows=follows,
+            access=None if follows else access,
+            keys=keys,
         )
         self.mesh.start()
 

@@ -21,14 +21,11 @@ from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
-from pancakes.mesh.net.rekeying import Rekeying
-from pancakes.mesh.net.rosters import Rosters
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
-from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
+from pancakes.mesh.net.trust import Trust
 from pancakes.mesh.net.why_lost import why_lost
-from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.wire.link import (
     Action,
     Greeted,
@@ -47,6 +44,7 @@ from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
 
 if TYPE_CHECKING:
+    from pancakes.mesh.security.access import Access
     from pancakes.mesh.security.keys import Keys
 
 TOGETHER: Final = 0.1
@@ -76,7 +74,7 @@ class Mesh:
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
-        follows: whether it is a terminal, which takes packets of any source on any channel.
+        access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
         keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
@@ -95,7 +93,7 @@ class Mesh:
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
-        follows: bool = False,
+        access: Access | None = None,
         keys: Keys | None = None,
     ) -> None:
         self.identity = identity
@@ -109,7 +107,6 @@ class Mesh:
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._times = times or LinkTimes()
-        self._follows = follows
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
@@ -118,8 +115,8 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
-        self._rosters = Rosters(keys, self._links, self._tell, self._refuse, transport.call_later, on_log)
-        self._rekeying = Rekeying(keys, self._links, self._refuse, transport.call_later, on_log)
+        later = transport.call_later
+        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -186,7 +183,7 @@ class Mesh:
 
     def reload_keys(self) -> bool:
         """See `Rekeying.reload`."""
-        return self._rekeying.reload()
+        return self._trust.rekeying.reload()
 
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""
@@ -244,8 +241,7 @@ class Mesh:
         self._state = "running"
         times, may_be_named = self._times, self._transport.may_be_named
         self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
-        self._rosters.begin()
-        self._rekeying.begin()
+        self._trust.begin()
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -394,13 +390,13 @@ class Mesh:
                 if decisions:
                     self._carry_out(decisions)
             elif isinstance(action, RosterHeard):
-                self._rosters.heard(session, action.message)
+                self._trust.rosters.heard(session, action.message)
             else:
                 self._over(session, action)
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
         """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if self._follows or not (fault := fault_of_source(self.identity.role, session.peer, session.role, first)):
+        if not (fault := self._trust.fault_of_packet(session, first)):
             return True
         self._log.false_source(session, fault, number, self._now())
         return False
@@ -408,8 +404,7 @@ class Mesh:
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
-        shown = session.certified
-        if shown is not None and (fault := fault_of_bearer(shown, hello.name, hello.role, hello.fleet)):
+        if fault := self._trust.fault_of_hello(session, hello):
             self._act(session, session.link.answer(now_s))
             self._refuse(session, "name", fault)
             return
@@ -440,7 +435,7 @@ class Mesh:
         self._log.stood_up(session, hello)
         self._call(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
-        self._rosters.stood_up(session)
+        self._trust.rosters.stood_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None

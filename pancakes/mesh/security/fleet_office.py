@@ -15,6 +15,8 @@ from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.key_files import FLEET, ROSTER, KeyFiles, write_private
 from pancakes.mesh.security.register import Entry, Register, read_register, write_register
 from pancakes.mesh.security.roster import LATEST_S, Revoked, Roster
+from pancakes.mesh.security.rules import Rule
+from pancakes.mesh.security.rules_file import add_rule, begin_rules, read_rules
 from pancakes.runtime.clock import wall_ns
 
 
@@ -40,6 +42,7 @@ class FleetOffice:
             PancakesError: there is one in that folder already.
         """
         office = cls(folder, Authority.founded(fleet, folder, password))
+        begin_rules(folder)
         office.sign()
         return office
 
@@ -115,6 +118,15 @@ class FleetOffice:
         self.sign(force, replace(self._register, entries=kept))
         return gone
 
+    def allow(self, rule: Rule, force: bool = False) -> Roster:
+        """Adds a rule, and signs that.
+
+        Raises:
+            PancakesError: the rules are not sound, or the roster cannot be signed.
+        """
+        add_rule(self.folder, rule)
+        return self.sign(force)
+
     def sign(self, force: bool = False, register: Register | None = None) -> Roster:
         """Signs a new roster.
 
@@ -134,7 +146,7 @@ class FleetOffice:
                 " believe a date so far away: set the clock, or say --force where it is right"
             )
         revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
-        roster = Roster(self.fleet, now.number + 1, now_s, revoked, force)
+        roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)
         text = self._authority.signed(roster)
         self._keep(replace(now, number=roster.number, signed_s=now_s))
         write_private(self.folder / ROSTER, text)

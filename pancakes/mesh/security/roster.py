@@ -1,4 +1,4 @@
-"""The roster of a fleet: who was revoked, signed by the fleet's authority, with a number that only rises. Pure."""
+"""The roster of a fleet: who was revoked, and who may do what; signed, with a number that only rises. Pure."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated, Final
 import msgspec
 
 from pancakes.mesh.security.certified import SLACK_S, Certified, fault_of_end
+from pancakes.mesh.security.rules import Rule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
 
@@ -44,6 +45,7 @@ class Roster(msgspec.Struct, frozen=True):
         number: it only rises.
         signed_s: when it was signed, in seconds since 1970.
         revoked: the certificates that are believed no more.
+        allow: what its members may do.
         forced: whether it is to be believed whatever its date.
     """
 
@@ -51,6 +53,7 @@ class Roster(msgspec.Struct, frozen=True):
     number: Annotated[int, msgspec.Meta(ge=1, le=2**53)]
     signed_s: float
     revoked: tuple[Revoked, ...] = ()
+    allow: tuple[Rule, ...] = ()
     forced: bool = False
 
 

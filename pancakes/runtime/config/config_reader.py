@@ -19,6 +19,7 @@ from pancakes.runtime.config.rule_check import faults_of_rule
 from pancakes.runtime.config.scanner import KeyPath
 from pancakes.runtime.config.tables import (
     DEFAULT_SERVICES,
+    AccessConfig,
     AgentConfig,
     ChannelConfig,
     ClockConfig,
@@ -38,7 +39,7 @@ from pancakes.settings import check_settings, dotted, known_keys, required_keys
 
 _T = TypeVar("_T")
 
-_TABLES: Final = ("agent", "clock", "record", *NAMED_TABLES)
+_TABLES: Final = ("agent", "access", "clock", "record", *NAMED_TABLES)
 
 
 def load(
@@ -105,6 +106,7 @@ class _ConfigReader:
                 listen=tuple(in_fleet(address, agent.fleet) for address in agent.listen),
                 peers=tuple(in_fleet(address, agent.fleet) for address in agent.peers),
             ),
+            access=self._single("access", AccessConfig),
             clock=self._single("clock", ClockConfig),
             record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),

@@ -1,4 +1,4 @@
-"""`pancakes fleet ...`: who belongs to a fleet, and who does no more."""
+"""`pancakes fleet ...`: who belongs to a fleet, who does no more, and what its members may do."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pancakes.errors import PancakesError, needing_extra
 from pancakes.mesh.security import key_folders
 from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
 from pancakes.mesh.security.key_files import KeyFiles
+from pancakes.mesh.security.rules import EVERY, RIGHTS, Bearer, Right, Rule, allows
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, show, show_text
@@ -61,7 +62,7 @@ told_at = click.option(
 
 @click.group()
 def fleet() -> None:
-    """Who belongs to a fleet, and who does no more.
+    """Who belongs to a fleet, and what its members may do.
 
     Agents speak over tcp:// to bearers of the certificates of their fleet alone. The authority of the fleet gives those
     out: it is a key in ~/.config/pancakes/fleets/FLEET, which `init` makes, and which no robot needs. Robots and other
@@ -264,6 +265,84 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
     roster = office.sign(force)
     show_text(f"The roster {roster.number} of the fleet {office.fleet} is signed.")
     _spread(office, addresses)
+
+
+@fleet.command()
+@click.argument("who", metavar="WHO")
+@click.argument("rights", metavar="RIGHT...", nargs=-1, required=True, type=click.Choice([*RIGHTS, EVERY]))
+@click.option("--on", metavar="PATTERN", multiple=True, help="What the rights are for. Repeatable. [default: anything]")
+@click.option("--at", metavar="PATTERN", multiple=True, help="At these agents. Repeatable. [default: at all]")
+@of_fleet
+@told_at
+@forced
+@click.option("--dry-run", is_flag=True, help="Only show the rule.")
+def allow(
+    who: str,
+    rights: tuple[Right, ...],
+    on: tuple[str, ...],
+    at: tuple[str, ...],
+    fleet_name: str,
+    addresses: tuple[str, ...],
+    force: bool,
+    dry_run: bool,
+) -> None:
+    """Let members of the fleet do something: it adds a rule to rules.toml, and signs the roster.
+
+    WHO is a name, a pattern of names, role:ROLE or group:GROUP. To take a right away, change rules.toml in the fleet's
+    folder, and then: pancakes fleet sign.
+
+    \b
+    Example:
+        pancakes fleet allow agent1 command --on motors --at agent2
+        pancakes fleet allow group:field change --on '*/device/*'
+    """
+    rule = Rule((who,), rights, on or (EVERY,), at or (EVERY,))
+    if not dry_run:
+        office = _office(fleet_name)
+        office.allow(rule, force)
+    row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
+    show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), "table")
+    if not dry_run:
+        _spread(office, addresses)
+
+
+@fleet.command()
+@click.argument("who", metavar="NAME")
+@click.argument("right", metavar="RIGHT", type=click.Choice(RIGHTS))
+@click.argument("on", metavar="ON")
+@click.option("--at", default=EVERY, metavar="AGENT", help="At this agent. [default: at an agent that no rule names]")
+@of_fleet
+def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
+    """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
+
+    It goes by the roster that was signed last. The exit code is 1 where the answer is no.
+
+    \b
+    Example:
+        pancakes fleet can agent1 command motors --at agent2
+        pancakes fleet can bob change 'agent1/device/ir' --at agent1
+    """
+    from pancakes.mesh.security.key_files import ROSTER
+    from pancakes.mesh.security.register import read_register
+    from pancakes.mesh.security.roster import read_signed
+
+    folder = _founded(fleet_name)
+    roster = read_signed((folder / ROSTER).read_bytes())[1]
+    entries = [it for it in read_register(folder).entries if who in (it.name, it.who)]
+    if not entries:
+        raise PancakesError(f"the register of the fleet {roster.fleet} has no {who}: see pancakes fleet list")
+    entry = entries[-1]
+    if entry.revoked:
+        raise PancakesError(f"no: {entry.who} was revoked: {entry.revoked}")
+    bearer = Bearer(entry.name, entry.role, entry.groups)
+    found = next((rule for rule in roster.allow if allows([rule], bearer, right, (on,), at)), None)
+    if found is None:
+        raise PancakesError(
+            f"no: no rule of the roster {roster.number} gives {entry.who} the right {right!r} on {on!r}. To grant it:"
+            f" pancakes fleet allow {entry.name} {right} --on '{on}'" + (f" --at {at}" if at != EVERY else "")
+        )
+    parts = [", ".join(found.who), "may", ", ".join(found.may), "on", ", ".join(found.on), "at", ", ".join(found.at)]
+    show_text(f"yes: {' '.join(parts)} (roster {roster.number})")
 
 
 # What they share ------------------------------------------------------------------------------------------------
