@@ -17,7 +17,7 @@ from pancakes.client.greeting import Greeting
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, is_local, reachable_from
 from pancakes.mesh.net.peers import reachable
 from pancakes.mesh.security.key_folders import fleets_of_person
 from pancakes.mesh.wire.link_messages import Hello
@@ -316,7 +316,9 @@ class Client:
 
     def _met(self, lead: Lead, what: Hello | str) -> None:
         if isinstance(what, str):
-            lead.failed = what
+            fleet = self._fleet_at(lead)
+            keyless = not is_local(lead.address) and self._way(fleet).keys is None
+            lead.failed = f"{what} (you have no keys of the fleet {fleet} to show it)" if keyless else what
         elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
             lead.failed = f"at its address is {what.name} of the fleet {what.fleet}"
         elif self._fleet not in ("", what.fleet):
