@@ -13,20 +13,20 @@ from typing import Any
 
 import pytest
 
-from pancakes.mesh.security.certified import CertifiedRole
-from pancakes.mesh.security.keys import Keys
 from pancakes.mesh.net.loop import TimerHandle
 from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
+from pancakes.mesh.security.authority import Authority
+from pancakes.mesh.security.certified import CertifiedRole
+from pancakes.mesh.security.keys import Keys
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
 from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock, MonotonicClock, VirtualClock
 from pancakes.runtime.plugins import Plugins
-from pancakes.mesh.security.authority import Authority
 
 PATIENCE_S = 20.0
 
