@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.fleet_office import FleetOffice
@@ -32,6 +36,10 @@ class KeysInTest:
             made = self._offices[fleet] = FleetOffice.founded(fleet, folder)
             made.enrol_with_key("operator", "alice").write(folder / "me")
         return made
+
+    def offered(self) -> AbstractContextManager[Any]:
+        """Lets clients in this process find them, until the end of the block."""
+        return mock.patch.dict(os.environ, self.environment)
 
     def of_agent(self, fleet: str, name: str, role: CertifiedRole = "agent") -> Path:
         """Makes the keys of an agent, where it has none; returns their folder."""

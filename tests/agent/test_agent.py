@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import pytest
+from cli.processes import INSECURE
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe
@@ -64,9 +65,6 @@ type = "test.Chatty"
 rate_hz = 5
 settings = { factor = 100.0 }
 """
-
-
-INSECURE = "[service.network]\nsettings = { insecure = true }\n"
 
 
 def test_an_agent_is_what_its_file_says():

@@ -23,6 +23,11 @@ TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.me
          "bench.Small": "benchmarks.many_tasks:Small",
          "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
 PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}
+INSECURE = """
+[service.network]
+settings = { insecure = true }
+"""
+"""What the file of each agent says that speaks over TCP: what is bare beside it encrypts nothing either."""
 PATIENCE_S = 60.0
 PATIENCE_TO_END_S = 10.0
 
@@ -68,7 +73,7 @@ peers = {json.dumps(list(peers))}
 state_dir = "{directory}/state-{name}"
 [service.log]
 settings = {{ console = false }}
-"""
+{INSECURE}"""
 
 
 def usual_environment() -> dict[str, str]:

@@ -274,6 +274,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "agent": name,
         "ready": True,
         "held": False,
+        "insecure": False,
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
         "dead_letters": 0,
@@ -300,6 +301,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
     [
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
+        ({"insecure": True}, "warning", "a", "speaks over tcp:// without keys"),
         (
             {"services": [service(state="failed", reason="no light")]},
             "error",
