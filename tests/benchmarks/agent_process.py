@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from keys_in_test import KeysInTest
+
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
          "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
@@ -54,6 +56,14 @@ def offer_tasks(
     runtime = directory / "run"
     runtime.mkdir(mode=0o700)
     return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
+
+
+def keys_of(directory: Path, *names: str) -> Mapping[str, str]:
+    """Makes keys for agents; returns what is to be in the environment of their processes."""
+    keys = KeysInTest(directory)
+    for name in names:
+        keys.of_agent("default", name)
+    return keys.environment
 
 
 def head_of(name: str, directory: Path, peers: Sequence[str] = ()) -> str:
