@@ -40,7 +40,7 @@ def read_rules(folder: Path) -> tuple[Rule, ...]:
         return codecs.convert(tomllib.loads(path.read_text(encoding="utf-8")), _File).access.allow
     except OSError as error:
         raise PancakesError(f"the rules {path} cannot be read: {error.strerror or error}") from None
-    except MALFORMED as error:
+    except (*MALFORMED, tomllib.TOMLDecodeError) as error:
         raise PancakesError(f"the rules {path} are not sound: {error}") from None
 
 
