@@ -62,11 +62,17 @@ def check_fleet(
             continue
         advice = "see whether it runs, and whether its process is suspended or its computer is away"
         yield Finding("error", "agents", sentence, advice)
+    newest = max((agent["roster"] or 0 for agent in agents), default=0)
     versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
     for agent in agents:
+        if agent["roster"] is not None and agent["roster"] < newest:
+            text = f"goes by the roster {agent['roster']} of its fleet, and others know the roster {newest}"
+            yield Finding(
+                "warning", agent["agent"], text, "link it to one that knows: it believes what was revoked since"
+            )
         findings = [*_check_agent(agent), *_check_peers(agent), *_check_tasks(agent, ask)]
         yield from findings
         if not findings:
