@@ -275,6 +275,7 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "ready": True,
         "held": False,
         "insecure": False,
+        "roster": None,
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
         "dead_letters": 0,
@@ -287,6 +288,12 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
 
 def found_in(*agents: dict[str, Any], reads: tuple[dict[str, Any], ...] = ()) -> list[Finding]:
     return list(check_fleet(agents, (), lambda name, target: {"reads": reads}))
+
+
+def test_an_agent_that_has_not_heard_of_the_last_roster_is_named():
+    found = found_in(agent("a", roster=3), agent("b", roster=5), agent("c"))
+    assert levels(found) == [("warning", "a"), ("ok", "a"), ("ok", "b"), ("ok", "c")]
+    assert found[0].text == "goes by the roster 3 of its fleet, and others know the roster 5"
 
 
 def test_a_healthy_agent_is_in_order():

@@ -200,3 +200,10 @@ def test_a_newcomer_comes_in_through_a_crowd_that_says_nothing(rig, listening):
     finally:
         for link in crowd:
             link.close()
+
+
+def test_keys_in_a_folder_that_others_can_write_to_are_refused(rig):
+    folder = rig.enrol("a")
+    folder.chmod(0o770)
+    with pytest.raises(PancakesError, match=r"others can put other files into the folder with keys .*: chmod 700 it"):
+        rig.with_keys(folder)

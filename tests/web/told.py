@@ -48,6 +48,7 @@ def agent(
         "ready": True,
         "held": False,
         "insecure": False,
+        "roster": None,
         "speed": 1.0,
         "mission_s": 0.0,
         "devices": ["motors"],

@@ -169,6 +169,9 @@ def check_private(path: Path) -> tuple[int, int]:
         raise PancakesError(f"the key {path} cannot be used: {(error.strerror or str(error)).lower()}") from None
     if not stat.S_ISREG(found.st_mode):
         raise PancakesError(f"the key {path} is no file")
+    folder = path.parent.stat()
+    if folder.st_mode & 0o022 or folder.st_uid not in (0, os.getuid()):
+        raise PancakesError(f"others can put other files into the folder with keys {path.parent}: chmod 700 it")
     if found.st_uid != os.getuid():
         raise PancakesError(f"the key {path} belongs to another user (uid {found.st_uid})")
     if found.st_mode & 0o077:
