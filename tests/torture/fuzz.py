@@ -68,7 +68,7 @@ NAMES: Final = (
     *("a", "b", "z", "", "a/client/Count", "z/client/T", "z/network/client"),
     *("task:a/Count", "*", "x" * 300, "a/../b", "ä", "\x1b[0m"),
 )
-ODD: Final = (
+ODD: Final[tuple[Any, ...]] = (
     *(0, 1, -1, 2**31, 2**53, 2**63, 2**64 - 1, 1e308, float("nan"), float("inf")),
     *(None, True, b"", b"\xc1" * 40, "", [], {}, [[[[]]]]),
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.session import Session
 from pancakes.mesh.net.transport import Scheduled
-from pancakes.mesh.security.roster import Roster, read_signed
+from pancakes.mesh.security.roster import FALSE, Roster, read_signed
 from pancakes.mesh.wire.link_messages import Refusal, RosterNumber, RosterText
 
 if TYPE_CHECKING:
@@ -95,16 +95,17 @@ class Rosters:
         self._checking.add(session.peer)
 
         def check() -> None:
-            fault = keep(keys, text)
-            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault))
+            fault, is_false = keep(keys, text)
+            self._call_later(0.0, lambda: self._checked(keys, session, roster, text, fault, is_false))
 
         threading.Thread(target=check, name="roster", daemon=True).start()
 
-    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str) -> None:
+    def _checked(self, keys: Keys, session: Session, roster: Roster, text: bytes, fault: str, is_false: bool) -> None:
         self._checking.discard(session.peer)
         if fault:
             self._log("warning", f"{session.peer} gave a roster that is not taken: {fault}")
-            self._refuse(session, "name", fault)
+            if is_false:
+                self._refuse(session, "name", fault)
         elif keys.learn(roster, text):
             revoked = len(roster.revoked)
             self._log("info", f"{session.peer} gave the roster {roster.number} of {roster.fleet}: {revoked} revoked")
@@ -129,11 +130,12 @@ class Rosters:
                 self._refuse(session, "name", f"{session.peer} is not believed any more: {fault}")
 
 
-def keep(keys: Keys, text: bytes) -> str:
+def keep(keys: Keys, text: bytes) -> tuple[str, bool]:
     """Checks the signature of a roster, and keeps it beside the keys. Waits for a process, in a thread of its own.
 
     Returns:
-        Why it is not taken, as a sentence; empty: it is kept.
+        Why it is not taken, as a sentence, and whether that is because the authority has not signed it; empty: it is
+        kept.
     """
     import subprocess
 
@@ -141,8 +143,8 @@ def keep(keys: Keys, text: bytes) -> str:
     try:
         ended = subprocess.run(command, input=text, capture_output=True, timeout=CHECK_S)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"its signature cannot be checked: {error}"
+        return f"its signature cannot be checked: {error}", False
     if ended.returncode == 0:
-        return ""
+        return "", False
     said = ended.stderr.decode(errors="replace").strip().splitlines()
-    return said[-1] if said else f"the check of its signature ended with {ended.returncode}"
+    return said[-1] if said else f"its check ended with {ended.returncode}", ended.returncode == FALSE

@@ -13,6 +13,8 @@ from pancakes.runtime.foundation.malformed import MALFORMED
 
 MOST_BYTES: Final = 128 * 1024
 """A roster is no larger: it travels as one message, and each agent keeps it."""
+FALSE: Final = 3
+"""The exit code of the process that checks a roster, where the authority has not signed it."""
 LATEST_S: Final = 30 * 86_400.0
 """A roster that is dated so much later than the last one, and than the own clock, is not believed: a signer whose clock
 is wrong would end each person's certificate for good.

@@ -468,7 +468,12 @@ def _told(client: Client, number: int) -> list[str]:
     until_s = client.now() + TOLD_S
     while True:
         found = client.survey().agents
-        know = [agent["agent"] for agent in found if (agent["roster"] or 0) >= number]
+        if later := [agent for agent in found if (agent["roster"] or 0) > number]:
+            raise PancakesError(
+                f"{later[0]['agent']} knows the roster {later[0]['roster']} already, and takes none with a lower"
+                " number: this folder is an old copy (docs/security.md, Backup)"
+            )
+        know = [agent["agent"] for agent in found if agent["roster"] == number]
         if len(know) == len(found) or client.now() > until_s:
             return know
         client.wait(client.now() + LOOK_S, lambda: False)
