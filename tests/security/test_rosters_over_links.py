@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
-from pancakes.mesh.security.authority import Authority
+from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.key_files import KEY, write_private
 from pancakes.mesh.security.roster import LATEST_S, Roster, read_signed
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.link_messages import RosterNumber, RosterText
@@ -62,14 +64,13 @@ def test_a_newcomer_brings_the_roster_and_it_goes_from_peer_to_peer(rig):
 
 def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
     a, b = two(rig)
-    newer(rig, "b")
+    number = newer(rig, "b").number
     rig.agent("z", [a.address])
     rig.until(lambda: a.downs and b.downs)
-    why = "its certificate was revoked (roster 3): agent/b: lost"
+    why = f"its certificate was revoked (roster {number}): agent/b: lost"
     assert why in a.downs[0][1] and why in b.downs[0][1]
     rig.until(lambda: "no link over" in b.log("warning"))
     assert why in b.log("warning"), "it is told why"
-    rig.until(lambda: "no agent of default believes this one any more" in b.log("error") or not b.ups[1:])
     assert not a.knows("b")
 
 
@@ -179,8 +180,10 @@ def test_a_person_whose_time_is_over_is_refused_and_told(rig):
 
 def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
     a = rig.agent("a")
-    rig.office._authority.fleet = "other"  # as an authority that signs for two fleets would
+    authority, key = Authority(rig.directory / "authority"), new_key()
+    authority.fleet = "other"  # as one would that signs for two fleets
     folder = rig.enrol("b")
+    write_private(folder / KEY, authority.certify(key.public_key(), "agent", "b").pem + pem_of_key(key))
     here = rig.ear()
     rig.with_keys(folder).dial(a.address, here)
     rig.until(lambda: here.closed_for)
@@ -193,16 +196,14 @@ def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
         (("b", "agent"), "c", "agent", "it calls itself c, and its certificate is b's (agent)"),
         (("b", "agent"), "b", "environment", "b comes as environment, and its certificate is for the role agent"),
         (("alice", "operator"), "alice", "client", "it calls itself alice, and its certificate is alice's (operator)"),
-        (("alice", "observer"), "alice.1", "agent", "alice.1 is no name"),
+        (("alice", "observer"), "alice.1", "agent", "'alice.1' is no name"),
         (("alice", "observer"), "bob.1", "client", "it calls itself bob.1, and its certificate is alice's (observer)"),
     ],
 )
 def test_a_hello_must_be_as_the_certificate_says(rig, enrolled, name, role, why):
     a = rig.agent("a")
     peer = BarePeer(rig.clock.now, "b")
-    peer.own = peer.own.__class__(
-        **{**{f: getattr(peer.own, f) for f in peer.own.__struct_fields__}, "name": name, "role": role}
-    )
+    peer.own = replace(peer.own, name=name, role=role)
     rig.with_keys(rig.enrol(*enrolled)).dial(a.address, peer)
     rig.until(lambda: peer.over)
     assert why in peer.over.reason or why in a.log("warning")
