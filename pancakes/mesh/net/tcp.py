@@ -44,15 +44,18 @@ class TcpTransport(StreamTransport):
         super().__init__(loop, settings, keys)
         self._insecure = settings.insecure
         self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
+        if keys is not None:
+            # Now, while nothing waits for this thread: the import takes some milliseconds.
+            from pancakes.mesh.net.tls_connection import TlsConnection
+
+            self._tls = TlsConnection
 
     def connection(
         self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
     ) -> StreamConnection:
         if self.keys is None:
             return super().connection(sock, remote, handler, dialled)
-        from pancakes.mesh.net.tls_connection import TlsConnection
-
-        made = TlsConnection(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
+        made = self._tls(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
         if not dialled and (oldest := self._handshakes.begun(made)) is not None:
             oldest.dispose(f"{oldest.remote}: it was slow to say who it is, and others wait")
         return made
