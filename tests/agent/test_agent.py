@@ -1,6 +1,7 @@
 """An agent put together from its configuration: what runs, in which order, and how it ends."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import pytest
@@ -220,9 +221,9 @@ def test_the_mission_of_an_agent_may_run_faster_than_its_host():
 
 
 def test_the_same_tasks_talk_over_sockets_as_in_virtual_time():
-    more = {"tasks": {"Chatty": Chatty}, "speed": 10.0}
-    with no_thread_left(), threaded_agent("a", INSECURE, listen="tcp://127.0.0.1:0", **more) as a:
-        with threaded_agent("b", INSECURE, peers=a.agent.mesh.listen[-1:], **more) as b:
+    start = partial(threaded_agent, tasks={"Chatty": Chatty}, speed=10.0)
+    with no_thread_left(), start("a", INSECURE, listen="tcp://127.0.0.1:0") as a:
+        with start("b", INSECURE, peers=a.agent.mesh.listen[-1:]) as b:
             a.wait_for_event("heard", of="b/client/Chatty")
             b.wait_for_event("heard", of="a/client/Chatty")
             assert b.ask(Describe("Chatty"), to="a").result["agent"] == "a"

@@ -52,10 +52,11 @@ def test_both_know_who_is_there(rig, listening):
     there, address = listening
     here = dialled(rig, rig.enrol("alice", "operator", groups=("staff",)), address)
     rig.until(lambda: here.connection and there.connection)
-    told = there.connection.certified
+    assert here.connection and there.connection
+    answered, told = here.connection.certified, there.connection.certified
+    assert answered and told
     assert (told.fleet, told.role, told.name, told.groups) == ("default", "operator", "alice", ("staff",))
-    assert here.connection.certified.name == "b" and here.connection.certified.role == "agent"
-    assert told.ends_s < here.connection.certified.ends_s
+    assert (answered.role, answered.name) == ("agent", "b") and told.ends_s < answered.ends_s
 
 
 def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listening):
@@ -92,6 +93,7 @@ def test_one_without_keys_and_one_with_them_say_so(rig, listening):
     there, address = listening
     here = dialled(rig, None, address)
     rig.until(lambda: here.connection)
+    assert here.connection
     here.connection.send(b"\0\0\0\x05hello")
     rig.until(lambda: there.closed_for)
     assert there.closed_for[0].endswith("it does not encrypt: perhaps it has no keys") and there.connection is None
