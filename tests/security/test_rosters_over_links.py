@@ -110,6 +110,13 @@ def speaks(rig: TlsRig, a: Agent) -> Given:
     return peer
 
 
+def reason_of(rig: TlsRig, peer: BarePeer) -> str:
+    """Waits for the end of a link; returns why it ended."""
+    rig.until(lambda: peer.over)
+    assert peer.over is not None
+    return peer.over.reason
+
+
 def signed(folder: Path, **more) -> bytes:
     values = {"fleet": "default", "number": 90, "signed_s": wall_ns() / 1e9, **more}
     return Authority(folder).signed(Roster(**values))
@@ -121,8 +128,8 @@ def test_a_roster_that_another_authority_has_signed_ends_the_link(rig):
     FleetOffice.founded("default", rig.directory / "elsewhere")
     peer = speaks(rig, a)
     peer.send(Encoder().link_message(RosterText(signed(rig.directory / "elsewhere"))))
-    rig.until(lambda: peer.over)
-    assert "the roster 90 was not signed by the authority of the fleet default" in peer.over.reason
+    why_ended = reason_of(rig, peer)
+    assert "the roster 90 was not signed by the authority of the fleet default" in why_ended
     assert number_of(rig, a) == before
     assert read_signed((keys_of(rig, a).folder / "roster.json").read_bytes())[1].number == before
 
@@ -136,16 +143,16 @@ def test_a_roster_that_was_changed_ends_the_link(rig, old, new):
     assert old in text
     peer = speaks(rig, a)
     peer.send(Encoder().link_message(RosterText(text.replace(old, new))))
-    rig.until(lambda: peer.over)
-    assert "was not signed by the authority" in peer.over.reason and number_of(rig, a) < 90
+    why_ended = reason_of(rig, peer)
+    assert "was not signed by the authority" in why_ended and number_of(rig, a) < 90
 
 
 def test_what_is_no_roster_ends_the_link(rig):
     a = rig.agent("a")
     peer = speaks(rig, a)
     peer.send(Encoder().link_message(RosterText(b"{}")))
-    rig.until(lambda: peer.over)
-    assert "the roster that it gave cannot be read" in peer.over.reason
+    why_ended = reason_of(rig, peer)
+    assert "the roster that it gave cannot be read" in why_ended
 
 
 def test_a_roster_of_a_far_day_is_taken_only_where_the_operator_says_so(rig):
@@ -205,6 +212,6 @@ def test_a_hello_must_be_as_the_certificate_says(rig, enrolled, name, role, why)
     peer = BarePeer(rig.clock.now, "b")
     peer.own = replace(peer.own, name=name, role=role)
     rig.with_keys(rig.enrol(*enrolled)).dial(a.address, peer)
-    rig.until(lambda: peer.over)
-    assert why in peer.over.reason or why in a.log("warning")
+    why_ended = reason_of(rig, peer)
+    assert why in why_ended or why in a.log("warning")
     assert not a.ups
