@@ -284,7 +284,7 @@ class Client:
         """Finds out which agent is there, and reaches it through its fleet's door."""
         self._leads.append(lead)
         if not lead.address:
-            lead.failed = "it listens at no address, so it cannot be asked from here"
+            lead.failed = lead.failed or "it listens at no address, so it cannot be asked from here"
             return
 
         def told(what: Hello | str) -> None:
@@ -312,6 +312,8 @@ class Client:
             if here := [entry.fleet for entry in entries() if lead.address in entry.listen]:
                 return here[0]
         own = fleets_of_person()
+        if len(own) > 1 and DEFAULT_FLEET not in own and not is_local(lead.address):
+            raise PancakesError(f"you have keys of {len(own)} fleets: say which with --fleet ({', '.join(own)})")
         return own[0] if len(own) == 1 else DEFAULT_FLEET
 
     def _met(self, lead: Lead, what: Hello | str) -> None:
@@ -337,15 +339,20 @@ class Client:
         fleet, remote = door.fleet, door.place_of(description["agent"])
         if not remote:
             return
+        keyless = self._way(fleet).keys is None and not description["insecure"]
         for peer in description["mesh"]["peers"]:
             if peer["role"] == "client" or any((it.fleet, it.name) == (fleet, peer["name"]) for it in self._leads):
                 continue
             there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"])]
+            failed = ""
+            if keyless and not all(is_local(it) for it in there):
+                there = [it for it in there if is_local(it)]
+                failed = f"you have no keys of the fleet {fleet}, which agents ask for over tcp://"
             unmet = next((it for it in self._leads if not it.name and it.address in there), None)
             if unmet is not None:
                 unmet.fleet, unmet.name = fleet, peer["name"]
             else:
-                self._follow(Lead(next(iter(there), ""), fleet, peer["name"]))
+                self._follow(Lead(next(iter(there), ""), fleet, peer["name"], failed))
 
     # Waiting ---------------------------------------------------------------------------------------------------
 

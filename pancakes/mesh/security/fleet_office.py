@@ -142,8 +142,8 @@ class FleetOffice:
         if now.number and abs(now_s - now.signed_s) > LATEST_S and not force:
             last, here = (datetime.datetime.fromtimestamp(it).strftime("%d %B %Y") for it in (now.signed_s, now_s))
             raise PancakesError(
-                f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Agents do not"
-                " believe a date so far away: set the clock, or say --force where it is right"
+                f"the last roster was signed on {last}, and by the clock of this machine it is {here}. Set that clock,"
+                " or, where it is right, say --force"
             )
         revoked = tuple(Revoked(it.serial, it.who, it.revoked) for it in now.entries if it.revoked)
         roster = Roster(self.fleet, now.number + 1, now_s, revoked, read_rules(self.folder), force)

@@ -17,6 +17,7 @@ import secrets
 import socket
 import ssl
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,7 @@ from pancakes.mesh.security.key_files import KeyFiles, write_private
 OPEN_S: Final = 600.0
 TRIES: Final = 5
 PATIENCE_S: Final = 5.0
+LOOK_S: Final = 0.2
 MOST_BYTES: Final = 256 * 1024
 _HASH_BYTES: Final = 15
 _SECRET_BYTES: Final = 10
@@ -124,6 +126,11 @@ class Desk:
         except OSError as error:
             raise PancakesError(f"cannot wait at port {port}: {(error.strerror or str(error)).lower()}") from None
         pin = hashlib.sha256(shown.public_bytes(serialization.Encoding.DER)).digest()[:_HASH_BYTES]
+        self._lock = threading.Lock()
+        self._tries = 0
+        self._came_from = ""
+        self._told = threading.Event()
+        self._fault: PancakesError | None = None
         self.code = JoinCode(host, self._sock.getsockname()[1], pin, secrets.token_bytes(_SECRET_BYTES))
 
     def serve(self, certify: Certify) -> str:
@@ -136,33 +143,51 @@ class Desk:
             Where it comes from.
 
         Raises:
-            PancakesError: no machine came in time, or one guessed too often.
+            PancakesError: no machine came in time, or the code was guessed at too often.
         """
-        tries = 0
         with self._sock:
-            while tries < TRIES:
-                left_s = self._until_s - time.monotonic()
-                if left_s <= 0:
-                    raise PancakesError("no machine has joined in time: enrol it again")
-                self._sock.settimeout(left_s)
-                with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-                    raw, place = self._sock.accept()
-                    raw.settimeout(PATIENCE_S)
-                    with self._context.wrap_socket(raw, server_side=True) as tls:
-                        asked = json.loads(tls.makefile("rb").readline(MOST_BYTES))
-                        tries += 1
-                        if not hmac.compare_digest(bytes.fromhex(asked["secret"]), self.code.secret):
-                            _say(tls, {"error": "that code is not good, or not any more"})
-                            continue
-                        request = x509.load_pem_x509_csr(asked["request"].encode())
-                        key = request.public_key()
-                        if not request.is_signature_valid or not isinstance(key, ec.EllipticCurvePublicKey):
-                            _say(tls, {"error": "the request is not signed by its key"})
-                            continue
-                        given = certify(key, place[0])
-                        _say(tls, given.as_text())
-                        return str(place[0])
-        raise PancakesError(f"{TRIES} attempts had a wrong code, so it is good no more: enrol the machine again")
+            while (left_s := self._until_s - time.monotonic()) > 0 and self._tries < TRIES and not self._told.is_set():
+                self._sock.settimeout(min(left_s, LOOK_S))
+                with contextlib.suppress(OSError):
+                    link, place = self._sock.accept()
+                    # Each in a thread of its own: a stranger that says nothing keeps no newcomer out.
+                    threading.Thread(target=self._meet, args=(link, place[0], certify), daemon=True).start()
+        if self._fault is not None:
+            raise self._fault
+        if self._told.is_set():
+            return self._came_from
+        if self._tries >= TRIES:
+            raise PancakesError(f"{TRIES} attempts had a wrong code, so it is good no more: enrol the machine again")
+        raise PancakesError("no machine has joined in time: enrol it again")
+
+    def _meet(self, link: socket.socket, place: str, certify: Certify) -> None:
+        link.settimeout(PATIENCE_S)
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError), link:
+            with self._context.wrap_socket(link, server_side=True) as tls:
+                asked = json.loads(tls.makefile("rb").readline(MOST_BYTES))
+                request = x509.load_pem_x509_csr(asked["request"].encode())
+                answer = self._answer(bytes.fromhex(asked["secret"]), request, place, certify)
+                _say(tls, answer)
+                if self._came_from and "error" not in answer:
+                    self._told.set()
+
+    def _answer(
+        self, secret: bytes, request: x509.CertificateSigningRequest, place: str, certify: Certify
+    ) -> dict[str, str]:
+        """Returns what a newcomer is told. One at a time: the code is good once."""
+        with self._lock:
+            if self._came_from or self._tries >= TRIES or not hmac.compare_digest(secret, self.code.secret):
+                self._tries += 1
+                return {"error": "that code is not good, or not any more"}
+            key = request.public_key()
+            if not request.is_signature_valid or not isinstance(key, ec.EllipticCurvePublicKey):
+                return {"error": "the request is not signed by its key"}
+            self._came_from = place
+            try:
+                return certify(key, place).as_text()
+            except PancakesError as error:
+                self._fault = error
+                return {"error": "the operator's machine could not give out a certificate"}
 
 
 def join(text: str) -> KeyFiles:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.security.roster import read_signed
 
 KEY: Final = "key.pem"
 """The certificate of the bearer, and the private key."""
@@ -40,11 +41,14 @@ class KeyFiles(NamedTuple):
     def write(self, folder: Path) -> None:
         """Writes a folder with keys; the key last, so that it never stands beside an older fleet's certificate.
 
+        A later roster that is there stays: what it revokes is not to be believed again.
+
         Raises:
             PancakesError: it cannot be written.
         """
         try:
-            write_private(folder / ROSTER, self.roster)
+            if number_of(folder / ROSTER) < _number(self.roster):
+                write_private(folder / ROSTER, self.roster)
             write_private(folder / FLEET, self.authority)
             write_private(folder / KEY, self.certificate + self.key)
         except OSError as error:
@@ -68,6 +72,21 @@ class KeyFiles(NamedTuple):
         """
         certificate, authority, roster = (text[name].encode() for name in ("certificate", "authority", "roster"))
         return cls(str(text["fleet"]), str(text["role"]), str(text["name"]), certificate, authority, roster, key)
+
+
+def number_of(path: Path) -> int:
+    """Returns the number of the roster in a file; 0 where there is none that can be read."""
+    try:
+        return _number(path.read_bytes())
+    except OSError:
+        return 0
+
+
+def _number(text: bytes) -> int:
+    try:
+        return read_signed(text)[1].number
+    except ValueError:
+        return 0
 
 
 def write_private(path: Path, data: bytes) -> None:

@@ -38,7 +38,7 @@ class Keys:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._stamp = check_private(folder / KEY)
+        self._stamp = self._look()
         self.dialling = _context(ssl.PROTOCOL_TLS_CLIENT, folder)
         self.listening = _context(ssl.PROTOCOL_TLS_SERVER, folder)
         try:
@@ -51,13 +51,23 @@ class Keys:
 
         self.roster, self.roster_text = _kept(folder / ROSTER)
 
+    def _look(self) -> tuple[int, ...]:
+        """Returns what changes when other files are put there.
+
+        Raises:
+            PancakesError: the key is not there, or others can read it.
+        """
+        check_private(self.folder / KEY)
+        found = [(self.folder / file).stat() for file in (KEY, FLEET) if (self.folder / file).exists()]
+        return tuple(number for it in found for number in (it.st_ino, it.st_mtime_ns))
+
     def reload(self) -> bool:
         """Takes the key that lies there now; returns whether it is a new one.
 
         Raises:
             PancakesError: it cannot be used, or is another's. The old one stays; the next call says nothing of it.
         """
-        stamp = check_private(self.folder / KEY)
+        stamp = self._look()
         if stamp == self._stamp:
             return False
         self._stamp = stamp
@@ -154,11 +164,8 @@ def _shown_to_itself(listening: ssl.SSLContext, folder: Path) -> ssl.SSLObject:
     return sides[1]
 
 
-def check_private(path: Path) -> tuple[int, int]:
+def check_private(path: Path) -> None:
     """Checks that no other user can read a private key.
-
-    Returns:
-        What changes when another file is put there.
 
     Raises:
         PancakesError: another user can, or it is not there; the sentence says what to do.
@@ -178,4 +185,3 @@ def check_private(path: Path) -> tuple[int, int]:
         raise PancakesError(
             f"the key {path} can be read by others (mode {stat.S_IMODE(found.st_mode):o}): chmod 600 it"
         )
-    return found.st_ino, found.st_mtime_ns

@@ -180,7 +180,7 @@ def join(code: str) -> None:
     else:
         with needing_extra("no fleet can be joined with a code"):
             from pancakes.mesh.security.joining import join as join_with
-        files, made_here = join_with(code), True
+        files, made_here = _checked(join_with(code)), True
     folder = _folder_of(files)
     files.write(folder)
     what = f"You are {files.role} {files.name}" if files.role in PEOPLE else f"This machine is {files.name}"
@@ -410,13 +410,22 @@ def _read(folder: Path) -> KeyFiles:
         PancakesError: a file is missing, or they do not fit together.
     """
     from pancakes.mesh.security.key_files import FLEET, KEY, ROSTER
-    from pancakes.mesh.security.keys import Keys
 
     try:
         key, authority, roster = ((folder / file).read_bytes() for file in (KEY, FLEET, ROSTER))
     except OSError as error:
         raise PancakesError(f"{folder} is no folder of pancakes fleet enrol: {error.strerror or error}") from None
-    files = KeyFiles("", "", "", key, authority, roster)
+    return _checked(KeyFiles("", "", "", key, authority, roster))
+
+
+def _checked(files: KeyFiles) -> KeyFiles:
+    """Returns files with the fleet, the role and the name that the certificate says.
+
+    Raises:
+        PancakesError: they do not fit together.
+    """
+    from pancakes.mesh.security.keys import Keys
+
     with tempfile.TemporaryDirectory() as directory:
         aside = Path(directory) / "keys"
         files.write(aside)
@@ -458,7 +467,8 @@ def _spread(office: FleetOffice, addresses: Sequence[str]) -> None:
             know = _told(client, number)
     except PancakesError as error:
         show_text(f"No agent has heard of the roster {number} yet: {error}", err=True)
-        show_text("Name one with: pancakes fleet sign --tell HOST:PORT", err=True)
+        if not addresses:
+            show_text("Agents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT", err=True)
         return
     show_text(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
 
