@@ -80,7 +80,7 @@ def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
     assert office.entries == ()
 
 
-def test_to_a_machine_in_between_the_secret_is_not_said(waiting, office, stranger, tmp_path):
+def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
     there = waiting()
     heard = bytearray()
     other = Desk("127.0.0.1", 0)  # shows a certificate of its own
