@@ -14,6 +14,7 @@ from typing import Any, Final
 from pancakes.client.door import Door
 from pancakes.client.fleet_way import FleetWay
 from pancakes.client.greeting import Greeting
+from pancakes.client.lead import Lead
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
@@ -30,26 +31,6 @@ Answers = dict[tuple[str, str], Reply]
 
 LOOK_S: Final = 0.1
 """How often a wait looks again at facts that come without an event, such as an agent that says it sleeps."""
-
-
-@dataclass
-class Lead:
-    """An agent that is known to be somewhere.
-
-    Attributes:
-        address: where; empty where it cannot be dialled.
-        fleet: its fleet; empty while that is not known.
-        name: its name, likewise.
-        failed: why it cannot be asked; empty while it can.
-    """
-
-    address: str
-    fleet: str = ""
-    name: str = ""
-    failed: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
 
 
 @dataclass

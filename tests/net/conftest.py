@@ -22,7 +22,7 @@ from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.keys import Keys
-from pancakes.mesh.security.rules import Rule
+from pancakes.mesh.security.rules import AccessRule
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
@@ -148,7 +148,7 @@ class TlsRig(TcpRig):
         self.directory = directory
         self._keys: dict[Transport, Keys | None] = {}
         self.office = FleetOffice.founded("default", directory / "authority")
-        self.office.allow(Rule(("role:agent",), ("command",)))
+        self.office.allow(AccessRule(("role:agent",), ("command",)))
 
     def transport(self, name: str, role: Role = "agent") -> Transport:
         if role == "client":

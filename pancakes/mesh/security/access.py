@@ -28,7 +28,7 @@ from pancakes.control import (
     Unfollow,
 )
 from pancakes.mesh.security.roster import Roster
-from pancakes.mesh.security.rules import Bearer, Right, Rule, allows
+from pancakes.mesh.security.rules import AccessRule, Bearer, Right, allows
 from pancakes.packet import CTRL, NETWORK, SYSCTRL, Packet, agent_of, type_name
 
 RIGHT_OF: Final[dict[type, Right]] = {
@@ -83,7 +83,7 @@ class Access:
         self,
         agent: str,
         roster: Callable[[], Roster | None] = lambda: None,
-        own: Sequence[Rule] | None = None,
+        own: Sequence[AccessRule] | None = None,
         refused: Sequence[Right] = (),
     ) -> None:
         self._agent = agent

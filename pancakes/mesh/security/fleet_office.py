@@ -15,7 +15,7 @@ from pancakes.mesh.security.certified import CertifiedRole
 from pancakes.mesh.security.key_files import FLEET, ROSTER, KeyFiles, write_private
 from pancakes.mesh.security.register import Entry, Register, read_register, write_register
 from pancakes.mesh.security.roster import LATEST_S, Revoked, Roster
-from pancakes.mesh.security.rules import Rule
+from pancakes.mesh.security.rules import AccessRule
 from pancakes.mesh.security.rules_file import add_rule, begin_rules, read_rules
 from pancakes.runtime.clock import wall_ns
 
@@ -118,7 +118,7 @@ class FleetOffice:
         self.sign(force, replace(self._register, entries=kept))
         return gone
 
-    def allow(self, rule: Rule, force: bool = False) -> Roster:
+    def allow(self, rule: AccessRule, force: bool = False) -> Roster:
         """Adds a rule, and signs that.
 
         Raises:

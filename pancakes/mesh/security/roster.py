@@ -7,7 +7,7 @@ from typing import Annotated, Final
 import msgspec
 
 from pancakes.mesh.security.certified import SLACK_S, Certified, fault_of_end
-from pancakes.mesh.security.rules import Rule
+from pancakes.mesh.security.rules import AccessRule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
 
@@ -55,7 +55,7 @@ class Roster(msgspec.Struct, frozen=True):
     number: Annotated[int, msgspec.Meta(ge=1, le=2**53)]
     signed_s: float
     revoked: tuple[Revoked, ...] = ()
-    allow: tuple[Rule, ...] = ()
+    allow: tuple[AccessRule, ...] = ()
     forced: bool = False
 
 

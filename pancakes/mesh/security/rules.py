@@ -44,7 +44,7 @@ class Bearer(NamedTuple):
     groups: tuple[str, ...] = ()
 
 
-class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AccessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Allows something. The order of rules never matters.
 
     Attributes:
@@ -61,15 +61,15 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 DEFAULT: Final = (
-    Rule(("role:operator",), (EVERY,)),
-    Rule(("role:observer",), ("look",)),
-    Rule(("role:agent",), ("publish", "look", "host", "write")),
-    Rule(("role:environment",), ("publish",)),
+    AccessRule(("role:operator",), (EVERY,)),
+    AccessRule(("role:observer",), ("look",)),
+    AccessRule(("role:agent",), ("publish", "look", "host", "write")),
+    AccessRule(("role:environment",), ("publish",)),
 )
 """The rules of a new fleet."""
 
 
-def allows(rules: Iterable[Rule], who: Bearer, right: Right, on: Iterable[str], at: str) -> bool:
+def allows(rules: Iterable[AccessRule], who: Bearer, right: Right, on: Iterable[str], at: str) -> bool:
     """Returns whether a rule lets a bearer do something.
 
     Args:

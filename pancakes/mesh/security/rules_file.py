@@ -10,7 +10,7 @@ import msgspec
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.key_files import write_private
-from pancakes.mesh.security.rules import DEFAULT, EVERY, Rule
+from pancakes.mesh.security.rules import DEFAULT, EVERY, AccessRule
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED
 
@@ -22,14 +22,14 @@ _HEAD: Final = """\
 
 
 class _Access(msgspec.Struct, forbid_unknown_fields=True):
-    allow: tuple[Rule, ...] = ()
+    allow: tuple[AccessRule, ...] = ()
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     access: _Access
 
 
-def read_rules(folder: Path) -> tuple[Rule, ...]:
+def read_rules(folder: Path) -> tuple[AccessRule, ...]:
     """Reads the rules of a fleet.
 
     Raises:
@@ -49,7 +49,7 @@ def begin_rules(folder: Path) -> None:
     write_private(folder / RULES, (_HEAD + "".join(map(_text, DEFAULT))).encode())
 
 
-def add_rule(folder: Path, rule: Rule) -> None:
+def add_rule(folder: Path, rule: AccessRule) -> None:
     """Adds a rule at the end of the file; what a person wrote there stays.
 
     Raises:
@@ -60,7 +60,7 @@ def add_rule(folder: Path, rule: Rule) -> None:
     write_private(path, path.read_bytes().rstrip(b"\n") + b"\n" + _text(rule).encode())
 
 
-def _text(rule: Rule) -> str:
+def _text(rule: AccessRule) -> str:
     lines = ["", "[[access.allow]]"]
     for key in ("who", "may", "on", "at"):
         values = getattr(rule, key)

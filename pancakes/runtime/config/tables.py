@@ -13,7 +13,7 @@ from msgspec import Meta, Struct, field
 
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.migration.rule import MigrationRule
-from pancakes.mesh.security.rules import Right, Rule
+from pancakes.mesh.security.rules import AccessRule, Right
 from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
@@ -79,7 +79,7 @@ class AccessConfig(Struct, frozen=True):
         refuse: rights that no peer has here, whatever the rules say, such as `["end"]`.
     """
 
-    allow: tuple[Rule, ...] | None = None
+    allow: tuple[AccessRule, ...] | None = None
     refuse: tuple[Right, ...] = ()
 
 

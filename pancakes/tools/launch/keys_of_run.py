@@ -10,7 +10,7 @@ from typing import Any
 
 from pancakes.errors import needing_extra
 from pancakes.mesh.security.key_folders import keys_of_agent
-from pancakes.mesh.security.rules import EVERY, Rule
+from pancakes.mesh.security.rules import EVERY, AccessRule
 from pancakes.runtime.config import Config
 from pancakes.runtime.config.toml_text import value_text
 from pancakes.runtime.transport_settings import TCP, tcp_addresses
@@ -46,7 +46,7 @@ def keys_of_run(configs: Mapping[str, Config]) -> Iterator[Mapping[str, tuple[st
             there = Path(directory) / agent.fleet
             if (office := offices.get(agent.fleet)) is None:
                 office = offices[agent.fleet] = FleetOffice.founded(agent.fleet, there / "office")
-                office.allow(Rule((EVERY,), (EVERY,)))  # all of them run for the person who launches them
+                office.allow(AccessRule((EVERY,), (EVERY,)))  # all of them run for the person who launches them
             folder = there / "keys" / name
             if agent.role == "client":
                 office.enrol_with_key("operator", name.partition(".")[0]).write(folder)

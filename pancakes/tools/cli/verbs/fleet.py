@@ -15,20 +15,17 @@ from pancakes.errors import PancakesError, needing_extra
 from pancakes.mesh.security import key_folders
 from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
 from pancakes.mesh.security.key_files import KeyFiles
-from pancakes.mesh.security.rules import EVERY, RIGHTS, Bearer, Right, Rule, allows
+from pancakes.mesh.security.rules import EVERY, RIGHTS, AccessRule, Bearer, Right, allows
 from pancakes.runtime.foundation.names import fault_of_name
 from pancakes.tools.cli.options import Duration, format_option
 from pancakes.tools.cli.output import DRY_RUN, show, show_text
+from pancakes.tools.cli.verbs.fleet_folder import founded, opened, spread
 
 if TYPE_CHECKING:
-    from pancakes.client import Client
     from pancakes.mesh.security.fleet_office import FleetOffice
     from pancakes.mesh.security.register import Entry
 
 PORT: Final = 7490
-TOLD_S: Final = 5.0
-"""So long a command waits for agents to hear of a roster."""
-LOOK_S: Final = 0.2
 COLUMNS: Final = ("name", "role", "groups", "state", "since", "ends", "came_from", "serial")
 _LONGEST_NAME: Final = 40  # a person's terminals bear it with a dot and more
 
@@ -132,7 +129,7 @@ def enrol(
         pancakes fleet enrol agent2 --out agent2/
         pancakes fleet enrol bob --role observer
     """
-    office = _office(fleet_name)
+    office = opened(fleet_name)
     office.check_new(name)
     _give(office, role, name, groups, out, host, port, for_s)
 
@@ -154,7 +151,7 @@ def renew(name: str, out: Path | None, host: str, port: int, for_s: float, fleet
         pancakes fleet renew alice
         pancakes fleet renew agent1
     """
-    office = _office(fleet_name)
+    office = opened(fleet_name)
     entry = office.latest(name)
     own = key_folders.keys_of_person(office.fleet)
     if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
@@ -216,7 +213,7 @@ def list_(fleet_name: str, format_: str) -> None:
             "came_from": it.came_from,
             "serial": it.serial,
         }
-        for it in read_register(_founded(fleet_name)).entries
+        for it in read_register(founded(fleet_name)).entries
     ]
     show(rows, COLUMNS, format_)
 
@@ -239,15 +236,15 @@ def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], forc
         pancakes fleet revoke operator/alice "laptop stolen"
         pancakes fleet revoke agent1 "lost in the field" --tell 192.168.1.23:7401
     """
-    folder = _founded(fleet_name)
+    folder = founded(fleet_name)
     if dry_run:
         from pancakes.mesh.security.register import read_register
 
         _show_entries(read_register(folder).of(who), DRY_RUN)
         return
-    office = _office(fleet_name)
+    office = opened(fleet_name)
     _show_entries(office.revoke(who, why, force), "revoked")
-    _spread(office, addresses)
+    spread(office, addresses)
 
 
 @fleet.command()
@@ -261,10 +258,10 @@ def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
     Example:
         pancakes fleet sign --tell 192.168.1.23:7401
     """
-    office = _office(fleet_name)
+    office = opened(fleet_name)
     roster = office.sign(force)
     show_text(f"The roster {roster.number} of the fleet {office.fleet} is signed.")
-    _spread(office, addresses)
+    spread(office, addresses)
 
 
 @fleet.command()
@@ -296,14 +293,14 @@ def allow(
         pancakes fleet allow agent1 command --on motors --at agent2
         pancakes fleet allow group:field change --on '*/device/*'
     """
-    rule = Rule((who,), rights, on or (EVERY,), at or (EVERY,))
+    rule = AccessRule((who,), rights, on or (EVERY,), at or (EVERY,))
     if not dry_run:
-        office = _office(fleet_name)
+        office = opened(fleet_name)
         office.allow(rule, force)
     row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
     show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), "table")
     if not dry_run:
-        _spread(office, addresses)
+        spread(office, addresses)
 
 
 @fleet.command()
@@ -326,7 +323,7 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
     from pancakes.mesh.security.register import read_register
     from pancakes.mesh.security.roster import read_signed
 
-    folder = _founded(fleet_name)
+    folder = founded(fleet_name)
     roster = read_signed((folder / ROSTER).read_bytes())[1]
     entries = [it for it in read_register(folder).entries if who in (it.name, it.who)]
     if not entries:
@@ -346,35 +343,6 @@ def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
 
 
 # What they share ------------------------------------------------------------------------------------------------
-
-
-def _founded(name: str) -> Path:
-    """Returns the folder of a fleet that was founded here.
-
-    Raises:
-        PancakesError: there is none of this name, or none, or several.
-    """
-    from pancakes.mesh.security.register import REGISTER
-
-    base = key_folders.fleets()
-    here = sorted(it.parent.name for it in base.glob(f"*/{REGISTER}"))
-    if name and name in here:
-        return base / name
-    if name or not here:
-        which = f"the fleet {name} was not" if name else "no fleet was"
-        raise PancakesError(f"{which} founded here ({base}): pancakes fleet init {name or 'NAME'}")
-    if len(here) > 1:
-        raise PancakesError(f"several fleets were founded here: say which with --fleet ({', '.join(here)})")
-    return base / here[0]
-
-
-def _office(name: str) -> FleetOffice:
-    folder = _founded(name)
-    with needing_extra("no certificate can be given out"):
-        from pancakes.mesh.security.authority import is_locked
-        from pancakes.mesh.security.fleet_office import FleetOffice
-    password = click.prompt(f"Password of the fleet {folder.name}", hide_input=True) if is_locked(folder) else None
-    return FleetOffice.opened(folder, password.encode() if password else None)
 
 
 def _give(
@@ -451,42 +419,6 @@ def _bearer(folder: Path) -> str:
     from pancakes.mesh.security.keys import Keys
 
     return Keys(folder).own.name
-
-
-def _spread(office: FleetOffice, addresses: Sequence[str]) -> None:
-    """Tells agents of the last roster, and says which know it now."""
-    from pancakes.client import Client, Where
-    from pancakes.mesh.security.roster import read_signed
-
-    number = read_signed((office.folder / "roster.json").read_bytes())[1].number
-    if key_folders.keys_of_person(office.fleet) is None:
-        show_text(f"You have no keys of the fleet {office.fleet}, so no agent can be told from here.", err=True)
-        return
-    try:
-        with Client(Where.of(Where(tuple(addresses), office.fleet)), TOLD_S) as client:
-            know = _told(client, number)
-    except PancakesError as error:
-        show_text(f"No agent has heard of the roster {number} yet: {error}", err=True)
-        if not addresses:
-            show_text("Agents elsewhere hear of it with: pancakes fleet sign --tell HOST:PORT", err=True)
-        return
-    show_text(f"The roster {number} is known to {', '.join(know) or 'no agent yet'}.")
-
-
-def _told(client: Client, number: int) -> list[str]:
-    """Waits until all agents know a roster, which this terminal gives to them; returns those that do."""
-    until_s = client.now() + TOLD_S
-    while True:
-        found = client.survey().agents
-        if later := [agent for agent in found if (agent["roster"] or 0) > number]:
-            raise PancakesError(
-                f"{later[0]['agent']} knows the roster {later[0]['roster']} already, and takes none with a lower"
-                " number: this folder is an old copy (docs/security.md, Backup)"
-            )
-        know = [agent["agent"] for agent in found if agent["roster"] == number]
-        if len(know) == len(found) or client.now() > until_s:
-            return know
-        client.wait(client.now() + LOOK_S, lambda: False)
 
 
 def _show_entries(entries: Sequence[Entry], done: str) -> None:
