@@ -8,17 +8,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pancakes.client.door import Door
 from pancakes.client.fleet_way import FleetWay
 from pancakes.client.greeting import Greeting
 from pancakes.client.lead import Lead
+from pancakes.client.survey import Replies, Survey
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, is_local, reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local, reachable_from
 from pancakes.mesh.net.peers import reachable
 from pancakes.mesh.security.key_folders import fleets_of_person
 from pancakes.mesh.wire.link_messages import Hello
@@ -31,34 +31,6 @@ Answers = dict[tuple[str, str], Reply]
 
 LOOK_S: Final = 0.1
 """How often a wait looks again at facts that come without an event, such as an agent that says it sleeps."""
-
-
-@dataclass
-class Survey:
-    """What the agents say about themselves.
-
-    Attributes:
-        agents: the result of `Describe` of each that answered, by fleet and name.
-        silent: a sentence for each that did not.
-        asleep: those of these sentences whose agent had said that its network would sleep.
-    """
-
-    agents: list[dict[str, Any]] = field(default_factory=list)
-    silent: list[str] = field(default_factory=list)
-    asleep: list[str] = field(default_factory=list)
-
-
-@dataclass
-class Replies:
-    """What the agents answer that were all asked the same.
-
-    Attributes:
-        replies: the name of each that answered, and its reply, by fleet and name.
-        silent: a sentence for each that did not.
-    """
-
-    replies: list[tuple[str, Reply]]
-    silent: list[str]
 
 
 class Client:
@@ -289,6 +261,8 @@ class Client:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
         if lead.fleet or self._fleet:
             return lead.fleet or self._fleet
+        if found := fleet_in(lead.address):
+            return found
         with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
             if here := [entry.fleet for entry in entries() if lead.address in entry.listen]:
                 return here[0]
@@ -314,6 +288,10 @@ class Client:
                 door = Door(way.name, what.fleet, way.transport, self._clock, self._changed, way.keys)
                 self._doors[what.fleet] = door
             door.learn(lead.address)
+        # One that is not there yet is dialled again and again, as soon as another of its fleet is.
+        for other in self._leads:
+            if other.failed and (later := self._doors.get(fleet_in(other.address))) is not None:
+                later.learn(other.address)
 
     def _learn(self, door: Door, description: dict[str, Any]) -> None:
         """Follows the agents that one of them is connected to."""
@@ -327,13 +305,22 @@ class Client:
             there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"])]
             failed = ""
             if keyless and not all(is_local(it) for it in there):
-                there = [it for it in there if is_local(it)]
+                there = [it for it in there if is_local(it)] or self._here(fleet, peer["name"])
                 failed = f"you have no keys of the fleet {fleet}, which agents ask for over tcp://"
             unmet = next((it for it in self._leads if not it.name and it.address in there), None)
-            if unmet is not None:
+            if unmet is not None and not unmet.failed:
                 unmet.fleet, unmet.name = fleet, peer["name"]
             else:
+                if unmet is not None:  # it was not there yet
+                    self._leads.remove(unmet)
                 self._follow(Lead(next(iter(there), ""), fleet, peer["name"], failed))
+
+    def _here(self, fleet: str, name: str) -> list[str]:
+        """Returns where an agent is reached within this machine; nothing where it does not run here."""
+        with suppress(PancakesError):
+            there = [next(iter(it.listen), "") for it in entries() if (it.fleet, it.name) == (fleet, name)]
+            return [address for address in there if is_local(address)]
+        return []
 
     # Waiting ---------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from typing import Final
 
 from pancakes.mesh.net.stream_connection import SocketOwner, StreamConnection
 from pancakes.mesh.net.tls_sentences import sentence_of
-from pancakes.mesh.net.transport import ConnectionHandler, Scheduled
+from pancakes.mesh.net.transport import UNSAID, ConnectionHandler, Scheduled
 from pancakes.mesh.security.keys import Keys, certificate_shown
 
 HANDSHAKE_S: Final = 5.0
@@ -180,7 +180,7 @@ class TlsConnection(StreamConnection):
 
     def _end(self) -> str:
         if self.certified is None:
-            return self._about("the other side closed the connection, and did not say who it is")
+            return self._about(UNSAID)
         return f"the connection to {self.remote} broke: its end was cut off"
 
     def _half_close(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 
@@ -19,6 +19,10 @@ from pancakes.runtime.kernel.guest import Guest
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
+
+
+UNSAID: Final = "the other side closed the connection, and did not say who it is"
+"""Why a connection never came to stand that the other side gave up: a terminal that ends does so, or a second dial."""
 
 
 class Connection(ABC):
