@@ -8,6 +8,7 @@ from services.counting import Count
 from pancakes.bodies.devices.types import Load
 from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Shutdown, Start, Stop
 from pancakes.packet import CTRL
+from pancakes.runtime.hosting.host_state import HostState
 from pancakes.testing import FleetInTest
 
 LOOK = """
@@ -87,10 +88,33 @@ def test_commands_and_packets_without_the_right_are_dropped(fleet):
     assert any("b (agent) do this: it lacks the right 'publish' on 'map'" in line for line in a.lines("warning"))
 
 
-def test_a_task_moves_only_to_an_agent_that_takes_tasks_of_this_type(fleet):
+def without_host(fleet):
+    """Returns an agent with a task, and a neighbour that takes no tasks of its type."""
     a = fleet.start("a", tasks={"Count": Count})
-    fleet.start("b", allowed('["look", "write", "publish"]') + allowed('["host"]', '["other.*"]').replace(LOOK, ""))
+    takes_others = '[[access.allow]]\nwho = ["a"]\nmay = ["host"]\non = ["other.*"]\n'
+    b = fleet.start("b", allowed('["look", "write", "publish"]') + takes_others)
     fleet.connect()
-    reply = a.ask(Migrate("Count"))
+    return a, b
+
+
+def test_an_agent_bids_for_tasks_alone_that_its_peer_may_give_it(fleet):
+    a, b = without_host(fleet)
+    reply = a.ask(Migrate("Count", dry_run=True))
     assert not reply.ok and "b does not let a (agent) do this: it lacks the right 'host' on" in reply.reason
-    assert a.running("client") == ["Count"]
+    assert b.events("migration_refused")
+    assert not a.ask(Migrate("Count")).ok and a.running("client") == ["Count"]
+
+
+def test_a_task_of_another_type_than_was_asked_for_is_not_taken(fleet, monkeypatch):
+    a, b = without_host(fleet)
+    monkeypatch.setattr(HostState, "refusal_of", lambda self, peer, request: "")  # as if another type had been named
+    reply = a.ask(Migrate("Count"))
+    assert not reply.ok and "it lacks the right 'host' on" in reply.reason
+    assert a.running("client") == ["Count"] and b.running("client") == []
+
+
+def test_a_letter_reaches_a_task_only_with_the_right_to_write_to_it(fleet):
+    a, b = two(fleet, allowed('["publish"]') + allowed('["write"]', '["a/Other"]').replace(LOOK, ""))
+    b.publish("system", Load(0.5), to="task:a/Count")
+    a.wait_until(lambda: any("it lacks the right 'write' on 'a/Count'" in line for line in a.lines("warning")))
+    assert a.probe.packets(Load) == []

@@ -134,3 +134,13 @@ def test_what_is_no_code_is_said(text):
 def test_a_code_is_read_as_it_is_written():
     code = JoinCode("192.168.1.10", 7490, bytes(range(15)), bytes(range(10)))
     assert JoinCode.parse(str(code)) == code == JoinCode.parse(f" {str(code).lower()}\n")
+
+
+def test_an_older_folder_brings_no_older_roster(office, tmp_path):
+    files = office.enrol_with_key("agent", "r2")
+    older = files.roster
+    newer = office.sign()
+    files._replace(roster=(office.folder / "roster.json").read_bytes()).write(tmp_path / "keys")
+    files.write(tmp_path / "keys")
+    keys = Keys(tmp_path / "keys")
+    assert keys.roster == newer and keys.roster_text != older
