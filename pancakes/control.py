@@ -243,6 +243,14 @@ class Shutdown(msgspec.Struct, frozen=True):
     dry_run: bool = False
 
 
+@packet_type("reload_keys")
+class ReloadKeys(msgspec.Struct, frozen=True):
+    """Has an agent take a new key that lies where the old one did; else it looks for one each minute.
+
+    New links use it, and the old ones are made anew, one after the other. The reply's result is whether there is one.
+    """
+
+
 @packet_type("begin")
 class Begin(msgspec.Struct, frozen=True):
     """Lets a mission that is held at 0 begin.
@@ -351,6 +359,7 @@ CONTROLS: tuple[type, ...] = (
     Channels,
     History,
     Shutdown,
+    ReloadKeys,
     Begin,
     Follow,
     Unfollow,

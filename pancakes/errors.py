@@ -98,7 +98,13 @@ class PeerLost(MigrationError):
     """The peer went away before the hand-off was decided."""
 
 
-EXTRAS: Final = {"mcap": "record", "matplotlib": "demo", "websockets": "web", "prometheus_client": "metrics"}
+EXTRAS: Final = {
+    "cryptography": "keys",
+    "mcap": "record",
+    "matplotlib": "demo",
+    "websockets": "web",
+    "prometheus_client": "metrics",
+}
 """What is not installed with the core, by its module, and the extra that brings it."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import uuid
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pancakes.control import Reply
 from pancakes.errors import PancakesError
@@ -14,6 +14,9 @@ from pancakes.mesh.net.transport import Transport
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import SYSCTRL, Packet, body_class, type_name
 from pancakes.runtime.clock import Clock
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 Answer = Reply | str
 """What became of a request: the agent's reply, or the reason why there will be none."""
@@ -35,9 +38,18 @@ class Door:
         transport: how bytes travel.
         clock: the host clock.
         changed: called in the transport's thread after an agent came or went, or answered.
+        keys: those of this person; None: there are none.
     """
 
-    def __init__(self, name: str, fleet: str, transport: Transport, clock: Clock, changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        name: str,
+        fleet: str,
+        transport: Transport,
+        clock: Clock,
+        changed: Callable[[], None],
+        keys: Keys | None = None,
+    ) -> None:
         self.name = name
         self.fleet = fleet
         self._changed = changed
@@ -57,7 +69,7 @@ class Door:
             on_unfit=self._on_unfit,
             on_peer_up=self._on_peer_up,
             on_peer_down=self._on_peer_down,
-            follows=True,
+            keys=keys,
         )
         self._mesh.start()
 

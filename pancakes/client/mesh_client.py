@@ -5,26 +5,25 @@ Threads are only here: the terminal may wait, agents may not.
 
 from __future__ import annotations
 
-import os
-import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 from pancakes.client.door import Door
+from pancakes.client.fleet_way import FleetWay
 from pancakes.client.greeting import Greeting
+from pancakes.client.lead import Lead
+from pancakes.client.survey import Replies, Survey
 from pancakes.client.where import Where
 from pancakes.control import Describe, Reply
 from pancakes.errors import ControlRefused, NoAnswer, PancakesError, Unreachable
-from pancakes.mesh.address import DEFAULT_FLEET, in_fleet, reachable_from
+from pancakes.mesh.address import DEFAULT_FLEET, fleet_in, in_fleet, is_local, reachable_from
 from pancakes.mesh.net.peers import reachable
-from pancakes.mesh.net.socket_transport import SocketTransport
+from pancakes.mesh.security.key_folders import fleets_of_person
 from pancakes.mesh.wire.link_messages import Hello
 from pancakes.runtime.clock import MonotonicClock
 from pancakes.runtime.foundation.suggestion import hint_of
-from pancakes.runtime.plugins import Plugins
 from pancakes.runtime.runtime_dir import entries, runtime_dir
 
 Answers = dict[tuple[str, str], Reply]
@@ -32,54 +31,6 @@ Answers = dict[tuple[str, str], Reply]
 
 LOOK_S: Final = 0.1
 """How often a wait looks again at facts that come without an event, such as an agent that says it sleeps."""
-
-
-@dataclass
-class Lead:
-    """An agent that is known to be somewhere.
-
-    Attributes:
-        address: where; empty where it cannot be dialled.
-        fleet: its fleet; empty while that is not known.
-        name: its name, likewise.
-        failed: why it cannot be asked; empty while it can.
-    """
-
-    address: str
-    fleet: str = ""
-    name: str = ""
-    failed: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address
-
-
-@dataclass
-class Survey:
-    """What the agents say about themselves.
-
-    Attributes:
-        agents: the result of `Describe` of each that answered, by fleet and name.
-        silent: a sentence for each that did not.
-        asleep: those of these sentences whose agent had said that its network would sleep.
-    """
-
-    agents: list[dict[str, Any]] = field(default_factory=list)
-    silent: list[str] = field(default_factory=list)
-    asleep: list[str] = field(default_factory=list)
-
-
-@dataclass
-class Replies:
-    """What the agents answer that were all asked the same.
-
-    Attributes:
-        replies: the name of each that answered, and its reply, by fleet and name.
-        silent: a sentence for each that did not.
-    """
-
-    replies: list[tuple[str, Reply]]
-    silent: list[str]
 
 
 class Client:
@@ -102,9 +53,8 @@ class Client:
     def __init__(self, at: Where | str | Sequence[str] = (), timeout_s: float = 3.0) -> None:
         where = Where.of(at)
         self.timeout_s = timeout_s
-        self.name = f"cli-{os.getpid()}-{secrets.token_hex(3)}"
         self._clock = MonotonicClock()
-        self._transport = SocketTransport(self._clock, self.name, Plugins())
+        self._ways: dict[str, FleetWay] = {}
         self._lock = threading.RLock()
         # Held while there is no news. No `Condition`: Ctrl-C in the middle of its `wait`, which is written in Python,
         # leaves its lock in disorder, and a program that then ends in good order waits for ever.
@@ -116,8 +66,12 @@ class Client:
         self._at = where.addresses
         self._fleet = where.fleet
         fleet = self._fleet or DEFAULT_FLEET
-        for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
-            self._follow(lead)
+        try:
+            for lead in [Lead(in_fleet(address, fleet)) for address in self._at] or self._running():
+                self._follow(lead)
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Client:
         return self
@@ -131,7 +85,8 @@ class Client:
             doors = list(self._doors.values())
         for door in doors:
             door.close()
-        self._transport.close()
+        for way in self._ways.values():
+            way.transport.close()
 
     def request(self, agent: str, body: Any, timeout_s: float | None = None) -> Reply:
         """Asks one agent for something, and waits for its answer.
@@ -236,6 +191,10 @@ class Client:
                 return False
             self._no_news.acquire(timeout=min(left_s, LOOK_S))
 
+    def is_own(self, name: str) -> bool:
+        """Returns whether a name of the mesh is that of this client in a fleet."""
+        return any(way.name == name for way in self._ways.values())
+
     def doors(self) -> list[Door]:
         """Returns the doors of the fleets that are known by now."""
         with self._lock:
@@ -278,7 +237,7 @@ class Client:
         """Finds out which agent is there, and reaches it through its fleet's door."""
         self._leads.append(lead)
         if not lead.address:
-            lead.failed = "it listens at no address, so it cannot be asked from here"
+            lead.failed = lead.failed or "it listens at no address, so it cannot be asked from here"
             return
 
         def told(what: Hello | str) -> None:
@@ -287,20 +246,36 @@ class Client:
             self._changed()
 
         self._greeted += 1
-        name, fleet = f"{self.name}.{self._greeted}", self._fleet_at(lead)
-        Greeting(self._transport, lead.address, name, fleet, self._clock, told)
+        fleet = self._fleet_at(lead)
+        way = self._way(fleet)
+        Greeting(way.transport, lead.address, f"{way.name}.{self._greeted}", fleet, self._clock, told)
+
+    def _way(self, fleet: str) -> FleetWay:
+        """Returns how the agents of a fleet are reached."""
+        made = self._ways.get(fleet)
+        if made is None:
+            made = self._ways[fleet] = FleetWay.to(fleet, self._clock)
+        return made
 
     def _fleet_at(self, lead: Lead) -> str:
         """Returns the fleet of which the agent there is thought to be: an agent tells those of its fleet alone."""
         if lead.fleet or self._fleet:
             return lead.fleet or self._fleet
+        if found := fleet_in(lead.address):
+            return found
         with suppress(PancakesError):  # an agent elsewhere can be asked without the runtime directory
-            return next((entry.fleet for entry in entries() if lead.address in entry.listen), DEFAULT_FLEET)
-        return DEFAULT_FLEET
+            if here := [entry.fleet for entry in entries() if lead.address in entry.listen]:
+                return here[0]
+        own = fleets_of_person()
+        if len(own) > 1 and DEFAULT_FLEET not in own and not is_local(lead.address):
+            raise PancakesError(f"you have keys of {len(own)} fleets: say which with --fleet ({', '.join(own)})")
+        return own[0] if len(own) == 1 else DEFAULT_FLEET
 
     def _met(self, lead: Lead, what: Hello | str) -> None:
         if isinstance(what, str):
-            lead.failed = what
+            fleet = self._fleet_at(lead)
+            keyless = not is_local(lead.address) and self._way(fleet).keys is None
+            lead.failed = f"{what} (you have no keys of the fleet {fleet} to show it)" if keyless else what
         elif lead.name and (lead.name, lead.fleet) != (what.name, what.fleet):
             lead.failed = f"at its address is {what.name} of the fleet {what.fleet}"
         elif self._fleet not in ("", what.fleet):
@@ -309,24 +284,43 @@ class Client:
             lead.name, lead.fleet = what.name, what.fleet
             door = self._doors.get(what.fleet)
             if door is None:
-                door = Door(self.name, what.fleet, self._transport, self._clock, self._changed)
+                way = self._way(what.fleet)
+                door = Door(way.name, what.fleet, way.transport, self._clock, self._changed, way.keys)
                 self._doors[what.fleet] = door
             door.learn(lead.address)
+        # One that is not there yet is dialled again and again, as soon as another of its fleet is.
+        for other in self._leads:
+            if other.failed and (later := self._doors.get(fleet_in(other.address))) is not None:
+                later.learn(other.address)
 
     def _learn(self, door: Door, description: dict[str, Any]) -> None:
         """Follows the agents that one of them is connected to."""
         fleet, remote = door.fleet, door.place_of(description["agent"])
         if not remote:
             return
+        keyless = self._way(fleet).keys is None and not description["insecure"]
         for peer in description["mesh"]["peers"]:
             if peer["role"] == "client" or any((it.fleet, it.name) == (fleet, peer["name"]) for it in self._leads):
                 continue
             there = [reachable(it, remote) for it in reachable_from(remote, peer["addresses"])]
+            failed = ""
+            if keyless and not all(is_local(it) for it in there):
+                there = [it for it in there if is_local(it)] or self._here(fleet, peer["name"])
+                failed = f"you have no keys of the fleet {fleet}, which agents ask for over tcp://"
             unmet = next((it for it in self._leads if not it.name and it.address in there), None)
-            if unmet is not None:
+            if unmet is not None and not unmet.failed:
                 unmet.fleet, unmet.name = fleet, peer["name"]
             else:
-                self._follow(Lead(next(iter(there), ""), fleet, peer["name"]))
+                if unmet is not None:  # it was not there yet
+                    self._leads.remove(unmet)
+                self._follow(Lead(next(iter(there), ""), fleet, peer["name"], failed))
+
+    def _here(self, fleet: str, name: str) -> list[str]:
+        """Returns where an agent is reached within this machine; nothing where it does not run here."""
+        with suppress(PancakesError):
+            there = [next(iter(it.listen), "") for it in entries() if (it.fleet, it.name) == (fleet, name)]
+            return [address for address in there if is_local(address)]
+        return []
 
     # Waiting ---------------------------------------------------------------------------------------------------
 

@@ -120,6 +120,14 @@ def in_fleet(address: str, fleet: str) -> str:
     return local_address(fleet, name) if is_local(address) and "/" not in name else address
 
 
+def fleet_in(address: str) -> str:
+    """Returns the fleet that `local://NAME` or `local://FLEET/NAME` names; empty: another address names none."""
+    if not is_local(address) or address.startswith(f"{LOCAL}:///"):
+        return ""
+    first, _, rest = address.removeprefix(f"{LOCAL}://").partition("/")
+    return first if rest else DEFAULT_FLEET
+
+
 def is_local(address: str) -> bool:
     """Returns whether an address is for this machine alone, and names no port."""
     return address.startswith(f"{LOCAL}://")

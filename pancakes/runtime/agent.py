@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -24,11 +24,13 @@ from pancakes.mesh.net.link_log import DROPS_REPORTED_EVERY_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Transport
+from pancakes.mesh.security.access import Access
+from pancakes.mesh.security.roster import Roster
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
 from pancakes.runtime.composition import Composition
-from pancakes.runtime.config import Config, parse_address
+from pancakes.runtime.config import Config
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
@@ -56,8 +58,12 @@ from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
+from pancakes.runtime.transport_settings import keys_for, tcp_addresses, transport_settings
 from pancakes.service import Service
 from pancakes.settings import make_settings
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 _TOLD_ONCE = ("name", "role", "fleet", "listen")
 """What a description of the agent says by itself, and not again with its mesh."""
@@ -99,6 +105,7 @@ class Agent:
         resting: the tasks of its configuration that do not start because they moved away, failed or were stopped when
             it ran before; why, in a word (`moved → r3`), by `SERVICE/TASK`.
         ready: set once all that should run at the start does.
+        insecure: whether it speaks over TCP without keys.
         fatal: set to a sentence where it must stop: its port is in use, another agent bears its name.
 
     Raises:
@@ -125,6 +132,8 @@ class Agent:
         )
         self.ready = threading.Event()
         self.fatal: str = ""
+        self.insecure = False
+        self._keys: Keys | None = None
         self.stopping = threading.Event()
         self._on_fatal: Callable[[str], None] = lambda reason: None
         self._on_shutdown: Callable[[], None] | None = None
@@ -154,6 +163,8 @@ class Agent:
         network = self._network_settings()
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
+        own = config.access
+        self.kernel.access = Access(self.name, self._roster, own.allow, own.refuse)
         if virtual is None:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
@@ -189,6 +200,8 @@ class Agent:
             on_log=lambda level, text: self._say(lambda: self.kernel.log(level, text)),
             defer=defer,
             times=LinkTimes(heartbeat_s=network.heartbeat_s),
+            access=self.kernel.access,
+            keys=self._keys,
         )
         # A stream's name never comes again, because what was numbered in it is forgotten with this process.
         self.outbox = SharedOutbox(Outbox(f"{self.name}/{journal.uuid}.{journal.boot}", self.name))
@@ -286,11 +299,9 @@ class Agent:
             self.kernel.log("warning", sentence)
         for task, why in self.resting.items():
             self.kernel.log("warning", f"{self.name}/{task} does not start: {why}")
-        for address in self.mesh.listen:
-            if not parse_address(address).loopback:
-                self.kernel.log(
-                    "warning", f"{self.name} listens at {address}: links are not encrypted, and no peer is checked"
-                )
+        if self.insecure:
+            text = f"{self.name} speaks over tcp:// without keys: nothing is encrypted, and no peer is checked"
+            self.kernel.log("warning", text)
         self.ready.set()
         self._say_unsaid()
 
@@ -369,12 +380,17 @@ class Agent:
             "listen": self.mesh.listen,
             "neighbours": self.mesh.neighbours(),
             "peers": [hello.name for hello in self.mesh.connected()],
+            "insecure": self.insecure,
+            "roster": roster.number if (roster := self._roster()) is not None else None,
             "mesh": {key: value for key, value in self.mesh.describe().items() if key not in _TOLD_ONCE},
             "speed": self.config.clock.speed,
             # In virtual time many agents share one process.
             "process": self._process() if self.kernel.virtual is None else None,
             **self.host_state.describe(),
         }
+
+    def _roster(self) -> Roster | None:
+        return self._keys.roster if self._keys is not None else None
 
     def _process(self) -> dict[str, Any]:
         return {**describe_process(), "uptime_s": self.kernel.host.now() - self._born_s}
@@ -443,12 +459,13 @@ class Agent:
         return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
-        return SocketTransport(self.kernel.host, self.name, self._plugins, self._transport_settings())
-
-    def _transport_settings(self) -> dict[str, dict[str, Any]]:
-        given = self._network_settings().transports
-        group = self.config.agent.local_group
-        return {**given, LOCAL: {**given.get(LOCAL, {}), "group": group}} if group else given
+        agent, network = self.config.agent, self._network_settings()
+        self._keys = keys = keys_for(agent, network)
+        if keys is not None and (fault := keys.fault_of(keys.own)):
+            self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
+        self.insecure = keys is None and bool(tcp_addresses(agent))
+        settings = transport_settings(agent, network)
+        return SocketTransport(self.kernel.host, self.name, self._plugins, settings, keys)
 
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""
@@ -470,7 +487,8 @@ class Agent:
         """
         network = self.config.services.get("network")
         given = network.settings if network is not None else {}
-        known = {name: given[name] for name in ("heartbeat_s", "busy_poll_s", "transports") if name in given}
+        early = ("heartbeat_s", "busy_poll_s", "insecure", "keys", "transports")
+        known = {name: given[name] for name in early if name in given}
         return make_settings(NetworkService.Settings, known)
 
     def _resting(self) -> dict[str, str]:

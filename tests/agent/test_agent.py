@@ -1,9 +1,11 @@
 """An agent put together from its configuration: what runs, in which order, and how it ends."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import pytest
+from cli.processes import INSECURE
 
 from pancakes.bodies.devices.types import Load, Pose
 from pancakes.control import Describe
@@ -13,6 +15,7 @@ from pancakes.fleet import VirtualFleet
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.memory import Quality
 from pancakes.mesh.net.tcp import TcpTransport
+from pancakes.mesh.security.keys import Keys
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.config import parse
 from pancakes.runtime.state_dir import default_state_dir
@@ -131,9 +134,9 @@ def test_an_address_in_use_is_a_sentence_and_leaves_nothing_behind():
 
 
 def test_a_port_in_use_on_threads_leaves_no_thread(tmp_path):
-    with no_thread_left(), threaded_agent("a", listen="tcp://127.0.0.1:0") as agent:
+    with no_thread_left(), threaded_agent("a", INSECURE, listen="tcp://127.0.0.1:0") as agent:
         address = agent.agent.mesh.listen[-1]
-        config = config_of("b", listen=address, state_dir=str(tmp_path))
+        config = config_of("b", INSECURE, listen=address, state_dir=str(tmp_path))
         with no_thread_left():
             second = Agent(config)
             with pytest.raises(PancakesError, match="address already in use"):
@@ -144,9 +147,9 @@ def test_the_settings_of_a_transport_reach_it(tmp_path):
     class Noted(TcpTransport):
         made_with: ClassVar[list[TcpTransport.Settings]] = []
 
-        def __init__(self, loop: Loop, settings: TcpTransport.Settings) -> None:
+        def __init__(self, loop: Loop, settings: TcpTransport.Settings, keys: Keys | None) -> None:
             self.made_with.append(settings)
-            super().__init__(loop, settings)
+            super().__init__(loop, settings, keys)
 
     text = "[service.network]\nsettings = { transports = { noted = { dial_s = 2.5 } } }\n"
     config = config_of("a", text, peers=["noted:///run/b"], state_dir=str(tmp_path))
@@ -218,8 +221,9 @@ def test_the_mission_of_an_agent_may_run_faster_than_its_host():
 
 
 def test_the_same_tasks_talk_over_sockets_as_in_virtual_time():
-    with no_thread_left(), threaded_agent("a", tasks={"Chatty": Chatty}, listen="tcp://127.0.0.1:0", speed=10.0) as a:
-        with threaded_agent("b", tasks={"Chatty": Chatty}, peers=a.agent.mesh.listen[-1:], speed=10.0) as b:
+    start = partial(threaded_agent, tasks={"Chatty": Chatty}, speed=10.0)
+    with no_thread_left(), start("a", INSECURE, listen="tcp://127.0.0.1:0") as a:
+        with start("b", INSECURE, peers=a.agent.mesh.listen[-1:]) as b:
             a.wait_for_event("heard", of="b/client/Chatty")
             b.wait_for_event("heard", of="a/client/Chatty")
             assert b.ask(Describe("Chatty"), to="a").result["agent"] == "a"

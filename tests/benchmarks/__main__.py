@@ -20,6 +20,7 @@ TOPICS = (
     "fan_out",
     "two_processes",
     "local_link",
+    "tls_link",
     "lateness",
     "many_tasks",
     "start_up",

@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from keys_in_test import KeysInTest
+
 TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.mesh_tasks:Far",
          "bench.Started": "benchmarks.idle_tasks:Started", "bench.Idle": "benchmarks.idle_tasks:Idle",
          "bench.Steady": "benchmarks.steady:Steady", "bench.Busy": "benchmarks.lateness:Busy",
@@ -23,6 +25,11 @@ TASKS = {"bench.Near": "benchmarks.mesh_tasks:Near", "bench.Far": "benchmarks.me
          "bench.Small": "benchmarks.many_tasks:Small",
          "bench.Member": "benchmarks.crowd_tasks:Member"}  # fmt: skip
 PACKETS = {"bench": "benchmarks.mesh_tasks", "bench_crowd": "benchmarks.crowd_tasks"}
+INSECURE = """
+[service.network]
+settings = { insecure = true }
+"""
+"""What the file of each agent says that speaks over TCP: what is bare beside it encrypts nothing either."""
 PATIENCE_S = 60.0
 PATIENCE_TO_END_S = 10.0
 
@@ -51,6 +58,14 @@ def offer_tasks(
     return {**usual_environment(), "PYTHONPATH": os.pathsep.join(path), "PANCAKES_RUNTIME_DIR": str(runtime)}
 
 
+def keys_of(directory: Path, *names: str) -> Mapping[str, str]:
+    """Makes keys for agents; returns what is to be in the environment of their processes."""
+    keys = KeysInTest(directory)
+    for name in names:
+        keys.of_agent("default", name)
+    return keys.environment
+
+
 def head_of(name: str, directory: Path, peers: Sequence[str] = ()) -> str:
     """Returns how the configuration of an agent begins: it listens anywhere, and shows nothing.
 
@@ -68,7 +83,7 @@ peers = {json.dumps(list(peers))}
 state_dir = "{directory}/state-{name}"
 [service.log]
 settings = {{ console = false }}
-"""
+{INSECURE}"""
 
 
 def usual_environment() -> dict[str, str]:

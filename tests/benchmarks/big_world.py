@@ -21,7 +21,7 @@ from random import Random
 
 import msgspec
 import psutil
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report
+from benchmarks.agent_process import INSECURE, agent_process, offer_tasks, process, read_report
 from benchmarks.bus_load import GOOD_FOR_S, RATE_HZ, wheels_mps
 from benchmarks.figure import Figure, Plan, alone
 
@@ -67,7 +67,7 @@ def _config(directory: str, port: int, robots: int) -> str:
         y_m = (number // columns - 0.5 * (rows - 1)) * APART_M
         lines.append(f"[task.World.settings.robots.robot{number}]\nx_m = {x_m:.3f}\ny_m = {y_m:.3f}\n")
         lines.append(f"theta_rad = {number % 6}")
-    return "\n".join(lines)
+    return "\n".join([*lines, INSECURE])
 
 
 def _free_port() -> int:

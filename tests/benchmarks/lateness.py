@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from benchmarks.agent_process import agent_process, offer_tasks, read_report
+from benchmarks.agent_process import INSECURE, agent_process, offer_tasks, read_report
 from benchmarks.figure import Figure, Plan, alone, in_turns
 
 from pancakes.task import Task, Tick, every
@@ -120,7 +120,7 @@ def pancakes(tasks: int, rate_hz: float, duration_s: float, more: str = "") -> l
         environment = offer_tasks(Path(name))
         numbers = {"report_fd": writer, "settle_s": SETTLE_S, "duration_s": duration_s}
         tables = [f'[task.Periodic{n}]\ntype = "bench.Periodic"\nrate_hz = {rate_hz}' for n in range(tasks)]
-        config = "\n".join([_CONFIG.format(directory=name, **numbers), *tables, more])
+        config = "\n".join([_CONFIG.format(directory=name, **numbers), *tables, more, INSECURE])
         with agent_process(config, Path(name), environment, pass_fds=(writer,)):
             os.close(writer)
             try:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
+from benchmarks.agent_process import INSECURE
+
 from pancakes.runtime.agent import Agent
 from pancakes.runtime.config import parse
 from pancakes.runtime.plugins import Plugins
@@ -45,6 +47,7 @@ def local_agent(
             *(f"[channel.{channel}]" for channel in channels),
             *(f"[task.{name}]\n{table}" for name, table in tasks.items()),
             more,
+            INSECURE,
         ]
         plugins = Plugins({("pancakes.tasks", name): cls for name, cls in classes.items()} | dict(offers))
         agent = Agent(parse("\n".join(lines), "bench.toml"), plugins)

@@ -25,7 +25,14 @@ from subprocess import Popen
 
 import psutil
 import pykka
-from benchmarks.agent_process import agent_process, offer_tasks, process, read_report, usual_environment
+from benchmarks.agent_process import (
+    INSECURE,
+    agent_process,
+    offer_tasks,
+    process,
+    read_report,
+    usual_environment,
+)
 from benchmarks.figure import Figure, Plan, in_turns
 
 from pancakes.bodies.devices.types import Pose
@@ -125,7 +132,7 @@ def crowded(tasks: int, rate_hz: float = 0.1) -> Iterator[tuple[Popen[bytes], li
     reader, writer = os.pipe()
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         settings = f"settings = {{ tasks = {tasks}, report_fd = {writer}, rate_hz = {rate_hz} }}"
-        config = _CONFIG.format(directory=name) + f'[service.crowd]\ntype = "bench.Crowd"\n{settings}'
+        config = _CONFIG.format(directory=name) + f'[service.crowd]\ntype = "bench.Crowd"\n{settings}{INSECURE}'
         with agent_process(config, Path(name), offer_tasks(Path(name)), pass_fds=(writer,)) as started:
             yield started, _report(reader, writer)
 
@@ -148,7 +155,7 @@ def _ready(tasks: int) -> list[float]:
     tables = "".join(table.format(number=number) for number in range(tasks))
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         environment = offer_tasks(Path(name))
-        config = _CONFIG.format(directory=name) + tables
+        config = _CONFIG.format(directory=name) + tables + INSECURE
         began_s = time.perf_counter()
         with agent_process(config, Path(name), environment, until_ready=True) as started:
             took_ms = (time.perf_counter() - began_s) * 1e3

@@ -235,6 +235,7 @@ def running_demo(fleet: str) -> Iterator[Demo]:
                 f'agent.state_dir="{directory}/state-{agent}"',
                 f"clock.speed={SPEED}",
                 "service.log.settings.console=false",
+                "service.network.settings.insecure=true",
                 *moved.get(agent, ()),
             ]
             if agent == "world":

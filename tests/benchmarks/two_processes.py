@@ -11,11 +11,12 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from benchmarks.agent_process import (
     agent_process,
     head_of,
+    keys_of,
     listening_at,
     offer_tasks,
     process,
@@ -24,6 +25,8 @@ from benchmarks.agent_process import (
     usual_environment,
 )
 from benchmarks.figure import Figure, Plan, in_turns
+
+Way = Literal["plain", "keys", "local"]
 
 TITLE = "a task to a task in another process, over loopback"
 ROUND_TRIPS = 3000
@@ -41,7 +44,7 @@ settings = {{ {settings} }}
 """
 
 
-def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, local: bool = False) -> dict[str, Any]:
+def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, way: Way = "plain") -> dict[str, Any]:
     """One run of ours, each process bound to a core or not. Returns what the near task reports.
 
     Args:
@@ -49,7 +52,7 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, l
         round_trips: how many.
         packets: how many go one way.
         is_bound: whether each process is bound to a core.
-        local: whether they speak by `local://`; else over TCP.
+        way: how they speak: over TCP without keys, over TCP with keys, or by `local://`.
 
     Raises:
         RuntimeError: packets were lost.
@@ -59,10 +62,12 @@ def pancakes(size: int, round_trips: int, packets: int, is_bound: bool = True, l
     with tempfile.TemporaryDirectory(prefix="pancakes-bench-") as name:
         directory = Path(name)
         environment = offer_tasks(directory)
+        if way == "keys":
+            environment = {**environment, **keys_of(directory, "near", "far")}
         far = head_of("far", directory) + _TASK.format(task="Far", settings="")
         settings = f"report_fd = {writer}, round_trips = {round_trips}, packets = {packets}, size = {size}"
         with agent_process(far, directory, environment, far_core, until_ready=True) as listener:
-            peers = [listening_at(environment, "far", listener, local)]
+            peers = [listening_at(environment, "far", listener, way == "local")]
             near = head_of("near", directory, peers) + _TASK.format(task="Near", settings=settings)
             with agent_process(near, directory, environment, near_core, (writer,)):
                 os.close(writer)

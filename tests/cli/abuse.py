@@ -89,7 +89,7 @@ class Abuse:
         self._changed = threading.Condition()
         self.clients: list[Listener] = []
         for index in range(CLIENTS):
-            transport = SocketTransport(self.clock, f"abuse{index}", Plugins())
+            transport = SocketTransport(self.clock, f"abuse{index}", Plugins(), {"tcp": {"insecure": True}})
             door = Door(f"abuse{index}", "test", transport, self.clock, self._news)
             client = Listener(door, transport, {name: [] for name in agents})
             door.listen(partial(self._heard, client))

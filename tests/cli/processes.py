@@ -16,6 +16,8 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from keys_in_test import KeysInTest
+
 PATIENCE_S = 20.0
 READY = "/kernel: ready"
 
@@ -108,6 +110,10 @@ class Running:
         return code, time.monotonic() - began_s
 
 
+INSECURE = "[service.network]\nsettings = { insecure = true }\n"
+"""What the file of an agent says that speaks over TCP without keys."""
+
+
 class Rig:
     """Starts agents and commands whose files are all in one directory."""
 
@@ -116,16 +122,20 @@ class Rig:
         self.runtime = directory / "runtime"
         self.plugins = directory / "plugins"
         self.plugins.mkdir()
+        self.keys = KeysInTest(directory)
         self.environment = {
             **{key: value for key, value in os.environ.items() if not key.startswith("PANCAKES_")},
             "PANCAKES_RUNTIME_DIR": str(self.runtime),
             "XDG_STATE_HOME": str(directory / "state"),
+            **self.keys.environment,
             "PYTHONPATH": str(self.plugins),
         }
         self._running: list[Running] = []
 
     def config(self, name: str, rest: str = "", *, fleet: str = "test", agent: str = "", file: str = "") -> Path:
-        """Writes the configuration of an agent that listens at a free port."""
+        """Writes the configuration of an agent that listens at a free port, and makes its keys, unless it has none."""
+        if INSECURE not in rest:
+            self.keys.of_agent(fleet, name, "environment" if 'role = "environment"' in agent else "agent")
         text = f'schema = 1\n\n[agent]\nname = "{name}"\nfleet = "{fleet}"\nlisten = "tcp://127.0.0.1:0"\n{agent}\n{rest}\n'
         path = self.directory / (file or f"{name}.toml")
         path.write_text(text)

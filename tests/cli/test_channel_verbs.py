@@ -157,7 +157,7 @@ def test_fields_are_picked_and_packets_without_them_left_out(rig: Rig, agent: Ru
 
 
 def test_only_packets_from_an_address_are_shown(rig: Rig, agent: Running, start: Start):
-    echo = start("channel", "echo", "a/pond", "--from", "a/client/Wal", "--from", "cli", "--for", "1s")
+    echo = start("channel", "echo", "a/pond", "--from", "a/client/Wal", "--from", "alice", "--for", "1s")
     assert echo.ended() == 0
     assert echo.printed == []
     assert rows_of(rig, "echo", "a/pond", "--from", "a/client", "--count", "1")
@@ -208,7 +208,7 @@ def test_what_comes_from_elsewhere_is_seen(rig: Rig, agent: Running, start: Star
     rig.ready("b")
     pub = start("channel", "pub", "a/dry", "battery", FULL, "--rate", "20")
 
-    assert echo.record()["source"].startswith("cli-")
+    assert echo.record()["source"].startswith("alice.")
     assert pub.interrupt() == 0
 
 
@@ -330,7 +330,7 @@ def test_a_packet_reaches_who_subscribes(rig: Rig, agent: Running):
         "subscribers": ["a/client/Watch"],
     }
     line = agent.hear("saw level=0.75")
-    assert "by=cli-" in line
+    assert "by=alice." in line
     assert float(line.rpartition("stamp=")[2]) > 0.1  # the agent's own mission time
 
 

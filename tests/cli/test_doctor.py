@@ -274,6 +274,8 @@ def agent(name: str = "a", **other: Any) -> dict[str, Any]:
         "agent": name,
         "ready": True,
         "held": False,
+        "insecure": False,
+        "roster": None,
         "services": [{"service": "client", "state": "running", "reason": ""}],
         "tasks": [task()],
         "dead_letters": 0,
@@ -288,6 +290,12 @@ def found_in(*agents: dict[str, Any], reads: tuple[dict[str, Any], ...] = ()) ->
     return list(check_fleet(agents, (), lambda name, target: {"reads": reads}))
 
 
+def test_an_agent_that_has_not_heard_of_the_last_roster_is_named():
+    found = found_in(agent("a", roster=3), agent("b", roster=5), agent("c"))
+    assert levels(found) == [("warning", "a"), ("ok", "a"), ("ok", "b"), ("ok", "c")]
+    assert found[0].text == "goes by the roster 3 of its fleet, and others know the roster 5"
+
+
 def test_a_healthy_agent_is_in_order():
     assert levels(found_in(agent())) == [("ok", "a")]
 
@@ -300,6 +308,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
     [
         ({"ready": False}, "warning", "a", "is not ready"),
         ({"held": True}, "warning", "a", "waits at 0"),
+        ({"insecure": True}, "warning", "a", "speaks over tcp:// without keys"),
         (
             {"services": [service(state="failed", reason="no light")]},
             "error",

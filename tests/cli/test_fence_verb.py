@@ -58,7 +58,7 @@ def test_a_fence_that_is_too_high_is_shown_and_set_right(rig: Rig):
     assert rig.listed("task", "fence", "a/wheels") == [{**fine, "seen": "0@a", "obeyed": True, "reason": ""}]
     (account,) = rig.listed("task", "migrations", "a")
     assert (account["outcome"], account["winner"], account["task_id"]) == ("fenced", "a", "a/Circle")
-    assert account["asked_by"].startswith("cli-")
+    assert account["asked_by"].startswith("alice.")
     assert "fenced" in rig.pancakes("task", "migrations").stdout
 
 

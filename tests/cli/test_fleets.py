@@ -2,10 +2,10 @@
 
 import json
 import socket
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
-from cli.processes import READY, Rig, Running
+from cli.processes import INSECURE, READY, Rig, Running
 
 from pancakes.client import Client, Where
 from pancakes.control import Describe
@@ -15,10 +15,11 @@ LOAD = '[device.load]\ndriver = "host.load"\nrate_hz = 2\n'
 
 
 @pytest.fixture
-def fleets(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> tuple[Running, Running]:
+def fleets(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Running, Running]]:
     """An agent `a` of the fleet north, and another `a` of the fleet south."""
     monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(rig.runtime))
-    return rig.ready("a", LOAD, fleet="north"), rig.ready("a", LOAD.replace("= 2", "= 3"), fleet="south")
+    with rig.keys.offered():
+        yield rig.ready("a", LOAD, fleet="north"), rig.ready("a", LOAD.replace("= 2", "= 3"), fleet="south")
 
 
 def rate_hz(rig: Rig, *arguments: str) -> float:
@@ -108,10 +109,17 @@ def test_what_is_wrong_with_a_fleet_is_said(
     assert text in result.stderr
 
 
-def test_an_agent_of_another_fleet_at_an_address_is_named(rig: Rig, fleets: tuple[Running, Running]):
-    result = rig.pancakes("agent", "list", "--at", f"127.0.0.1:{rig.port(fleets[0])}", "--fleet", "south")
+@pytest.mark.parametrize(
+    ("network", "text"),
+    [(INSECURE, "it is not of the fleet 'south'; --fleet names another"), ("", "its certificate is of another fleet")],
+    ids=["insecure", "with keys"],
+)
+def test_an_agent_of_another_fleet_at_an_address_is_named(rig: Rig, network: str, text: str):
+    north = rig.ready("a", network, fleet="north")
+    rig.config("b", network, fleet="south")
+    result = rig.pancakes("agent", "list", "--at", f"127.0.0.1:{rig.port(north)}", "--fleet", "south")
     assert result.returncode == 3
-    assert "it is not of the fleet 'south'; --fleet names another" in result.stderr
+    assert text in result.stderr
 
 
 def test_a_client_takes_an_address_as_a_person_writes_it(rig: Rig, fleets: tuple[Running, Running]):
@@ -139,7 +147,7 @@ def test_what_is_no_address_is_said_at_once(at: str | list[str], text: str):
         Client(at)
 
 
-def test_a_fleet_can_share_one_list_of_peers(rig: Rig, tmp_path: Path):
+def test_a_fleet_can_share_one_list_of_peers(rig: Rig):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     peers = f'peers = ["tcp://127.0.0.1:{port}", "tcp://localhost:{port}"]'
@@ -149,7 +157,7 @@ def test_a_fleet_can_share_one_list_of_peers(rig: Rig, tmp_path: Path):
     a.hear(READY)
     b = rig.ready("b", agent=peers)
     a.hear("peer=b")
-    with Client(Where((f"127.0.0.1:{port}",), "test"), 10.0) as client:
+    with rig.keys.offered(), Client(Where((f"127.0.0.1:{port}",), "test"), 10.0) as client:
         (found,) = client.survey("a").agents
 
     assert not [it for it in found["mesh"]["addresses"] if it["static"]], "its own address is no peer"

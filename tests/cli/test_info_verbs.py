@@ -119,7 +119,7 @@ def test_the_table_of_an_agent_has_its_sections(rig: Rig, agent: Running):
     assert any(line.endswith("s of the mission, at speed 1") for line in lines)
     assert any(line.startswith("client ClientService running Steer, Broken") for line in lines)
     (link,) = (line for line in lines if line.startswith("b agent tcp://127.0.0.1:"))
-    assert "cli-" not in table, "the command shows its own link"
+    assert "alice." not in table, "the command shows its own link"
     assert len(link.split()) >= 10
 
 
@@ -161,8 +161,8 @@ def test_commands_come_and_go_without_a_line_in_the_log(rig: Rig, agent: Running
         assert rig.listed("agent", "list")
     assert rig.pancakes("task", "rate", "a/pose", "3").returncode == 0
     line = agent.hear("rate_changed")
-    assert "by=cli-" in line
-    assert [text for text in agent.said if "cli-" in text] == [line]
+    assert "by=alice." in line
+    assert [text for text in agent.said if "alice." in text] == [line]
 
 
 # Tasks ----------------------------------------------------------------------------------------------------------

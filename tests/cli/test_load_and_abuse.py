@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from cli.abuse import Abuse, Answered, Told, in_file
-from cli.processes import Rig, Running
+from cli.processes import INSECURE, Rig, Running
 
 from pancakes.control import Configure, Describe, Migrate, Reschedule, Restart, Start, Stop
 
@@ -39,8 +39,8 @@ def agents(rig: Rig) -> dict[str, Running]:
     def log(name: str) -> str:
         return f'[service.log]\nsettings = {{ file = "{rig.directory / name}.jsonl", share_kib_s = 0 }}\n'
 
-    first = rig.ready("a", CONFIG + log("a"))
-    second = rig.ready("b", log("b"), agent=f'peers = ["{rig.address(first)}"]')
+    first = rig.ready("a", CONFIG + log("a") + INSECURE)
+    second = rig.ready("b", log("b") + INSECURE, agent=f'peers = ["{rig.address(first)}"]')
     first.hear("peer_up peer=b")
     return {"a": first, "b": second}
 

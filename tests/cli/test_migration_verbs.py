@@ -80,7 +80,7 @@ def test_a_task_moves_and_runs_there_when_the_command_returns(rig: Rig, pair: tu
         "b",
         "tasks",
     )
-    assert ledger["asked_by"].startswith("cli-")
+    assert ledger["asked_by"].startswith("alice.")
     (line,) = ledger["lines"]
     assert (line["peer"], line["answer"], line["fate"], line["terms"]) == ("b", "bid", "won", {"active tasks": 0.0})
     pair[1].hear("counted n=")

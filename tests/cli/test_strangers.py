@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 
-from cli.processes import PATIENCE_S, Rig
+from cli.processes import INSECURE, PATIENCE_S, Rig
 from cli.strangers import Strangers
 
 from pancakes.client.door import Door
 from pancakes.control import Describe
-from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
 from pancakes.mesh.net.peers import MAX_AGENTS, MAX_CLIENTS
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.runtime.clock import MonotonicClock
@@ -25,7 +25,7 @@ def asked(rig: Rig, address: str) -> None:
 
 
 def test_clients_that_only_answer_pings_give_their_places_to_the_operator(rig: Rig):
-    address = rig.address(rig.ready("a"))
+    address = rig.address(rig.ready("a", INSECURE))
     with Strangers(address, MAX_CLIENTS, "client") as strangers:
         strangers.wait_until_up(MAX_CLIENTS)
         asked(rig, address)
@@ -35,7 +35,7 @@ def test_clients_that_only_answer_pings_give_their_places_to_the_operator(rig: R
 
 def test_of_strangers_who_say_nothing_the_oldest_are_told_that_the_agent_is_full(rig: Rig):
     count = MAX_HANDSHAKES + 40
-    address = rig.address(rig.ready("a"))
+    address = rig.address(rig.ready("a", INSECURE))
     with Strangers(address, count) as strangers:
         asked(rig, address)
         assert len(strangers.refusals()) >= count - MAX_HANDSHAKES
@@ -43,7 +43,7 @@ def test_of_strangers_who_say_nothing_the_oldest_are_told_that_the_agent_is_full
 
 
 def test_a_mesh_full_of_agents_says_so_at_once_and_still_answers_the_operator(rig: Rig):
-    address = rig.address(rig.ready("a"))
+    address = rig.address(rig.ready("a", INSECURE))
     with Strangers(address, MAX_AGENTS + 20, "agent") as strangers:
         strangers.wait_until_up(MAX_AGENTS - 1)
         asked(rig, address)
@@ -51,7 +51,7 @@ def test_a_mesh_full_of_agents_says_so_at_once_and_still_answers_the_operator(ri
 
 
 def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
-    address = rig.address(rig.ready("a"))
+    address = rig.address(rig.ready("a", INSECURE))
     changed = threading.Condition()
 
     def news() -> None:
@@ -59,7 +59,7 @@ def test_where_all_clients_are_in_use_the_operator_is_told_so_at_once(rig: Rig):
             changed.notify_all()
 
     clock = MonotonicClock()
-    transport = SocketTransport(clock, "busy", Plugins())
+    transport = SocketTransport(clock, "busy", Plugins(), {"tcp": {"insecure": True}})
     doors = [Door(f"busy{number}", "test", transport, clock, news) for number in range(MAX_CLIENTS)]
     try:
         for door in doors:

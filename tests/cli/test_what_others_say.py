@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from cli.processes import PATIENCE_S, Rig, Running
+from cli.processes import INSECURE, PATIENCE_S, Rig, Running
 
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link_messages import HELLO_NUMBER, VERSION
@@ -155,7 +155,7 @@ def answered(port: int, name: str, fleet: str, role: str = "client", listen: str
 def test_a_stranger_whose_hello_cannot_be_taken_is_told_why(
     rig: Rig, name: str, fleet: str, role: str, listen: str
 ) -> None:
-    agent = rig.ready("a")
+    agent = rig.ready("a", INSECURE)
     reason = answered(rig.port(agent), name, fleet, role, listen)
     wrong = "is no address" if listen else "is no name: a name has letters from a to z"
     assert reason.startswith("protocol: ") and wrong in reason and not RAW.search(reason)
@@ -166,5 +166,5 @@ def test_a_stranger_whose_hello_cannot_be_taken_is_told_why(
 
 
 def test_a_terminal_may_have_a_dot_in_its_name(rig: Rig) -> None:
-    agent = rig.ready("a")
+    agent = rig.ready("a", INSECURE)
     assert answered(rig.port(agent), "b.c-d_1", "test") == ""

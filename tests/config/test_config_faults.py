@@ -208,16 +208,6 @@ class TestAddresses:
             "a.toml:4: [agent] listen: 'tcp://127.0.0.1' has no port: write it as tcp://host:port"
         ]
 
-    def test_other_computers_are_let_in_only_where_the_file_says_insecure(self):
-        text = HEAD + 'listen = "tcp://0.0.0.0:7401"\n'
-
-        (fault,) = faults(text)
-        assert fault.startswith("a.toml:4: [agent] listen: 'tcp://0.0.0.0:7401' can be reached from other computers")
-        assert "settings = { insecure = true } in [service.network]" in fault
-        assert faults(text + "[service.network]\nsettings = { insecure = 1 }\n"), "only a plain true will do"
-
-        assert parse(text + "[service.network]\nsettings = { insecure = true }\n", "a.toml").agent.listen
-
 
 class TestMigrationRules:
     def rule(self, rule: str) -> list[str]:

@@ -32,7 +32,7 @@ PLUGINS = Plugins({("pancakes.tasks", "test.Walk"): Walk})
 def test_the_schema_has_every_key() -> None:
     properties = config_schema()["properties"]
 
-    assert list(properties) == ["schema", "agent", "clock", "channel", "device", "service", "task"]
+    assert list(properties) == ["schema", "agent", "access", "clock", "channel", "device", "service", "task"]
     assert set(properties["agent"]["properties"]) == set(AgentConfig.__struct_fields__)
     for table, cls in (("device", DeviceConfig), ("task", TaskConfig)):
         entry = properties[table]["additionalProperties"]
@@ -43,7 +43,7 @@ def test_the_schema_has_every_key() -> None:
 
 
 def test_each_key_is_explained() -> None:
-    for table in ("agent", "clock"):
+    for table in ("agent", "access", "clock"):
         for key, part in config_schema()["properties"][table]["properties"].items():
             assert part.get("description"), f"[{table}] {key}"
 

@@ -8,6 +8,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,6 +18,11 @@ from pancakes.mesh.net.memory import MemoryNetwork
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.net.socket_transport import SocketTransport
 from pancakes.mesh.net.transport import Connection, ConnectionHandler, Transport
+from pancakes.mesh.security.access import Access
+from pancakes.mesh.security.certified import CertifiedRole
+from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.keys import Keys
+from pancakes.mesh.security.rules import AccessRule
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Action, Greeted, Learnt, Link, LinkTimes, Over, PacketsReceived, SendMessage, Up
 from pancakes.mesh.wire.link_messages import Identity, Role
@@ -64,8 +70,12 @@ class TransportRig(ABC):
     clock: Clock
 
     @abstractmethod
-    def transport(self, name: str) -> Transport:
-        """Returns a transport for an agent."""
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        """Returns a transport for an agent, or for what has another role."""
+
+    def keys_of(self, transport: Transport) -> Keys | None:
+        """Returns what a transport shows; None: it has no keys."""
+        return None
 
     def ear(self) -> Ear:
         return Ear(self)
@@ -102,8 +112,8 @@ class SocketRig(TransportRig):
         self.changed = threading.Condition()
         self.transports: list[Transport] = []
 
-    def transport(self, name: str) -> Transport:
-        made = SocketTransport(self.clock, name, Plugins())
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        made = SocketTransport(self.clock, name, Plugins(), {"tcp": {"insecure": True}})
         self.transports.append(made)
         return made
 
@@ -130,6 +140,40 @@ class TcpRig(SocketRig):
     listen_at = "tcp://127.0.0.1:0"
 
 
+class TlsRig(TcpRig):
+    """TCP on loopback, with keys of one fleet."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__()
+        self.directory = directory
+        self._keys: dict[Transport, Keys | None] = {}
+        self.office = FleetOffice.founded("default", directory / "authority")
+        self.office.allow(AccessRule(("role:agent",), ("command",)))
+
+    def transport(self, name: str, role: Role = "agent") -> Transport:
+        if role == "client":
+            return self.with_keys(self.enrol(name.partition(".")[0], "operator"))
+        return self.with_keys(self.enrol(name, role))
+
+    def enrol(self, name: str, role: CertifiedRole = "agent", **more: Any) -> Path:
+        """Makes keys; returns the folder that they are in."""
+        folder = self.directory / f"{role}-{name}-{len(self.transports)}"
+        self.office.enrol_with_key(role, name, **more).write(folder)
+        return folder
+
+    def with_keys(self, folder: Path | None) -> Transport:
+        """Returns a transport that shows these keys; None: none."""
+        keys = Keys(folder) if folder is not None else None
+        settings = {"tcp": {"insecure": keys is None}}
+        made = SocketTransport(self.clock, keys.own.name if keys is not None else "none", Plugins(), settings, keys)
+        self.transports.append(made)
+        self._keys[made] = keys
+        return made
+
+    def keys_of(self, transport: Transport) -> Keys | None:
+        return self._keys[transport]
+
+
 class LocalRig(SocketRig):
     """Unix sockets; each agent listens at a name of its own."""
 
@@ -154,7 +198,7 @@ class MemoryRig(TransportRig):
         self.clock: Clock = self.timeline.clock
         self.network = MemoryNetwork(self.timeline.call_at, self.clock.now, random.Random(1))
 
-    def transport(self, name: str) -> Transport:
+    def transport(self, name: str, role: Role = "agent") -> Transport:
         return self.network.transport(name)
 
     def note(self) -> None:
@@ -263,9 +307,10 @@ class Ear(ConnectionHandler):
         self._rig.note()
 
 
-@pytest.fixture(params=["tcp", "local", "memory"])
-def rig(request: pytest.FixtureRequest) -> Iterator[TransportRig]:
-    made = {"tcp": TcpRig, "local": LocalRig, "memory": MemoryRig}[request.param]()
+@pytest.fixture(params=["tcp", "tls", "local", "memory"])
+def rig(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[TransportRig]:
+    kinds = {"tcp": TcpRig, "tls": lambda: TlsRig(tmp_path), "local": LocalRig, "memory": MemoryRig}
+    made = kinds[request.param]()
     yield made
     made.close()
 
@@ -319,7 +364,9 @@ class Agent:
         self.downs: list[tuple[str, str, float | None]] = []
         self.lines: list[tuple[str, str]] = []
         self._seq = 0
-        self.transport = rig.transport(name)
+        self.transport = rig.transport(name, role)
+        keys = rig.keys_of(self.transport)
+        access = Access(name, lambda: keys.roster if keys is not None else None)
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,
@@ -334,7 +381,8 @@ class Agent:
             on_log=lambda *line: self._note(self.lines, line),
             defer=defer,
             times=times,
-            follows=follows,
+            access=None if follows else access,
+            keys=keys,
         )
         self.mesh.start()
 

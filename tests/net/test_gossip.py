@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pancakes.mesh.address import reachable_from
+from pancakes.mesh.wire.link_messages import Gossip
 
 LOCAL, LOOPBACK, FIELD = "local://a", "tcp://127.0.0.1:7401", "tcp://10.0.0.1:7401"
 
@@ -79,7 +80,7 @@ def test_a_peer_elsewhere_sends_no_agent_to_places_of_its_own_machine(memory_rig
     peer = memory_rig.bare_peer("z", a, at=at, listen=named if by == "hello" else "")
     memory_rig.until(lambda: peer.is_up)
     if by == "gossip":
-        peer.act(peer.link.gossip(tuple(named), memory_rig.clock.now()))
+        peer.act(peer.link.tell(Gossip(tuple(named)), memory_rig.clock.now()))
     memory_rig.timeline.run_until(1.0)
     assert [it["address"] for it in a.mesh.describe()["addresses"]] == dialled
 

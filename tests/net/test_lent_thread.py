@@ -27,7 +27,7 @@ def kernel() -> Iterator[Kernel]:
 
 @pytest.fixture
 def transport(kernel: Kernel) -> Iterator[SocketTransport]:
-    made = SocketTransport(MonotonicClock(), "a", Plugins())
+    made = SocketTransport(MonotonicClock(), "a", Plugins(), {"tcp": {"insecure": True}})
     made.lend_thread(kernel.guest)
     yield made
     made.close()

@@ -8,7 +8,7 @@ from net.conftest import BarePeer
 from net.meetings import message_of, pair, raw_hello
 
 from pancakes.bodies.devices.types import Pose
-from pancakes.mesh.net.mesh import MAX_HANDSHAKES
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.mesh.wire.link import LinkTimes
@@ -67,7 +67,7 @@ def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, 
 def test_a_terminal_hears_what_others_say_and_an_agent_of_its_role_does_not(rig, agent, follows, taken):
     bare = BarePeer(rig.clock.now, "0")
     address = rig.transport("0").listen(rig.listen_at, lambda: bare)
-    person = agent("z", [address], role="client", listen="", follows=follows)
+    person = agent("z.1", [address], role="client", listen="", follows=follows)
     rig.until(lambda: bare.is_up)
     said = Packet("ctrl", "words", "b/client/T", "z", 0.0, 1, "go")
     bare.send(message_of(said), message_of(replace(said, source="0/c/T")))
@@ -78,12 +78,12 @@ def test_a_terminal_hears_what_others_say_and_an_agent_of_its_role_does_not(rig,
 @pytest.mark.parametrize(("channel", "taken"), [("system", True), ("chat", True), ("ctrl", False), ("log", False)])
 def test_a_terminal_replays_what_others_said_but_no_command_and_no_log(rig, agent, channel, taken):
     a = agent("a")
-    terminal = agent("cli-1", [a.address], role="client", listen="")
+    terminal = agent("cli.1", [a.address], role="client", listen="")
     rig.until(lambda: terminal.knows("a"))
     terminal.mesh.send(Packet(channel, "words", "b/client/T", "a", 0.0, 1, "said before"))
-    terminal.mesh.send(Packet(channel, "words", "cli-1", "a", 0.0, 2, "said now"))
-    rig.until(lambda: a.packets and a.packets[-1].source == "cli-1")
-    assert [packet.source for packet in a.packets] == (["b/client/T", "cli-1"] if taken else ["cli-1"])
+    terminal.mesh.send(Packet(channel, "words", "cli.1", "a", 0.0, 2, "said now"))
+    rig.until(lambda: a.packets and a.packets[-1].source == "cli.1")
+    assert [packet.source for packet in a.packets] == (["b/client/T", "cli.1"] if taken else ["cli.1"])
 
 
 @pytest.mark.parametrize("words", [RefuseLink("name", "the name a is taken"), Goodbye("sleep", 3600.0)])
@@ -108,7 +108,7 @@ def test_what_is_said_before_any_hello_ends_no_agent_and_puts_off_no_dial(rig, a
 def test_a_goodbye_under_the_name_of_an_agent_that_is_here_says_nothing_of_that_agent(rig, agent):
     a, b = pair(rig, agent)
     ear = rig.ear()
-    rig.transport("rival").dial(a.address, ear)
+    rig.transport("b").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("b", journal=b.mesh.identity.journal, boot=1))
     ear.connection.send(frame([Encoder().link_message(Goodbye("sleep", 3600.0))]))
@@ -119,7 +119,7 @@ def test_a_goodbye_under_the_name_of_an_agent_that_is_here_says_nothing_of_that_
 def test_a_rival_with_a_later_boot_does_not_end_the_true_agent_which_comes_back(rig, agent):
     a, b = pair(rig, agent, times=LinkTimes(retry_longest_s=0.2))
     ear = rig.ear()
-    rig.transport("rival").dial(a.address, ear)
+    rig.transport("b").dial(a.address, ear)
     rig.until(lambda: ear.connection)
     ear.connection.send(raw_hello("b", journal=b.mesh.identity.journal, boot=9))
     rig.until(lambda: b.downs)

@@ -276,7 +276,7 @@ def test_so_many_learnt_addresses_are_dialled_at_a_time_and_each_static_one_at_o
 
 
 def test_a_peer_may_name_no_address_that_must_be_looked_up_and_a_person_may():
-    it = Peers(hello("m"), (), random.Random(1), LinkTimes(), 0.0, looks_up=lambda address: "name" in address)
+    it = Peers(hello("m"), (), random.Random(1), LinkTimes(), 0.0, may_be_named=lambda address: "name" not in address)
     it.learnt(["tcp://name:1", "tcp://192.0.2.1:1"], 0.0, "a")
     assert addresses(it) == ["tcp://192.0.2.1:1"]
     it.met(it.new_link(), hello("z", listen="tcp://name:2"), "tcp://there:9", 0.0)

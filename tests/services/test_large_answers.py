@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import pytest
+from cli.processes import INSECURE
 
 from pancakes.control import Configure, Describe, Restart
 from pancakes.mesh.wire.framing import MAX_MESSAGE_BYTES
@@ -93,8 +94,8 @@ def test_an_asker_on_the_same_agent_gets_it_whole(fleet):
 def test_over_a_link_of_sockets_it_is_a_refusal_too():
     listen = "tcp://127.0.0.1:0"
     tasks = {"Map": {"type": Map, "settings": {"size": 300_000}}}
-    with no_thread_left(), threaded_agent("a", tasks=tasks, listen=listen) as a:
-        with threaded_agent("b", peers=a.agent.mesh.listen[-1:]) as b:
+    with no_thread_left(), threaded_agent("a", INSECURE, tasks=tasks, listen=listen) as a:
+        with threaded_agent("b", INSECURE, peers=a.agent.mesh.listen[-1:]) as b:
             b.wait_for_event("peer_up", peer="a")
             reply = b.ask(Describe("Map", state=True), to="a")
             assert "the answer is lost: " in reply.reason and "a frame holds" in reply.reason

@@ -282,10 +282,8 @@ def test_an_unknown_model_is_a_mistake_in_the_settings():
 
 def test_it_works_over_tcp_as_well():
     served, answered = threading.Event(), threading.Event()
-    world, agent = (
-        SocketTransport(MonotonicClock(), "world", Plugins()),
-        SocketTransport(MonotonicClock(), "agent1", Plugins()),
-    )
+    insecure = {"tcp": {"insecure": True}}
+    world, agent = (SocketTransport(MonotonicClock(), name, Plugins(), insecure) for name in ("world", "agent1"))
     pose = bus.Reading("pose", "pose", {"x_m": 1.0, "y_m": 2.0, "theta_rad": 0.5})
 
     def serve(request):

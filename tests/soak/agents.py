@@ -13,6 +13,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
+from keys_in_test import KeysInTest
+
 from pancakes.client import Client, Where
 
 CONNECTED: Final = " is connected"
@@ -128,6 +130,8 @@ class AgentProcess:
 class Fleet:
     """Agents that find each other: each is told where the first ones listen, and no more.
 
+    They have keys, and so have clients in this process while it is entered.
+
     Args:
         directory: all of their files.
         names: their names.
@@ -141,7 +145,9 @@ class Fleet:
 
     def __init__(self, directory: Path, names: Sequence[str], rest: Mapping[str, str], told: int = 1) -> None:
         self.directory = directory
-        self.environment = _offer_tasks(directory)
+        keys = KeysInTest(directory)
+        self.environment = {**_offer_tasks(directory), **keys.environment}
+        self._offered = keys.offered()
         self.agents: dict[str, AgentProcess] = {}
         addresses = dict(zip(names, free_addresses(len(names)), strict=True))
         for name in names:
@@ -150,13 +156,16 @@ class Fleet:
             head += f'state_dir = "{self.state_of(name)}"\npeers = {json.dumps(peers)}\n'
             path = directory / f"{name}.toml"
             path.write_text(f"{head}\n{rest.get(name, '')}\n")
+            keys.of_agent("soak", name)
             self.agents[name] = AgentProcess(name, addresses[name], path, directory / f"{name}.log")
 
     def __enter__(self) -> Fleet:
+        self._offered.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
         with ExitStack() as stack:
+            stack.push(self._offered)
             for agent in self.agents.values():
                 stack.callback(agent.close)
 

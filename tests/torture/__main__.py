@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 import time
 from collections import Counter
 from pathlib import Path
 
 import click
+from cli.processes import Rig
 from harness.ending import interruptible
 from harness.report import json_option, spread, write
+from torture.fuzz import fuzz as fuzz_agent
+from torture.fuzz import unsound
 from torture.live_commands import cuts, gap, kills
 from torture.load_commands import load
 from torture.missions import FIGURES, figures_of, fly_all
@@ -68,6 +72,32 @@ def missions(
         {"missions": seeds, "failed": failed} | {key: spread(figures.get(key, ())) for _, _, key in FIGURES},
     )
     sys.exit(1 if failed else 0)
+
+
+@torture.command()
+@click.option("--frames", default=10_000_000, show_default=True, type=click.IntRange(1), help="How many frames.")
+@click.option("--ended", default=100_000, show_default=True, type=click.IntRange(1), help="How many links are to end.")
+@click.option("--seed", default=1, show_default=True, help="Draws the frames.")
+@json_option
+def fuzz(frames: int, ended: int, seed: int, json_file: Path | None) -> None:
+    """A member of the fleet sends a live agent frames that are nearly right, over TLS, after a true hello.
+
+    Exit code 0 only where the agent lives, says nothing of a defect, and its memory stays within 32 MiB.
+    """
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="pancakes-fuzz-") as directory:
+        rig = Rig(Path(directory))
+        try:
+            found = fuzz_agent(rig, frames, ended, seed)
+        finally:
+            rig.close()
+    wrong = unsound(found)
+    for sentence in wrong[:20]:
+        print(sentence)
+    print(f"{found.frames} frames, {found.ended} links ended, in {time.monotonic() - began_s:.0f} s")
+    print(f"memory: {found.grown_mib:+.1f} MiB; {len(wrong)} things are not as they should be")
+    write(json_file, {"frames": found.frames, "ended": found.ended, "grown_mib": found.grown_mib, "wrong": wrong})
+    sys.exit(1 if wrong else 0)
 
 
 @torture.command()

@@ -43,7 +43,6 @@ class Ground:
         dialled: where the first one finds the other.
         link: what is between them; None: nothing is.
         commands: what stands before the command of each.
-        settings: of each one's Network Service, as TOML.
         tells_losses: whether what was on its way is lost for good when the link is cut, as by a reset of a
             connection; else TCP sends it again once the link heals, where nobody has given the connection up by then.
         close: ends what is between them.
@@ -54,15 +53,13 @@ class Ground:
     dialled: str
     link: Cuttable | None
     commands: Mapping[str, Sequence[str]]
-    settings: str
     tells_losses: bool
     close: Callable[[], None]
 
     def fleet(self, directory: Path, rest: Mapping[str, str]) -> LiveFleet:
         """Returns the two, not started yet; `rest` is what follows `[agent]` in the configuration of each."""
-        full = {name: f"{rest[name]}\n[service.network]\nsettings = {{{self.settings}}}\n" for name in self.names}
         peers = {self.names[0]: [self.dialled], self.names[1]: []}
-        return LiveFleet(directory, self.names, full, self.listen, peers, self.commands)
+        return LiveFleet(directory, self.names, rest, self.listen, peers, self.commands)
 
 
 Survey = Callable[[tuple[str, str]], Ground]
@@ -72,14 +69,14 @@ Survey = Callable[[tuple[str, str]], Ground]
 def on_loopback(names: tuple[str, str]) -> Ground:
     """Nothing is between them."""
     listen = _loopback(names)
-    return Ground(names, listen, listen[names[1]], None, {}, "", True, lambda: None)
+    return Ground(names, listen, listen[names[1]], None, {}, True, lambda: None)
 
 
 def by_proxy(names: tuple[str, str]) -> Ground:
     """A TCP proxy of our own is between them; any machine can do that."""
     listen = _loopback(names)
     proxy = Proxy(listen[names[1]])
-    return Ground(names, listen, proxy.address, proxy, {}, "", True, proxy.close)
+    return Ground(names, listen, proxy.address, proxy, {}, True, proxy.close)
 
 
 def in_namespaces(spaces: Namespaces, delay_s: float = 0.0, loss: float = 0.0) -> Survey:
@@ -97,7 +94,7 @@ def in_namespaces(spaces: Namespaces, delay_s: float = 0.0, loss: float = 0.0) -
         link.delay_s, link.loss = delay_s, loss
         listen = {name: f"tcp://{place.host}:{PORT}" for name, place in places.items()}
         commands = {name: place.command for name, place in places.items()}
-        return Ground(names, listen, listen[names[1]], link, commands, "insecure = true", False, lambda: None)
+        return Ground(names, listen, listen[names[1]], link, commands, False, lambda: None)
 
     return survey
 

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from cli.processes import READY, Rig, Running
+from cli.processes import INSECURE, READY, Rig, Running
 
 SOURCE = '''
 import fcntl
@@ -209,6 +209,8 @@ def free_ports(count: int) -> list[int]:
 class LiveFleet:
     """Agents in processes, on this machine, that are killed and started again.
 
+    They have no keys: what is between them reads what they say.
+
     Args:
         directory: all of their files.
         names: their names.
@@ -253,7 +255,7 @@ class LiveFleet:
             head = f'schema = 1\n[agent]\nname = "{name}"\nfleet = "torture"\nlisten = "{self.addresses[name]}"\n'
             head += f'state_dir = "{self.state / name}"\nrole = "{(roles or {}).get(name, "agent")}"\n'
             path = directory / f"{name}.toml"
-            path.write_text(f"{head}peers = {json.dumps(dialled)}\n{rest.get(name, '')}\n")
+            path.write_text(f"{head}peers = {json.dumps(dialled)}\n{rest.get(name, '')}\n{INSECURE}")
             self._configs[name] = path
 
     def start(self, name: str, wait: bool = False) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cli.processes import READY, Rig, Running
+from cli.processes import INSECURE, READY, Rig, Running
 from torture import load_tasks
 from torture.live import free_ports
 
@@ -26,7 +26,7 @@ Tasks = Mapping[str, Mapping[str, Any]]
 
 
 class LoadedFleet:
-    """Agents that listen at free ports of this machine.
+    """Agents that listen at free ports of this machine, without keys: peers on raw sockets speak to them.
 
     Args:
         directory: all of their files.
@@ -80,7 +80,7 @@ class LoadedFleet:
             own = dict(settings) if kind == "Ponger" else {"file": str(self.file(name, task)), **settings}
             lines += [f'[task.{task}]\ntype = "load.{kind}"', f"[task.{task}.settings]"]
             lines += [f"{key} = {json.dumps(value)}" for key, value in own.items()]
-        return "\n".join(lines) + "\n"
+        return "\n".join(lines) + f"\n{INSECURE}"
 
     def __enter__(self) -> LoadedFleet:
         return self

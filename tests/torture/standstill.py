@@ -24,6 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TextIO
 
+from cli.processes import INSECURE
+
 from pancakes.control import Reschedule, Start, Stop
 from pancakes.packet import Packet, packet_type
 from pancakes.runtime.kernel.component import Component
@@ -274,7 +276,7 @@ def main() -> None:
         tasks |= {f"{other.__name__}{number}": other for number in range(told[other.__name__.lower()])}
     peers = told["peers"]
     with tempfile.TemporaryDirectory() as directory, Path(told["file"]).open("a") as out:
-        with threaded_agent(told["name"], tasks=tasks, listen=told["listen"], peers=peers) as agent:
+        with threaded_agent(told["name"], INSECURE, tasks=tasks, listen=told["listen"], peers=peers) as agent:
             if told["record"]:
                 agent.publish("sysctrl", Start("log/Recorder", {"path": f"{directory}/it.mcap"}))
             watch = Watch(agent, out)

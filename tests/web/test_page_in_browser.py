@@ -302,8 +302,12 @@ def test_a_page_without_control_offers_nothing_and_is_refused(looking: Any):
     answer = looking.evaluate(
         """() => new Promise((resolve) => {
           const socket = new WebSocket(`ws://${location.host}/news`);
+          const token = new URLSearchParams(location.hash.slice(1)).get("token");
           const order = {id: 1, ask: "order", do: "stop", agent: "a", task: "client/Walk"};
-          socket.onopen = () => socket.send(JSON.stringify(order));
+          socket.onopen = () => {
+            socket.send(JSON.stringify({id: 0, ask: "hello", token}));
+            socket.send(JSON.stringify(order));
+          };
           socket.onmessage = (it) => { const news = JSON.parse(it.data); if (news.answer === 1) resolve(news); };
         })"""
     )

@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
@@ -70,8 +70,16 @@ def onlooker(fleet: Fleet) -> Iterator[PageServer]:
     server.close()
 
 
-def page(server: PageServer, **options: Any) -> ClientConnection:
-    """Opens what the page opens."""
+@contextmanager
+def page(server: PageServer, **options: Any) -> Iterator[ClientConnection]:
+    """Opens what the page opens, and shows the token."""
+    with stranger(server, **options) as connection:
+        assert ask(connection, "hello", token=server.token)["ok"]
+        yield connection
+
+
+def stranger(server: PageServer, **options: Any) -> ClientConnection:
+    """Opens what the page opens, and says nothing."""
     origin = f"http://127.0.0.1:{server.port}"
     return connect(
         f"ws://127.0.0.1:{server.port}/news", origin=options.pop("origin", origin), compression=None, **options
@@ -169,7 +177,7 @@ def test_a_port_in_use_is_a_sentence_and_the_usual_one_gives_way(server: PageSer
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null", None])
 def test_a_page_of_another_server_gets_no_news(server: PageServer, origin: Any):
     with pytest.raises(InvalidStatus) as refused:
-        page(server, origin=origin)
+        stranger(server, origin=origin)
     assert refused.value.response.status_code == 403
 
 
@@ -213,33 +221,20 @@ def test_a_page_that_goes_is_forgotten_and_there_may_be_so_many(server: PageServ
     with ExitStack() as stack:
         for _ in range(MOST_PAGES):
             stack.enter_context(page(server)).recv(PATIENCE_S)
-        with pytest.raises(ConnectionClosed, match="full: 32 pages are open already"), page(server) as one_more:
-            one_more.send(json.dumps({"id": 7, "ask": "hello", "token": "a wrong one"}))
-            while True:
-                assert "set" not in json.loads(one_more.recv(PATIENCE_S)), "it gets no news"
+        with pytest.raises(ConnectionClosed, match="full: 32 pages are open already"), page(server):
+            pass
     until_s = time.monotonic() + PATIENCE_S
     while not is_let_in(server):
         assert time.monotonic() < until_s
 
 
-def test_who_has_the_token_gets_in_where_all_places_are_taken(server: PageServer):
+def test_strangers_that_say_nothing_take_no_place(server: PageServer):
     with ExitStack() as stack:
-        for _ in range(MOST_PAGES):
-            stack.enter_context(page(server)).recv(PATIENCE_S)
-        for _ in range(MOST_ASIDE + 5):  # they say nothing, and the first of them give their places to the next
-            stack.enter_context(page(server))
+        for _ in range(MOST_ASIDE + 5):  # the first of them give their places to the next
+            stack.enter_context(stranger(server))
         with page(server) as operator:
-            assert ask(operator, "hello", token=server.token)["result"]["control"] is True
             assert json.loads(operator.recv(PATIENCE_S))["all"]
             assert ask(operator, "order", **ORDER)["ok"]
-
-
-def test_where_pages_may_only_look_one_too_many_is_told_at_once(onlooker: PageServer):
-    with ExitStack() as stack:
-        for _ in range(MOST_PAGES):
-            stack.enter_context(page(onlooker)).recv(PATIENCE_S)
-        with pytest.raises(ConnectionClosed, match="full"), page(onlooker) as one_more:
-            one_more.recv(PATIENCE_S)
 
 
 def is_let_in(server: PageServer) -> bool:
@@ -264,18 +259,32 @@ def test_with_the_token_a_page_may_change_something(server: PageServer, fleet: F
 
 
 @pytest.mark.parametrize("token", ["", "x", "é", None, 7])
-def test_without_the_token_it_may_not(server: PageServer, fleet: Fleet, token: Any):
-    with page(server) as connection:
-        assert ask(connection, "hello", token=token)["result"]["control"] is False
-        answer = ask(connection, "order", **ORDER)
-    assert not answer["ok"] and "open it under the address that was printed" in answer["reason"]
+@pytest.mark.parametrize("what", ["hello", "chunk", "explain", "order"])
+def test_without_the_token_nothing_is_told_and_nothing_done(server: PageServer, fleet: Fleet, what: str, token: Any):
+    with stranger(server) as connection:
+        connection.send(json.dumps({"id": 7, "ask": what, "token": token, **ORDER}))
+        with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+            connection.recv(PATIENCE_S)
     assert fleet.asked == []
 
 
-def test_a_page_that_may_only_look_has_no_token(onlooker: PageServer):
-    assert "#" not in onlooker.address
+def test_what_is_asked_before_the_token_is_shown_is_not_answered(server: PageServer, fleet: Fleet):
+    with stranger(server) as connection:
+        connection.send(json.dumps({"id": 7, "ask": "order", "token": server.token, **ORDER}))
+        with pytest.raises(ConnectionClosed, match="open the page under the address that was printed"):
+            connection.recv(PATIENCE_S)
+    assert fleet.asked == []
+
+
+def test_a_page_that_says_nothing_is_told_nothing(server: PageServer):
+    with stranger(server) as connection, pytest.raises(ConnectionClosed, match="it has a token"):
+        connection.recv(PATIENCE_S)
+
+
+def test_a_page_that_may_only_look_needs_the_token_too(onlooker: PageServer):
+    assert onlooker.address.endswith(f"#token={onlooker.token}")
     with page(onlooker) as connection:
-        assert ask(connection, "hello", token="")["result"]["control"] is False
+        assert ask(connection, "hello", token=onlooker.token)["result"]["control"] is False
         answer = ask(connection, "order", **ORDER)
     assert not answer["ok"] and "start it with --control" in answer["reason"]
 

@@ -27,7 +27,7 @@ def test_the_address_is_printed_and_the_page_is_there_until_it_is_ended(rig: Rig
     address = view.hear("the page is at ").rpartition(" ")[2]
 
     assert "<title>Pancakes</title>" in fetched(address)
-    assert "#" not in address
+    assert len(address.partition("#token=")[2]) >= 32
     code, took_s = view.signalled(signal.SIGINT)
     assert code == 0 and took_s < 5.0
 
@@ -83,10 +83,11 @@ def test_a_demo_with_a_page_says_where_it_is_and_stays_after_its_end(rig: Rig):
 def test_a_live_demo_is_seen_from_its_beginning_to_its_end_and_not_how_its_agents_stop(rig: Rig):
     arguments = ["encirclement", "--view", "--headless", "--speed", "5", "--duration", "30", "--configs", str(CONFIGS)]
     demo = rig.run("-u", "-m", "pancakes.tools.cli.main", "demo", *arguments, whole=True)
-    address = demo.hear("the page is at ").rpartition(" ")[2].rstrip("/")
+    address, _, token = demo.hear("the page is at ").rpartition(" ")[2].partition("/#token=")
     seen: dict[str, Any] = {}
     events: list[str] = []
     with connect(address.replace("http", "ws") + "/news", origin=Origin(address), compression=None) as page:
+        page.send(json.dumps({"ask": "hello", "token": token}))
         news: dict[str, Any] = {}
         while "over" not in news:
             news = json.loads(page.recv(PATIENCE_S))

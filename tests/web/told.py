@@ -47,6 +47,8 @@ def agent(
         "role": "agent",
         "ready": True,
         "held": False,
+        "insecure": False,
+        "roster": None,
         "speed": 1.0,
         "mission_s": 0.0,
         "devices": ["motors"],

@@ -43,7 +43,7 @@ class AddressBook:
         times: the times of membership.
         now_s: host time.
         is_up: returns whether the agent of a name is connected.
-        looks_up: returns whether an address has a name that must be looked up, as none has that a peer may name.
+        may_be_named: returns whether a peer may name an address.
     """
 
     def __init__(
@@ -54,13 +54,13 @@ class AddressBook:
         times: LinkTimes,
         now_s: float,
         is_up: Callable[[str], bool],
-        looks_up: Callable[[str], bool],
+        may_be_named: Callable[[str], bool],
     ) -> None:
         self._own = own
         self._random = source
         self._times = times
         self._is_up = is_up
-        self._looks_up = looks_up
+        self._may_be_named = may_be_named
         self._known = {address: KnownAddress(True, now_s) for address in static if address not in own}
         self._learnt = 0  # of those that are known
 
@@ -108,7 +108,7 @@ class AddressBook:
         if it is None:
             if fault_of_address(address) or address in self._own or self._learnt >= MAX_LEARNT:
                 return False
-            if by and (self._looks_up(address) or self._unmet(by) >= MOST_OF_PEER):
+            if by and (not self._may_be_named(address) or self._unmet(by) >= MOST_OF_PEER):
                 return False
             it = self._known[address] = KnownAddress(False, now_s, by=by)
             self._learnt += 1

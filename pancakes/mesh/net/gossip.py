@@ -9,7 +9,7 @@ from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.links import Links
 from pancakes.mesh.net.peers import Peers
 from pancakes.mesh.net.session import Session
-from pancakes.mesh.wire.link_messages import Role
+from pancakes.mesh.wire.link_messages import Gossip, Role
 
 ADDRESSES: Final = 64
 """Most addresses in one message to a new link."""
@@ -21,8 +21,8 @@ Listens = tuple[str, ...]
 class Says(Protocol):
     """Sends gossip over a link."""
 
-    def __call__(self, session: Session, addresses: tuple[str, ...]) -> None:
-        """Tells a peer these addresses."""
+    def __call__(self, session: Session, message: Gossip) -> None:
+        """Tells a peer of others."""
 
 
 class Gossiper:
@@ -64,5 +64,5 @@ class Gossiper:
         others = [reachable_from(session.remote, listen)[:1] for listen in agents if own.isdisjoint(listen)]
         named = tuple(address for addresses in others for address in addresses)
         if named:
-            self._say(session, named)
+            self._say(session, Gossip(named))
         return bool(named)

@@ -13,6 +13,7 @@ from typing import Any, Final
 from pancakes.errors import PancakesError
 from pancakes.mesh.address import is_local
 from pancakes.mesh.net.session import Session
+from pancakes.mesh.net.transport import UNSAID
 from pancakes.mesh.wire.link import Over
 from pancakes.mesh.wire.link_messages import Hello
 
@@ -68,7 +69,8 @@ class LinkLog:
             text += f" (and {untold} others, that were not told of)"
         # That one of two links goes is usual.
         quiet = "info" if session.address in self._static and not why else "debug"
-        stranger = not session.address and session.link is None  # its transport will have nothing to do with it
+        # Its transport will have nothing to do with it.
+        stranger = not session.address and session.link is None and UNSAID not in over.reason
         self._say("warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet, text)
 
     def drops(self, session: Session, now_s: float) -> None:

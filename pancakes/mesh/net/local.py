@@ -13,7 +13,7 @@ import socket
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.errors import PancakesError
 from pancakes.mesh.address import DEFAULT_FLEET, LOCAL, parse_address
@@ -21,6 +21,9 @@ from pancakes.mesh.net.buffers import NOT_SENT_BYTES
 from pancakes.mesh.net.loop import Loop
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
 from pancakes.runtime.runtime_dir import make_directory, open_to, runtime_dir, usable
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 DIRECTORY: Final = "local"
 """The sockets are in this directory of the runtime directory."""
@@ -50,8 +53,8 @@ class LocalTransport(StreamTransport):
         group: str = ""
         directory: str = ""
 
-    def __init__(self, loop: Loop, settings: Settings) -> None:
-        super().__init__(loop, settings)
+    def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
+        super().__init__(loop, settings, keys)
         self._group = settings.group
         self._directory = settings.directory
 

@@ -57,7 +57,7 @@ class Loop:
     """
 
     def __init__(self, clock: Clock, name: str) -> None:
-        self._now = clock.now
+        self.now = self._now = clock.now
         self._selector = selectors.DefaultSelector()
         self.busy_poll = BusyPoll(self._poll, clock.now, 0.0)
         self._watched: dict[int, Callable[[int], None]] = {}  # by the numbers of the sockets' files

@@ -9,21 +9,23 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from pancakes.errors import LocalProtocolError, PancakesError, PeerLost
+from pancakes.errors import PancakesError
 from pancakes.mesh.address import reachable_from
 from pancakes.mesh.net.alarm import Alarm
 from pancakes.mesh.net.gossip import Gossiper
 from pancakes.mesh.net.link_log import LinkLog
 from pancakes.mesh.net.links import Links
+from pancakes.mesh.net.newcomers import MAX_HANDSHAKES, makes_room
 from pancakes.mesh.net.peers import Admit, Decision, Dial, Peers, is_namesake
 from pancakes.mesh.net.sending import Sending
 from pancakes.mesh.net.session import Session, Unwanted
-from pancakes.mesh.net.speaker import fault_of_source
 from pancakes.mesh.net.transport import ConnectionHandler, Transport
+from pancakes.mesh.net.trust import Trust
+from pancakes.mesh.net.why_lost import why_lost
 from pancakes.mesh.wire.link import (
     Action,
     Greeted,
@@ -32,16 +34,19 @@ from pancakes.mesh.wire.link import (
     LinkTimes,
     Over,
     PacketsReceived,
+    RosterHeard,
     SendMessage,
     Up,
 )
-from pancakes.mesh.wire.link_messages import Goodbye, Hello, Identity
+from pancakes.mesh.wire.link_messages import Goodbye, Gossip, Hello, Identity, Refusal, RosterNumber, RosterText
 from pancakes.mesh.wire.runs import Unfit
-from pancakes.packet import Packet, agent_of
+from pancakes.packet import Packet
 from pancakes.runtime.clock import Clock
 
-MAX_HANDSHAKES: Final = 256
-"""Most connections from others that are no links yet. One more takes the place of the oldest that said no hello."""
+if TYPE_CHECKING:
+    from pancakes.mesh.security.access import Access
+    from pancakes.mesh.security.keys import Keys
+
 TOGETHER: Final = 0.1
 """So much of a heartbeat later the times of links are kept, so that one wake-up of the thread serves many of them."""
 
@@ -69,7 +74,8 @@ class Mesh:
         defer: runs a function at the end of the calling actor's turn, in the same thread and even where the turn
             fails, or at once outside of one; so several packets of a turn leave with one system call.
         times: the times of links and membership.
-        follows: whether it is a terminal, which takes packets of any source on any channel.
+        access: what it lets its peers do; None: it is a terminal, which takes packets of any source on any channel.
+        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
     def __init__(
@@ -87,7 +93,8 @@ class Mesh:
         on_log: Callable[[str, str], None] = lambda level, text: None,
         defer: Callable[[Callable[[], None]], None] = lambda function: function(),
         times: LinkTimes | None = None,
-        follows: bool = False,
+        access: Access | None = None,
+        keys: Keys | None = None,
     ) -> None:
         self.identity = identity
         self._transport = transport
@@ -100,7 +107,6 @@ class Mesh:
         self._on_peer_up = on_peer_up
         self._on_peer_down = on_peer_down
         self._times = times or LinkTimes()
-        self._follows = follows
         self._own = identity.hello()
         self._peers: Peers | None = None
         self._sessions: dict[int, Session] = {}
@@ -109,6 +115,8 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
+        later = transport.call_later
+        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -173,6 +181,10 @@ class Mesh:
         """Dials again after `sleep`."""
         self._transport.call_later(0.0, self._wake)
 
+    def reload_keys(self) -> bool:
+        """See `Rekeying.reload`."""
+        return self._trust.rekeying.reload()
+
     def stop(self) -> None:
         """Says goodbye for good, and closes all links. Close the transport afterwards."""
         self._transport.call_later(0.0, self._stop)
@@ -218,17 +230,8 @@ class Mesh:
 
     def _lost(self, packet: Packet) -> PancakesError:
         """Returns why a packet cannot go to its agent."""
-        own, name = self.identity.name, agent_of(packet.destination)
-        what = f"the packet {packet.type!r} of {packet.source}"
-        if name == own or not name:
-            return LocalProtocolError(f"{what} is not for another agent, so the mesh cannot send it")
-        if self._state == "asleep":
-            return PeerLost(f"{what} cannot go to {name}: the network of {own} sleeps")
         asleep = self._peers.asleep(self._now()) if self._peers is not None else {}
-        if name in asleep:
-            return PeerLost(f"{what} cannot go to {name}: it sleeps for another {asleep[name]:.1f} s")
-        there = ", ".join(session.peer for session in self._links) or "no other agent"
-        return PeerLost(f"{what} cannot go to {name}: {own} has no link to it (it is connected to {there})")
+        return why_lost(packet, self.identity.name, self._state == "asleep", asleep, [it.peer for it in self._links])
 
     # In the transport's thread from here on
 
@@ -236,8 +239,9 @@ class Mesh:
         if self._state != "new":
             return
         self._state = "running"
-        times, looks_up = self._times, self._transport.looks_up
-        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, looks_up)
+        times, may_be_named = self._times, self._transport.may_be_named
+        self._peers = Peers(self._own, self._static, self._random, times, self._now(), self._quiet_s, may_be_named)
+        self._trust.begin()
         self._run_peers()
 
     def _learn(self, addresses: tuple[str, ...]) -> None:
@@ -286,24 +290,12 @@ class Mesh:
     def _accept(self) -> ConnectionHandler:
         if self._peers is None or self._state == "stopped":
             return Unwanted()
-        waiting = [session for session in self._sessions.values() if not session.is_up and not session.address]
-        if len(waiting) >= MAX_HANDSHAKES:
-            self._end_handshake(waiting)
+        if (oldest := makes_room(self._sessions.values())) is not None:
+            full = f"{self.identity.name} is full: {MAX_HANDSHAKES} connections have not become links"
+            self._refuse(oldest, "full", f"{full}, and this is the oldest")
         session = Session(self, self._peers.new_link(), "", self._now)
         self._sessions[session.number] = session
         return session
-
-    def _end_handshake(self, waiting: Sequence[Session]) -> None:
-        """Refuses the connection that is the least likely to become a link: the oldest that has not said hello."""
-        mute = [session for session in waiting if session.link is None or session.link.peer is None]
-        oldest = (mute or waiting)[0]
-        reason = (
-            f"{self.identity.name} is full: {len(waiting)} connections have not become links, and this is the oldest"
-        )
-        if oldest.link is None:
-            self._over(oldest, Over(reason))
-        else:
-            self._act(oldest, oldest.link.refuse("full", reason, self._now()))
 
     def _quiet_s(self, link: int, now_s: float) -> float:
         return self._sessions[link].quiet_s(now_s)
@@ -397,12 +389,14 @@ class Mesh:
                 decisions = self._peers.learnt(action.addresses, self._now(), session.peer, session.remote)
                 if decisions:
                     self._carry_out(decisions)
+            elif isinstance(action, RosterHeard):
+                self._trust.rosters.heard(session, action.message)
             else:
                 self._over(session, action)
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
         """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if self._follows or not (fault := fault_of_source(self.identity.role, session.peer, session.role, first)):
+        if not (fault := self._trust.fault_of_packet(session, first)):
             return True
         self._log.false_source(session, fault, number, self._now())
         return False
@@ -410,6 +404,10 @@ class Mesh:
     def _met(self, session: Session, hello: Hello) -> None:
         assert session.link is not None and self._peers is not None
         now_s = self._now()
+        if fault := self._trust.fault_of_hello(session, hello):
+            self._act(session, session.link.answer(now_s))
+            self._refuse(session, "name", fault)
+            return
         decisions = self._peers.met(session.number, hello, session.remote, now_s)
         if not is_namesake(session.number, decisions):
             self._act(session, session.link.answer(now_s))
@@ -418,6 +416,13 @@ class Mesh:
         else:
             self._act(session, session.link.leave(self._goodbye(), now_s))
         self._watch(session)  # from now on it sends heartbeats
+
+    def _refuse(self, session: Session, code: Refusal, reason: str) -> None:
+        """Ends a link, where it has not ended, and tells the peer why."""
+        if session.link is None:
+            self._over(session, Over(reason))
+        elif session.number in self._sessions:
+            self._act(session, session.link.refuse(code, reason, self._now()))
 
     def _stood_up(self, session: Session) -> None:
         assert session.link is not None and session.link.peer is not None and self._peers is not None
@@ -430,6 +435,7 @@ class Mesh:
         self._log.stood_up(session, hello)
         self._call(self._on_peer_up, hello)
         self._gossip.stood_up(session, self._peers)
+        self._trust.rosters.stood_up(session)
 
     def _over(self, session: Session, over: Over) -> None:
         assert self._peers is not None
@@ -465,7 +471,7 @@ class Mesh:
             if isinstance(decision, Admit):
                 self._act(found, found.link.admit(self._now()))
             else:
-                self._act(found, found.link.refuse(decision.code, decision.reason, self._now()))
+                self._refuse(found, decision.code, decision.reason)
         self._arm()
 
     def _arm(self) -> None:
@@ -477,9 +483,9 @@ class Mesh:
         if self._peers is not None and self._state == "running":
             self._carry_out(self._peers.tick(self._now()))
 
-    def _tell(self, session: Session, addresses: tuple[str, ...]) -> None:
+    def _tell(self, session: Session, message: Gossip | RosterNumber | RosterText) -> None:
         if session.link is not None:
-            self._act(session, session.link.gossip(addresses, self._now()))
+            self._act(session, session.link.tell(message, self._now()))
 
     def _call(self, function: Callable[..., None], *arguments: Any) -> None:
         """Calls what was given to us; its failure must not cost a link."""

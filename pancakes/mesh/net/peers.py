@@ -83,7 +83,7 @@ class Peers:
         now_s: host time.
         quiet_s: takes a link and the host time, and returns for how long no packet has gone over it either way;
             infinite where none ever came in.
-        looks_up: returns whether an address has a name that must be looked up, as none has that a peer may name.
+        may_be_named: returns whether a peer may name an address.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Peers:
         times: LinkTimes,
         now_s: float,
         quiet_s: Callable[[int, float], float] = lambda link, now_s: 0.0,
-        looks_up: Callable[[str], bool] = lambda address: False,
+        may_be_named: Callable[[str], bool] = lambda address: True,
     ) -> None:
         self._own = own
         self._times = times
@@ -103,7 +103,7 @@ class Peers:
         self._met_at: dict[str, int] = {}  # of the candidates that we dialled
         self._candidates: dict[int, _Candidate] = {}
         self._up: dict[str, _Candidate] = {}
-        self._book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, looks_up)
+        self._book = AddressBook(own.listen, static, source, times, now_s, self._up.__contains__, may_be_named)
         self._asleep: dict[str, float] = {}
         self._last_link = 0
         self._self_dials = 0  # connections from this agent to itself, as seen from the end that was dialled

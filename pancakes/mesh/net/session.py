@@ -15,9 +15,11 @@ import msgspec
 
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.mesh.net.transport import Connection, ConnectionHandler
+from pancakes.mesh.security.certified import Certified
+from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame
 from pancakes.mesh.wire.link import Link
-from pancakes.mesh.wire.link_messages import Hello
+from pancakes.mesh.wire.link_messages import Hello, RefuseLink
 from pancakes.mesh.wire.runs import run_of
 
 BATCH_BYTES: Final = 16 * 1024
@@ -128,6 +130,11 @@ class Session(ConnectionHandler):
         return self._remote
 
     @property
+    def certified(self) -> Certified | None:
+        """What the peer's certificate says; None: the connection has none."""
+        return self._connection.certified if self._connection is not None else None
+
+    @property
     def role(self) -> str:
         """The peer's role; empty where the link is not up yet."""
         return self.hello.role if self.hello is not None else ""
@@ -140,6 +147,7 @@ class Session(ConnectionHandler):
             "role": self.role,
             "addresses": list(hello.listen) if hello is not None else [],
             "remote": self.remote,
+            "certificate": f"{bearer.role} {bearer.name}" if (bearer := self.certified) is not None else "",
             "boot": hello.boot if hello is not None else 0,
             "rtt_s": self.link.rtt_s if self.link is not None else None,
             "packets_out": counters.packets_out,
@@ -173,6 +181,10 @@ class Session(ConnectionHandler):
         """See `ConnectionHandler`."""
         self.counters.bytes_in += len(data)
         self._owner.session_received(self, data)
+
+    def last_words(self, fault: str) -> bytes:
+        """See `ConnectionHandler`."""
+        return frame([Encoder().link_message(RefuseLink("name", fault[:1000]))])
 
     def drained(self) -> None:
         """The connection took all it was given: give it more."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pancakes.errors import PancakesError, PluginError
 from pancakes.mesh.net.loop import Loop
@@ -12,6 +12,9 @@ from pancakes.runtime.clock import Clock
 from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.plugins import Plugins
 from pancakes.settings import make_settings
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 
 class SocketTransport(Transport):
@@ -22,14 +25,21 @@ class SocketTransport(Transport):
         name: the agent's name, which the thread bears.
         plugins: where transports are found.
         settings: the settings of transports, by scheme; they have been checked.
+        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
     def __init__(
-        self, clock: Clock, name: str, plugins: Plugins, settings: Mapping[str, Mapping[str, Any]] | None = None
+        self,
+        clock: Clock,
+        name: str,
+        plugins: Plugins,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
+        keys: Keys | None = None,
     ) -> None:
         self.loop = Loop(clock, f"net-{name}" if name else "net")
         self._plugins = plugins
         self._settings = settings or {}
+        self._keys = keys
         self._made: dict[str, SchemeTransport] = {}
 
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -47,11 +57,11 @@ class SocketTransport(Transport):
         else:
             transport.dial(address, handler)
 
-    def looks_up(self, address: str) -> bool:
+    def may_be_named(self, address: str) -> bool:
         try:
-            return self._of(address).looks_up(address)
+            return self._of(address).may_be_named(address)
         except PluginError:
-            return True
+            return False
 
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:
         return self.loop.call_later(delay_s, function)
@@ -76,7 +86,7 @@ class SocketTransport(Transport):
         made = self._made.get(scheme)
         if made is None:
             cls: type[SchemeTransport] = self._plugins.get("pancakes.transports", scheme)
-            made = cls(self.loop, make_settings(cls.Settings, self._settings.get(scheme, {})))
+            made = cls(self.loop, make_settings(cls.Settings, self._settings.get(scheme, {})), self._keys)
             # Two threads that dial at once must not have one each, which nothing would close.
             made = self._made.setdefault(scheme, made)
         return made

@@ -66,31 +66,37 @@ class StreamConnection(Connection, OpenSocket):
 
     def begin(self) -> None:
         """Its socket is connected: the handler is told so. In the loop's thread."""
+        self._take_socket()
+        self._handler.opened(self)
+
+    def _take_socket(self) -> None:
         self._owner.open[self] = None
         self._owner.loop.watch(self._sock, READ, self._ready)
-        self._handler.opened(self)
 
     def send(self, data: bytes) -> int:
         with self._lock:
             if self._closing or not data:
                 return self._unsent
-            if self._waiting:
-                self._waiting.append(memoryview(data))
-                self._unsent += len(data)
-                return self._unsent
-            try:
-                sent = self._sock.send(data)
-            except BlockingIOError:
-                sent = 0
-            except OSError as error:
-                self._break_off(why(error))
-                return 0
-            if sent == len(data):
-                return 0
+            return self._put(data)
+
+    def _put(self, data: bytes) -> int:
+        """Gives bytes to the kernel, or puts them behind those that wait for it. Under the lock."""
+        if self._waiting:
+            self._waiting.append(memoryview(data))
+            self._unsent += len(data)
+            return self._unsent
+        try:
+            sent = self._sock.send(data)
+        except BlockingIOError:
+            sent = 0
+        except OSError as error:
+            self._break_off(why(error))
+            return 0
+        if sent < len(data):
             self._waiting.append(memoryview(data)[sent:])
-            self._unsent = unsent = len(data) - sent
-        self._owner.loop.call_later(0.0, self._watch)
-        return unsent
+            self._unsent = len(data) - sent
+            self._owner.loop.call_later(0.0, self._watch)
+        return self._unsent
 
     def unsent(self) -> int:
         return self._unsent
@@ -161,9 +167,18 @@ class StreamConnection(Connection, OpenSocket):
             self.dispose(f"the connection to {self.remote} broke: {why(error)}")
             return
         if count == 0:
-            self.dispose("the other side closed the connection")
-        elif not self._closing:
-            self._handler.received(bytes(buffer[:count]))
+            self.dispose(self._end())
+        else:
+            self._take(buffer[:count])
+
+    def _end(self) -> str:
+        """Returns how a connection has ended that the other side has closed."""
+        return "the other side closed the connection"
+
+    def _take(self, data: memoryview) -> None:
+        """Bytes have come in; they are to be copied before the next ones."""
+        if not self._closing:
+            self._handler.received(bytes(data))
 
     def _write(self) -> None:
         try:

@@ -7,7 +7,7 @@ import socket
 import threading
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import msgspec
 
@@ -15,6 +15,9 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.net.loop import READ, WRITE, Loop
 from pancakes.mesh.net.stream_connection import OpenSocket, StreamConnection, why
 from pancakes.mesh.net.transport import ConnectionHandler, SchemeTransport
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys
 
 _READ_BYTES: Final = 64 * 1024
 """So much is read at a time: its packets are handled before they have left the processor's cache."""
@@ -44,6 +47,7 @@ class StreamTransport(SchemeTransport):
     Args:
         loop: the transport's thread.
         settings: see `Settings`.
+        keys: see `SchemeTransport`.
     """
 
     class Settings(msgspec.Struct):
@@ -55,7 +59,8 @@ class StreamTransport(SchemeTransport):
 
         dial_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 5.0
 
-    def __init__(self, loop: Loop, settings: Settings) -> None:
+    def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
+        self.keys = keys
         self.dial_s = settings.dial_s
         self.loop = loop
         self.open: dict[OpenSocket, None] = {}
@@ -79,12 +84,12 @@ class StreamTransport(SchemeTransport):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         self.loop.call_later(0.0, lambda: _Connecting(self, address, handler).begin())
 
-    def looks_up(self, address: str) -> bool:
+    def may_be_named(self, address: str) -> bool:
         try:
             self.places(address, look_up=False)
         except (OSError, ValueError):
-            return True
-        return False
+            return False
+        return True
 
     def close(self) -> None:
         for it in list(self.open):
@@ -127,6 +132,12 @@ class StreamTransport(SchemeTransport):
             sock: its socket.
             dialled: the address that was dialled; empty where it came in.
         """
+
+    def connection(
+        self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
+    ) -> StreamConnection:
+        """Makes the connection of a socket that stands."""
+        return StreamConnection(self, sock, remote, handler)
 
     def connect(self, sock: socket.socket, place: Any) -> None:
         """Connects a socket that does not block.
@@ -282,4 +293,4 @@ def _begin(
         sock.close()
         handler.closed(refusal)
     else:
-        StreamConnection(transport, sock, remote, handler).begin()
+        transport.connection(sock, remote, handler, bool(dialled)).begin()

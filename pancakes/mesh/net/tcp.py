@@ -4,17 +4,61 @@ from __future__ import annotations
 
 import os
 import socket
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pancakes.mesh.address import parse_address
 from pancakes.mesh.net.buffers import bound_buffers
+from pancakes.mesh.net.handshakes import Handshakes
+from pancakes.mesh.net.loop import Loop
+from pancakes.mesh.net.stream_connection import StreamConnection
 from pancakes.mesh.net.stream_transport import Bound, Place, StreamTransport
+from pancakes.mesh.net.transport import ConnectionHandler
+
+if TYPE_CHECKING:
+    from pancakes.mesh.net.tls_connection import TlsConnection
+    from pancakes.mesh.security.keys import Keys
 
 _USER_TIMEOUT_MS: Final = 5000  # the kernel gives up a connection whose bytes are not acknowledged for so long
 
 
 class TcpTransport(StreamTransport):
-    """Connections over TCP."""
+    """Connections over TCP: encrypted, and between bearers of the fleet's certificates.
+
+    Args:
+        loop: the transport's thread.
+        settings: see `Settings`.
+        keys: see `SchemeTransport`.
+    """
+
+    class Settings(StreamTransport.Settings):
+        """How it connects.
+
+        Attributes:
+            insecure: whether it connects without keys too: what is said can then be read, changed and made up by all
+                that reach the network.
+        """
+
+        insecure: bool = False
+
+    def __init__(self, loop: Loop, settings: Settings, keys: Keys | None = None) -> None:
+        super().__init__(loop, settings, keys)
+        self._insecure = settings.insecure
+        self._handshakes: Handshakes[TlsConnection] = Handshakes(loop.now())
+        if keys is not None:
+            # Now, while nothing waits for this thread: the import takes some milliseconds.
+            from pancakes.mesh.net.tls_connection import TlsConnection
+
+            self._tls = TlsConnection
+
+    def connection(
+        self, sock: socket.socket, remote: str, handler: ConnectionHandler, dialled: bool
+    ) -> StreamConnection:
+        if self.keys is None:
+            return super().connection(sock, remote, handler, dialled)
+        made = self._tls(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
+        if not dialled and (oldest := self._handshakes.begun(made)) is not None:
+            oldest.dispose(f"{oldest.remote}: it was slow to say who it is, and others wait")
+        return made
 
     def bind(self, address: str) -> Bound:
         family, place = self.places(address, look_up=True)[0]
@@ -33,6 +77,8 @@ class TcpTransport(StreamTransport):
         parts = parse_address(address)
         if parts.scheme != "tcp" or parts.path:
             raise ValueError(f"{address!r} is no address of TCP: write it as tcp://host:port")
+        if self.keys is None and not self._insecure:
+            raise ValueError(needs_keys(address))
         # Of a string Python would make the bytes by way of a codec for foreign alphabets, which takes 0.5 MiB.
         flags = 0 if look_up else socket.AI_NUMERICHOST
         found = socket.getaddrinfo(parts.host.encode(), parts.port, type=socket.SOCK_STREAM, flags=flags)
@@ -46,7 +92,19 @@ class TcpTransport(StreamTransport):
         if hasattr(socket, "TCP_USER_TIMEOUT"):
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _USER_TIMEOUT_MS)
         bound_buffers(sock)
+        if self.keys is not None and not dialled and not self._handshakes.may_begin(self.loop.now()):
+            return "too many begin at once to say who they are"
         return ""
+
+
+def needs_keys(address: str, name: str = "NAME") -> str:
+    """Returns why there is no connection over TCP, as a sentence.
+
+    Args:
+        address: the address.
+        name: the agent's name.
+    """
+    return f"{address!r} needs keys: run pancakes fleet join, or use local://{name} for this machine alone"
 
 
 def _address(place: Any) -> str:

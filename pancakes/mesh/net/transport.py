@@ -9,12 +9,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 
 from pancakes.mesh.net.loop import Loop
+from pancakes.mesh.security.certified import Certified
 from pancakes.runtime.kernel.guest import Guest
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
+
+
+UNSAID: Final = "the other side closed the connection, and did not say who it is"
+"""Why a connection never came to stand that the other side gave up: a terminal that ends does so, or a second dial."""
 
 
 class Connection(ABC):
@@ -22,6 +30,8 @@ class Connection(ABC):
 
     remote: str
     """Address of the other end, for messages to people."""
+    certified: Certified | None = None
+    """What the certificate at the other end says; None: the connection has none."""
 
     @abstractmethod
     def send(self, data: bytes) -> int:
@@ -55,6 +65,14 @@ class ConnectionHandler(Protocol):
         """The connection is gone; called last, once. Also called where it never came to stand."""
         ...
 
+    def last_words(self, fault: str) -> bytes:
+        """Returns what the other side is told whose certificate is of the fleet, and is not believed all the same.
+
+        Args:
+            fault: why, as a clause. The connection ends without having been `opened`.
+        """
+        return b""
+
     def drained(self) -> None:
         """All that waited in the connection was taken: `unsent` came down to 0, and more may be sent.
 
@@ -80,13 +98,14 @@ class SchemeTransport(ABC):
     Args:
         loop: the transport's thread.
         settings: what the configuration says under `transports.SCHEME` in the settings of `[service.network]`.
+        keys: what this agent or this person shows, and whom it believes; None: it has no keys.
     """
 
     class Settings(msgspec.Struct):
         """It has no settings."""
 
     @abstractmethod
-    def __init__(self, loop: Loop, settings: Any) -> None: ...
+    def __init__(self, loop: Loop, settings: Any, keys: Keys | None) -> None: ...
 
     @abstractmethod
     def listen(self, address: str, accept: Callable[[], ConnectionHandler]) -> str:
@@ -96,9 +115,9 @@ class SchemeTransport(ABC):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """See `Transport.dial`."""
 
-    def looks_up(self, address: str) -> bool:
-        """See `Transport.looks_up`."""
-        return False
+    def may_be_named(self, address: str) -> bool:
+        """See `Transport.may_be_named`."""
+        return True
 
     @abstractmethod
     def close(self) -> None:
@@ -127,9 +146,9 @@ class Transport(ABC):
     def dial(self, address: str, handler: ConnectionHandler) -> None:
         """Opens a connection to `address`. Failure comes as `handler.closed(reason)`."""
 
-    def looks_up(self, address: str) -> bool:
-        """Returns whether a name must be looked up before `address` can be dialled. Peers may name no such address."""
-        return False
+    def may_be_named(self, address: str) -> bool:
+        """Returns whether a peer may name an address: it can be dialled, and no name must be looked up for that."""
+        return True
 
     @abstractmethod
     def call_later(self, delay_s: float, function: Callable[[], None]) -> Scheduled:

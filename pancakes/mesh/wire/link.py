@@ -33,6 +33,8 @@ from pancakes.mesh.wire.link_messages import (
     Pong,
     Refusal,
     RefuseLink,
+    RosterNumber,
+    RosterText,
     Welcome,
     fault_of_address,
     fault_of_hello,
@@ -117,6 +119,12 @@ class Learnt(msgspec.Struct, frozen=True):
     addresses: tuple[str, ...]
 
 
+class RosterHeard(msgspec.Struct, frozen=True):
+    """The peer tells the number of its roster, or gives the roster."""
+
+    message: RosterNumber | RosterText
+
+
 class Over(msgspec.Struct, frozen=True):
     """The link has ended: close the connection once what was to be sent is sent. Always the last action.
 
@@ -137,7 +145,7 @@ class Over(msgspec.Struct, frozen=True):
     turned_away: bool = False
 
 
-Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | Over
+Action = SendMessage | Greeted | Up | PacketsReceived | Unfit | Learnt | RosterHeard | Over
 
 
 class Link:
@@ -273,9 +281,9 @@ class Link:
             return []
         return [self._send(goodbye, now_s), *self._over("this agent said goodbye")]
 
-    def gossip(self, addresses: tuple[str, ...], now_s: float) -> list[Action]:
-        """Tells the peer addresses of other agents."""
-        return [self._send(Gossip(addresses), now_s)] if self.state is LinkState.UP else []
+    def tell(self, message: Gossip | RosterNumber | RosterText, now_s: float) -> list[Action]:
+        """Tells the peer something about the fleet, where the link is up."""
+        return [self._send(message, now_s)] if self.state is LinkState.UP else []
 
     def _who(self) -> str:
         return self.peer.name if self.peer is not None else "the other side"
@@ -398,6 +406,8 @@ class Link:
             return [Up()]
         if self.state is not LinkState.UP:
             raise RemoteProtocolError(f"{type(message).__name__} came before the link was up")
+        if isinstance(message, (RosterNumber, RosterText)):
+            return [RosterHeard(message)]
         assert isinstance(message, Gossip)
         for address in message.addresses:
             if fault := fault_of_address(address):

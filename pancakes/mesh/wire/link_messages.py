@@ -16,7 +16,7 @@ from pancakes.mesh.address import DEFAULT_FLEET, parse_address
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.names import fault_of_name
 
-VERSION: Final = 7
+VERSION: Final = 8
 """Version of the wire protocol. Agents of different versions do not talk."""
 
 HELLO_NUMBER: Final = 1
@@ -122,7 +122,23 @@ class Gossip(msgspec.Struct, frozen=True, array_like=True, tag=7):
     addresses: Annotated[tuple[Address, ...], msgspec.Meta(max_length=128)]
 
 
-LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip
+class RosterNumber(msgspec.Struct, frozen=True, array_like=True, tag=8):
+    """Which roster the sender knows (`pancakes.mesh.security.roster`); one that knows a higher one gives it.
+
+    Attributes:
+        number: its number; 0: none.
+    """
+
+    number: Count
+
+
+class RosterText(msgspec.Struct, frozen=True, array_like=True, tag=9):
+    """A roster, as its authority has signed it."""
+
+    text: Annotated[bytes, msgspec.Meta(max_length=128 * 1024)]
+
+
+LinkMessage = Hello | Welcome | RefuseLink | Ping | Pong | Goodbye | Gossip | RosterNumber | RosterText
 
 
 class Identity(msgspec.Struct, frozen=True):

@@ -6,6 +6,7 @@ from pancakes.runtime.config.plugin_check import check_plugins
 from pancakes.runtime.config.tables import (
     DEFAULT_SERVICES,
     SCHEMA,
+    AccessConfig,
     AgentConfig,
     ChannelConfig,
     ClockConfig,
@@ -19,6 +20,7 @@ __all__ = [
     "DEFAULT_SERVICES",
     "SCHEMA",
     "Address",
+    "AccessConfig",
     "AgentConfig",
     "ChannelConfig",
     "ClockConfig",

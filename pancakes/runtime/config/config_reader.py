@@ -19,6 +19,7 @@ from pancakes.runtime.config.rule_check import faults_of_rule
 from pancakes.runtime.config.scanner import KeyPath
 from pancakes.runtime.config.tables import (
     DEFAULT_SERVICES,
+    AccessConfig,
     AgentConfig,
     ChannelConfig,
     ClockConfig,
@@ -38,7 +39,7 @@ from pancakes.settings import check_settings, dotted, known_keys, required_keys
 
 _T = TypeVar("_T")
 
-_TABLES: Final = ("agent", "clock", "record", *NAMED_TABLES)
+_TABLES: Final = ("agent", "access", "clock", "record", *NAMED_TABLES)
 
 
 def load(
@@ -105,6 +106,7 @@ class _ConfigReader:
                 listen=tuple(in_fleet(address, agent.fleet) for address in agent.listen),
                 peers=tuple(in_fleet(address, agent.fleet) for address in agent.peers),
             ),
+            access=self._single("access", AccessConfig),
             clock=self._single("clock", ClockConfig),
             record=self._single("record", RecordConfig) if "record" in self._values else None,
             channels=self._tables("channel", ChannelConfig),
@@ -223,17 +225,9 @@ class _ConfigReader:
         if text in config.agent.listen[:index]:
             self._fault(key, f"{text!r} stands in the list for the second time")
         try:
-            address = parse_address(text)
+            parse_address(text)
         except ValueError as error:
             self._fault(key, str(error))
-            return
-        network = config.services.get("network")
-        if not address.loopback and not (network and network.settings.get("insecure") is True):
-            self._fault(
-                key,
-                f"{text!r} can be reached from other computers, and links are neither encrypted nor"
-                " checked: listen on 127.0.0.1, or say settings = { insecure = true } in [service.network]",
-            )
 
     def _check_restart(self, key: KeyPath, spec: RestartSpec) -> None:
         if spec.at_most < 0:

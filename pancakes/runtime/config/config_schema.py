@@ -8,6 +8,7 @@ from typing import Any, Final
 from pancakes.errors import PluginError
 from pancakes.runtime.config.tables import (
     SCHEMA,
+    AccessConfig,
     AgentConfig,
     ChannelConfig,
     ClockConfig,
@@ -22,7 +23,7 @@ DRAFT: Final = "https://json-schema.org/draft/2020-12/schema"
 NAME: Final = r"^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$"
 """What a name looks like, of an agent or of a table `[task.NAME]`."""
 
-_SINGLE: Final = {"agent": AgentConfig, "clock": ClockConfig}
+_SINGLE: Final = {"agent": AgentConfig, "access": AccessConfig, "clock": ClockConfig}
 _NAMED: Final = {"channel": ChannelConfig, "device": DeviceConfig, "service": ServiceConfig, "task": TaskConfig}
 _PLUGINS: Final = {
     "device": ("driver", "pancakes.drivers"),

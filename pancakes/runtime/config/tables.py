@@ -13,6 +13,7 @@ from msgspec import Meta, Struct, field
 
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
 from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.security.rules import AccessRule, Right
 from pancakes.mesh.wire.link_messages import MOST_LISTEN
 from pancakes.runtime.config.key_places import KeyPlaces
 from pancakes.runtime.life.restart import DeviceRestartSpec, RestartSpec
@@ -67,6 +68,19 @@ class AgentConfig(Struct, frozen=True):
         if not local and self.role != "client":
             local = (local_address(self.fleet, self.name),)
         return (*local, *(it for it in self.listen if not is_local(it)))
+
+
+class AccessConfig(Struct, frozen=True):
+    """The table `[access]`: what the agent's peers may do, beside what the roster of its fleet says.
+
+    Attributes:
+        allow: rules, each a table `[[access.allow]]`, for peers without a certificate: those on its own machine, and
+            all where it is `insecure`. None: they may do all. For peers with one the roster has the rules.
+        refuse: rights that no peer has here, whatever the rules say, such as `["end"]`.
+    """
+
+    allow: tuple[AccessRule, ...] | None = None
+    refuse: tuple[Right, ...] = ()
 
 
 class ClockConfig(Struct, frozen=True):
@@ -166,6 +180,7 @@ class Config(Struct, frozen=True):
 
     Attributes:
         agent: the table `[agent]`.
+        access: the table `[access]`.
         clock: the table `[clock]`.
         record: the table `[record]`; None where there is none.
         channels: extra channels by name, in the order of the file (so are the next three).
@@ -177,6 +192,7 @@ class Config(Struct, frozen=True):
     """
 
     agent: AgentConfig
+    access: AccessConfig
     clock: ClockConfig
     record: RecordConfig | None
     channels: Mapping[str, ChannelConfig]

@@ -92,17 +92,19 @@ class Arrivals:
             self._state.free(message.task_id)
             if not would_take(record, message.offer):
                 return Received(peer, message)
-            refusal = self._cannot_build(place, message)
+            refusal = self._cannot_build(peer, place, message)
             place.came_from = "" if refusal else peer
             return Received(peer, message, refusal)
         if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
 
-    def _cannot_build(self, place: Place, message: Transfer) -> str:
+    def _cannot_build(self, peer: str, place: Place, message: Transfer) -> str:
         """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
         try:
             snapshot = Snapshot.decode(message.snapshot)
+            if fault := self._host.kernel.access.fault(peer, "host", snapshot.type):
+                return fault
             if snapshot.task_id != message.task_id:
                 return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
             here = self._records.service_of(message.task_id) or self._host.name

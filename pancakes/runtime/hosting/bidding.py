@@ -243,7 +243,7 @@ class TaskMigrator(Task):
             return
         request: Solicit = packet.body
         peer = agent_of(packet.source)
-        refusal = self._state.refusal_of(request)
+        refusal = self._state.refusal_of(peer, request)
         if not refusal:
             try:
                 terms = dict(cost_of(request.cost, self._state.costs()).terms(self._state.load(self._mesh.rtt_s(peer))))

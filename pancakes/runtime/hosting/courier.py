@@ -123,6 +123,9 @@ class Courier(Component):
         service = self._service_of(task_id)
         if service is None:
             return
+        if fault := self.kernel.access.fault(peer, "write", str(task_id)):
+            self.log("warning", f"a packet for {task_id} was refused: {fault}")
+            return
         packet: Packet | None = None
         try:
             packet = packet_from_row(rows_from_payload(_ONE_MESSAGE + letter.packet)[0])

@@ -97,7 +97,7 @@ class HostState:
             if other_peer not in ("", peer):
                 return f"keeps a place for it for {other_peer}"
         self.free(task_id)
-        if refusal := self.refusal_of(message.request):
+        if refusal := self.refusal_of(peer, message.request):
             return refusal
         with self._lock:
             if self._reservations.number(peer, now_s) >= MOST_SLOTS:
@@ -137,8 +137,10 @@ class HostState:
         with self._lock:
             return self._reservations.kept(self._kernel.host.now())
 
-    def refusal_of(self, request: Solicit) -> str:
-        """Returns why this agent cannot take a task now, as a phrase; empty where it can."""
+    def refusal_of(self, peer: str, request: Solicit) -> str:
+        """Returns why this agent cannot take a task of a peer now, as a phrase; empty where it can."""
+        if fault := self._kernel.access.fault(peer, "host", request.type):
+            return fault
         registry = self._kernel.registry
         services = self._running()
         with self._lock:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from pancakes.errors import PancakesError
 from pancakes.events import LogLine
+from pancakes.mesh.security.access import Access
 from pancakes.packet import LOG, Packet, type_name
 from pancakes.runtime.clock import Clock, MissionClock, MonotonicClock
 from pancakes.runtime.folders import Folders
@@ -54,6 +55,7 @@ class Kernel:
         letters: packets whose handlers failed.
         timer: the timer actor.
         transport: how this agent reaches other processes (a `pancakes.mesh.net.transport.Transport`).
+        access: what peers may do here; the agent sets it.
         folders: where files may be written at the word of another; the agent sets it.
         stopping: whether the agent is about to end for good.
         mission_packets_sent: says how many mission packets have been sent to others; the agent sets it.
@@ -83,6 +85,7 @@ class Kernel:
         self.letters = DeadLetters(self.log)
         self.transport: Any = None
         self.folders = Folders(agent)
+        self.access = Access(agent)
         self.stopping = False
         self.mission_packets_sent: Callable[[], int] = lambda: 0
         self.links: Callable[[], Sequence[dict[str, Any]]] = tuple

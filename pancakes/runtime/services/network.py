@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta, Struct, field
 
-from pancakes.control import Follow, Stop, Unfollow
-from pancakes.errors import ControlRefused, PeerLost, UnknownChannel
+from pancakes.control import Follow, ReloadKeys, Stop, Unfollow
+from pancakes.errors import ControlRefused, PancakesError, PeerLost, UnknownChannel
 from pancakes.mesh.net.busy_poll import BUSY_POLL_S
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.link import LinkTimes
@@ -93,7 +93,9 @@ class NetworkService(Service):
             busy_poll_s: so long the network's thread stays awake for the next packet where one comes after the other
                 within that time, in seconds of host time; a dialogue of two tasks is three times as quick. 0, never,
                 saves power.
-            insecure: whether it may listen where other machines can reach it, although links are not encrypted.
+            insecure: whether it speaks over TCP although it has no keys, so that nothing is encrypted and no peer is
+                checked. Where it has keys, it uses them.
+            keys: the folder with the agent's keys; empty: where `pancakes fleet join` puts them.
             transports: settings of transports, by the scheme of their addresses: `{ tcp = { dial_s = 2.0 } }`.
         """
 
@@ -101,6 +103,7 @@ class NetworkService(Service):
         heartbeat_s: Annotated[float, Meta(ge=0.05, le=60)] = LinkTimes().heartbeat_s
         busy_poll_s: Annotated[float, Meta(ge=0, le=0.01)] = BUSY_POLL_S
         insecure: bool = False
+        keys: str = ""
         transports: dict[str, dict[str, bool | int | float | str]] = field(default_factory=dict)
 
     def __init__(self, *args: Any, mesh: Mesh, state: HostState, ledgers: Ledgers, **others: Any) -> None:
@@ -167,6 +170,11 @@ class NetworkService(Service):
         elif isinstance(body, Unfollow):
             self._unfollow(body.channel, request.by)
             self.reply(request)
+        elif isinstance(body, ReloadKeys):
+            try:
+                self.reply(request, result=self._mesh.reload_keys())
+            except PancakesError as error:
+                raise ControlRefused(str(error)) from None
         elif isinstance(body, Stop) and slot is not None and slot.name == CLIENT and agent_of(request.by) != self.agent:
             # Without it no answer leaves.
             raise ControlRefused(

@@ -27,6 +27,7 @@ from pancakes.control import (
     History,
     Migrate,
     Migrations,
+    ReloadKeys,
     Reschedule,
     Restart,
     SetFence,
@@ -37,6 +38,7 @@ from pancakes.control import (
     Unfollow,
 )
 from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.mesh.security.access import right_of
 from pancakes.packet import CORE_CHANNELS, SYSCTRL, Packet, agent_of, join
 from pancakes.runtime.foundation.suggestion import suggestion
 from pancakes.runtime.kernel.component import Component
@@ -165,13 +167,16 @@ class Root(Component):
         self._answers.put_off(request, reason)
 
     def _resolve(self, body: Any, request: Request) -> None:
+        target = getattr(body, "target", "")
+        service, task = self.find(target) if target else ("", "")
+        self._must_be_allowed(body, request, service, task)
         if isinstance(body, Begin):
             if not 0 <= body.in_s < math.inf:
                 raise ControlRefused(f"a mission cannot begin in {body.in_s} s")
             self.kernel.begin(body.in_s)
             self.reply(request)
             return
-        if isinstance(body, (Follow, Unfollow)):
+        if isinstance(body, (Follow, Unfollow, ReloadKeys)):
             self._hand(NETWORK, "", body, request)
             return
         if isinstance(body, (History, Traces)):
@@ -186,11 +191,11 @@ class Root(Component):
         if isinstance(body, Migrations):
             self.reply(request, result=self._migrations())
             return
-        target = body.target
         if isinstance(body, Describe) and not target:
             self._tell_description(request)
             return
-        service, task = self.find(target)
+        if not target:
+            self.find(target)
         if isinstance(body, (Adopt, Forget)) and task:
             # A task that was given away has no place in its service any more: the service is asked, not the task.
             self._hand(service, "", replace(body, target=task), request)
@@ -198,6 +203,20 @@ class Root(Component):
             self._hand(service, task, body, request)
         else:
             self._control_service(self.places[service], body, request)
+
+    def _must_be_allowed(self, body: Any, request: Request, service: str, task: str) -> None:
+        """Looks whether a peer may ask for this.
+
+        Raises:
+            ControlRefused: it lacks the right; the message names it, and the command that grants it.
+        """
+        peer, right = agent_of(request.by), right_of(body)
+        if right == "look" or not service:
+            on = (self.agent, f"{self.agent}/", *filter(None, (getattr(body, "channel", ""),)))
+        else:
+            on = (join(self.agent, service, task) if task else f"{join(self.agent, service)}/",)
+        if fault := self.kernel.access.fault(peer, right, *on):
+            raise ControlRefused(fault)
 
     def find(self, target: str) -> tuple[str, str]:
         """Returns the service and the task that a target means; the task is empty where it means a service.

@@ -98,7 +98,7 @@ def _tell_losses(client: Client, following: Following) -> None:
         return  # an agent that is away cannot be asked
     for agent in agents:
         lost = sum(
-            peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if peer["name"] == client.name
+            peer["dropped"].get(following.channel, 0) for peer in agent["mesh"]["peers"] if client.is_own(peer["name"])
         )
         if lost:
             say(f"{lost} packets were given up by {agent['agent']}: the way to this terminal was too slow")

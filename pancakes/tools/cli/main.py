@@ -17,6 +17,7 @@ COMMANDS = {
     "service": Later("pancakes.tools.cli.verbs.service:service", "Services that agents have."),
     "channel": Later("pancakes.tools.cli.verbs.channel:channel", "Channels, and the packets on them."),
     "param": Later("pancakes.tools.cli.verbs.param:param", "Settings of tasks."),
+    "fleet": Later("pancakes.tools.cli.verbs.fleet:fleet", "Who belongs to a fleet, and what its members may do."),
     "log": Later("pancakes.tools.cli.verbs.log:log", "What agents say and do."),
     "record": Later("pancakes.tools.cli.verbs.record:record", "Recordings of what agents say."),
     "replay": Later("pancakes.tools.cli.verbs.replay:replay", "Feed a recording into a fleet."),

@@ -45,9 +45,9 @@ class DemoPlan:
     configs: Mapping[str, Config]
     claim: Claim | None = None
 
-    def peers(self) -> tuple[str, ...]:
-        """Returns the addresses of all agents."""
-        return tuple(config.agent.addresses[-1] for config in self.configs.values())
+    def peers(self, within_machine: bool) -> tuple[str, ...]:
+        """Returns an address of each agent: the one within its machine, or else another."""
+        return tuple(config.agent.addresses[0 if within_machine else -1] for config in self.configs.values())
 
     def buses(self) -> tuple[str, ...]:
         """Returns the addresses of the hardware buses, which no fault of the network concerns."""

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,6 +28,7 @@ from pancakes.tools.demo.demo import Run
 from pancakes.tools.demo.demo_plan import LAUNCHER, DemoPlan
 from pancakes.tools.demo.timeliness import late_ones
 from pancakes.tools.launch.afresh import check_alone, empty_state
+from pancakes.tools.launch.keys_of_run import keys_of_run
 from pancakes.tools.launch.process import end_all, start_agent
 from pancakes.tools.recording.virtual_recorder import VirtualRecorder
 
@@ -50,7 +52,7 @@ class Launcher(Agent):
     """The launcher's own agent: a client of the mesh with one task, the conductor."""
 
     def __init__(self, plan: DemoPlan, mission: Mission, virtual: Any = None) -> None:
-        peers = ", ".join(f'"{address}"' for address in plan.peers())
+        peers = ", ".join(f'"{address}"' for address in plan.peers(within_machine=virtual is None))
         text = f"""
             schema = 1
             [agent]
@@ -88,13 +90,17 @@ class Processes:
         self._plan = plan
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
 
-    def start(self) -> None:
-        """Starts them all."""
+    def start(self, keys: Mapping[str, Sequence[str]]) -> None:
+        """Starts them all.
+
+        Args:
+            keys: what is set of each agent's file so that it finds its keys, as `--set` takes it.
+        """
         logs = self._plan.out / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         for agent, path in self._plan.files.items():
             with (logs / f"{agent}.txt").open("wb") as output:
-                self._processes[agent] = start_agent(path, self._plan.sets[agent], output)
+                self._processes[agent] = start_agent(path, (*self._plan.sets[agent], *keys[agent]), output)
 
     def gone(self) -> str:
         """Returns a sentence about an agent that has ended by itself; empty where all run."""
@@ -122,12 +128,13 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
     processes = Processes(plan)
     began_s = HOST.now()
     launcher: Launcher | None = None
+    held = ExitStack()
     try:
         # Its state is below `out`, and its fleet its own, unless the command line says otherwise.
         check_alone(plan.configs.values())
         for config in plan.configs.values():
             empty_state(config)
-        processes.start()
+        processes.start(held.enter_context(keys_of_run(plan.configs)))
         launcher = Launcher(plan, mission)
         launcher.start()
         running_s = None
@@ -147,6 +154,7 @@ def run_live(plan: DemoPlan, mission: Mission, interrupted: threading.Event) -> 
         processes.stop()
         if launcher is not None:
             launcher.stop()
+        held.close()
         if plan.claim is not None:
             plan.claim.release()
     return {

@@ -221,6 +221,7 @@ class FleetModel:
                 "missed": row["missed"],
                 "dropped": row["dropped"],
                 "links": row["links"],
+                "insecure": answer["insecure"],
                 "dead_letters": answer["dead_letters"],
                 "undelivered": answer["undelivered"],
                 "devices": list(answer["devices"]),

@@ -37,12 +37,10 @@ PORT: Final = 7480
 SOCKET: Final = "/news"
 MOST_PAGES: Final = 32
 """The most pages that may be open."""
-KEPT_PAGES: Final = 8
-"""The places beyond these for pages that show the token."""
 MOST_ASIDE: Final = 32
-"""The most pages that may be about to show it; one more takes the place of the first."""
+"""The most pages that have not shown the token yet; one more takes the place of the first."""
 TOKEN_S: Final = 2.0
-"""How long a page may take to show the token where it is let in for that alone."""
+"""How long a page may take to show the token."""
 MOST_ASKED: Final = 16
 """The most questions of one page at a time."""
 LONGEST_MESSAGE: Final = 16 * 1024
@@ -50,6 +48,7 @@ ORDER_S: Final = 30.0
 """How long an agent may take for what it is asked for: a task may be busy before it moves."""
 CLOSE_S: Final = 2.0
 FULL: Final = f"full: {MOST_PAGES} pages are open already, close one"
+WITHOUT_TOKEN: Final = "open the page under the address that was printed: it has a token"
 
 _LOG: Final = logging.getLogger("pancakes.tools.web.page")
 """What the library says of requests that are none: nothing that a terminal should show."""
@@ -62,14 +61,14 @@ class PageServer:
 
     A page gets what changed since it got something last, whenever it has taken that: so a page that is slow gets less,
     and delays no other. It is answered only where it came from this server, under a name of the loopback interface:
-    a foreign site that a browser shows at the same time can neither look nor ask. What changes something needs the
-    token as well, which is in the address that a person was given.
+    a foreign site that a browser shows at the same time can neither look nor ask. And it must show the token that is in
+    the address which a person was given: other users of the machine reach the loopback too.
 
     Args:
         shown: what is shown.
 
     Attributes:
-        token: what a page has to know that wants to change something; empty where none may.
+        token: what a page has to know.
         port: the port, once it has started.
         skipped: how many frames pages were too slow for.
     """
@@ -84,14 +83,14 @@ class PageServer:
         self._begun = threading.Event()
         self._fault: OSError | None = None
         self._thread = threading.Thread(target=self._run, name="page-server", daemon=True)
-        self.token = secrets.token_urlsafe(24) if shown.order is not None else ""
+        self.token = secrets.token_urlsafe(24)
         self.port = 0
         self.skipped = 0
 
     @property
     def address(self) -> str:
         """The address of the page, for people."""
-        return f"http://{ADDRESS}:{self.port}/" + (f"#token={self.token}" if self.token else "")
+        return f"http://{ADDRESS}:{self.port}/#token={self.token}"
 
     def start(self, port: int | None = 0) -> None:
         """Begins to listen; see `open_page` for the port.
@@ -183,12 +182,10 @@ class PageServer:
     # The WebSocket ---------------------------------------------------------------------------------------------
 
     async def _page(self, connection: ServerConnection) -> None:
-        page = _Page()
-        if len(self._pages) >= MOST_PAGES and not await self._let_in(connection, page):
-            await connection.close(1013, FULL)
+        if not await self._let_in(connection):
             return
         self._pages.add(connection)
-        answering = asyncio.ensure_future(self._answer_all(connection, page))
+        answering = asyncio.ensure_future(self._answer_all(connection))
         try:
             await self._show(connection)
         except ConnectionClosed:
@@ -199,24 +196,34 @@ class PageServer:
             self._pages.discard(connection)
             answering.cancel()
 
-    async def _let_in(self, connection: ServerConnection, page: _Page) -> bool:
-        """Returns whether a page gets one of the places that are kept: its first message must show the token."""
-        if not self.token:
-            return False
+    async def _let_in(self, connection: ServerConnection) -> bool:
+        """Returns whether a page may look: its first message must show the token. One that may not is told so."""
         while len(self._aside) >= MOST_ASIDE:
             self._aside.pop(next(iter(self._aside))).cancel()
         self._aside[connection] = first = asyncio.ensure_future(connection.recv())
         try:
             await asyncio.wait({first}, timeout=TOKEN_S)
-            if not first.done() or first.cancelled():
+            if not first.done() or first.cancelled() or not self._has_token(first.result()):
+                await connection.close(1008, WITHOUT_TOKEN)
                 return False
-            await connection.send(await self._answer(page, first.result()), text=True)
+            if len(self._pages) >= MOST_PAGES:
+                await connection.close(1013, FULL)
+                return False
+            await connection.send(await self._answer(first.result()), text=True)
         except ConnectionClosed:
             return False
         finally:
             self._aside.pop(connection, None)
             first.cancel()
-        return page.trusted and len(self._pages) < MOST_PAGES + KEPT_PAGES
+        return True
+
+    def _has_token(self, message: str | bytes) -> bool:
+        try:
+            asked = _ASKED(message)
+        except MALFORMED:
+            return False
+        given = str(asked.get("token", ""))
+        return asked.get("ask") == "hello" and hmac.compare_digest(given.encode(), self.token.encode())
 
     async def _show(self, connection: ServerConnection) -> None:
         """Sends news, as fast as the page takes them and no faster than `FRAMES_HZ`."""
@@ -235,7 +242,7 @@ class PageServer:
             due_s += period_s * (late + 1)
             await asyncio.sleep(due_s - now_s)
 
-    async def _answer_all(self, connection: ServerConnection, page: _Page) -> None:
+    async def _answer_all(self, connection: ServerConnection) -> None:
         """Answers what a page asks for, several things at a time."""
         room = asyncio.Semaphore(MOST_ASKED)
         asked: set[asyncio.Task[None]] = set()
@@ -243,7 +250,7 @@ class PageServer:
         async def answer(message: str | bytes) -> None:
             try:
                 with contextlib.suppress(ConnectionClosed):
-                    await connection.send(await self._answer(page, message), text=True)
+                    await connection.send(await self._answer(message), text=True)
             finally:
                 room.release()
 
@@ -257,13 +264,13 @@ class PageServer:
             for task in list(asked):
                 task.cancel()
 
-    async def _answer(self, page: _Page, message: str | bytes) -> bytes:
+    async def _answer(self, message: str | bytes) -> bytes:
         """Returns the answer to a message: `answer` (its `id`), `ok`, `reason` and `result`."""
         number = None
         try:
             asked = _ASKED(message)
             number = codecs.convert(asked.pop("id", None), _Number)
-            result = await self._do(page, asked.pop("ask", None), asked)
+            result = await self._do(asked.pop("ask", None), asked)
             reply = result if isinstance(result, Reply) else Reply(True, "", result)
             return _ENCODE({"answer": number, "ok": reply.ok, "reason": reply.reason, "result": reply.result})
         except PancakesError as error:
@@ -274,12 +281,10 @@ class PageServer:
             reason = f"a defect in Pancakes: {describe(error)}"
         return _ENCODE({"answer": number, "ok": False, "reason": reason, "result": None})
 
-    async def _do(self, page: _Page, what: Any, asked: dict[str, Any]) -> Any:
+    async def _do(self, what: Any, asked: dict[str, Any]) -> Any:
         shown = self._shown
         if what == "hello":
-            given = str(asked.get("token", ""))
-            page.trusted = bool(self.token) and hmac.compare_digest(given.encode(), self.token.encode())
-            return {"control": page.trusted and shown.order is not None, "title": shown.title}
+            return {"control": shown.order is not None, "title": shown.title}
         if what == "chunk":
             return msgspec.Raw(shown.feed.chunk(_moment_of(asked)))
         if what == "explain":
@@ -287,8 +292,6 @@ class PageServer:
         if what == "order":
             if shown.order is None:
                 raise ControlRefused("this page may only look: start it with --control to change something")
-            if not page.trusted:
-                raise ControlRefused("this page may only look: open it under the address that was printed")
             order = order_from(asked)
             asked_for = asyncio.wrap_future(shown.order(order.agent, order.body(), ORDER_S))
             try:
@@ -332,13 +335,3 @@ class _ExplainRequest(msgspec.Struct):
     t: float | None = None
     command: Cause | None = None
     step: int = 0
-
-
-class _Page:
-    """What is known of one page.
-
-    Attributes:
-        trusted: whether it has shown the token.
-    """
-
-    trusted = False

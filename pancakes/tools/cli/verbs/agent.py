@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import click
 
-from pancakes.tools.cli.asking import survey
+from pancakes.control import ReloadKeys
+from pancakes.tools.cli.asking import ask_each, survey
 from pancakes.tools.cli.name_types import agents, the_agent
-from pancakes.tools.cli.options import Ask, asks_agents
+from pancakes.tools.cli.options import Ask, asks_agents, orders_agents
 from pancakes.tools.cli.output import show_json, show_sections
 
 COLUMNS = ("agent", "role", "fleet", "address", "ready", "mission_s", "tasks", "neighbours")
@@ -61,15 +63,30 @@ def info(agent: str, ask: Ask) -> None:
     """
     with ask.client() as client:
         (found,) = client.survey(agent).agents
-        own = client.name
     if ask.format_ == "json":
         show_json([found])
     else:
-        show_sections(_sections(found, own))
+        show_sections(_sections(found, client.is_own))
 
 
-def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
-    """All about one agent, for people; own: the name of this command's link, which is no news."""
+@agent.command("reload-keys")
+@agents
+@orders_agents
+def reload_keys(agents: tuple[str, ...], ask: Ask) -> None:
+    """Have agents take a new key that `pancakes fleet join` has put in the place of the old one.
+
+    An agent looks for one each minute by itself. New links use it, and the old ones are made anew, one after the other.
+
+    \b
+    Example:
+        pancakes agent reload-keys agent1
+    """
+    rows = [{"agent": name, "new_key": found} for name, found in ask_each(ask, ReloadKeys(), *agents)]
+    ask.show(rows, ("agent", "new_key"))
+
+
+def _sections(found: dict[str, Any], is_own: Callable[[str], bool]) -> dict[str, Any]:
+    """All about one agent, for people; is_own: whether a link is that of this command, which is no news."""
     mesh = found["mesh"]
     tasks = found["tasks"]
     running = sum(task["state"] == "running" for task in tasks)
@@ -78,6 +95,7 @@ def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
             "role": found["role"],
             "fleet": found["fleet"],
             "addresses": found["listen"],
+            "insecure": found["insecure"],
             "ready": found["ready"],
             "clock": _clock(found),
             "battery": found["battery_level"],
@@ -94,7 +112,7 @@ def _sections(found: dict[str, Any], own: str) -> dict[str, Any]:
         "services": [
             {key: row[key] for key in ("service", "type", "state", "tasks", "reason")} for row in found["services"]
         ],
-        "links": [_link(peer) for peer in mesh["peers"] if peer["name"] != own],
+        "links": [_link(peer) for peer in mesh["peers"] if not is_own(peer["name"])],
     }
 
 
@@ -109,6 +127,7 @@ def _link(peer: dict[str, Any]) -> dict[str, Any]:
         "link to": peer["name"],
         "role": peer["role"],
         "address": ", ".join(peer["addresses"]) or peer["remote"],
+        "certificate": peer["certificate"],
         "rtt_ms": None if rtt_s is None else 1e3 * rtt_s,
         "packets out": peer["packets_out"],
         "packets in": peer["packets_in"],

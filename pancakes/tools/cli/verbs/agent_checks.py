@@ -62,11 +62,17 @@ def check_fleet(
             continue
         advice = "see whether it runs, and whether its process is suspended or its computer is away"
         yield Finding("error", "agents", sentence, advice)
+    newest = max((agent["roster"] or 0 for agent in agents), default=0)
     versions = {agent["process"]["version"] for agent in agents if agent["process"] is not None}
     if versions - {__version__}:
         text = f"agents run the versions {', '.join(sorted(versions))}, and this command is {__version__}"
         yield Finding("warning", "agents", text, "update them: tasks move between equal versions only")
     for agent in agents:
+        if agent["roster"] is not None and agent["roster"] < newest:
+            text = f"goes by the roster {agent['roster']} of its fleet, and others know the roster {newest}"
+            yield Finding(
+                "warning", agent["agent"], text, "link it to one that knows: it believes what was revoked since"
+            )
         findings = [*_check_agent(agent), *_check_peers(agent), *_check_tasks(agent, ask)]
         yield from findings
         if not findings:
@@ -83,6 +89,9 @@ def _check_agent(agent: dict[str, Any]) -> Iterator[Finding]:
     if agent["held"]:
         text = "its mission waits at 0, so nothing of it moves"
         yield Finding("warning", name, text, "it begins when its launcher says so, as pancakes launch does")
+    if agent["insecure"]:
+        text = "speaks over tcp:// without keys: all that reach the network can read what it says, and command it"
+        yield Finding("warning", name, text, "pancakes fleet join, and take insecure = true out of its file")
     for service in agent["services"]:
         yield from _check_tries(f"{name}/{service['service']}", "service", service)
     if agent["dead_letters"]:

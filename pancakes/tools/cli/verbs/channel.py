@@ -92,7 +92,7 @@ def info(name: ChannelName, for_s: float, ask: Ask) -> None:
             for packet in listen(client, following, for_s):
                 if packet is not None:
                     heard.add(packet.packet, packet.at_s, size_of(packet.packet))
-        publishers = [row for row in heard.rows(client.now()) if agent_of(row["source"]) != client.name]
+        publishers = [row for row in heard.rows(client.now()) if not client.is_own(agent_of(row["source"]))]
     row = {**found, "publishers": publishers, "heard_s": for_s}
     if ask.format_ == "json":
         show_json([row])

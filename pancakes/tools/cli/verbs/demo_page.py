@@ -52,7 +52,7 @@ class DemoPage:
         feed = Feed(lambda: time.monotonic() - began_s)
         feed.wait_for("the agents start")
         fleet = next(iter(plan.configs.values())).agent.fleet
-        watch = Watch(feed, plan.peers(), fleet, over=lambda: mission.ended)
+        watch = Watch(feed, plan.peers(within_machine=True), fleet, over=lambda: mission.ended)
         self._show(Shown(feed, watch.explain, watch.order if self._control else None, plan.demo.title))
         self._stop_watching()
         self._watch = watch

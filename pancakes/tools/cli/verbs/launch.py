@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -121,6 +122,7 @@ def _show(members: Sequence[Member], format_: str) -> None:
 def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> int:
     from pancakes.tools.launch.afresh import empty_state
     from pancakes.tools.launch.course import Course
+    from pancakes.tools.launch.keys_of_run import keys_of_run
     from pancakes.tools.launch.runner import Runner
 
     voice = _Objects() if format_ == "json" else _Prefixed([member.name for member in members])
@@ -128,7 +130,9 @@ def _run(members: Sequence[Member], hold: bool, fresh: bool, format_: str) -> in
         directory = empty_state(member.config)
         if directory is not None:
             voice.told(member.name, "fresh", f"begins afresh: what it remembered in {directory} is removed")
-    code = Runner(members, Course(members, begin=not hold), voice, let_begin).run()
+    with keys_of_run({member.name: member.config for member in members}) as keys:
+        members = [replace(member, sets=(*member.sets, *keys[member.name])) for member in members]
+        code = Runner(members, Course(members, begin=not hold), voice, let_begin).run()
     try:
         sys.stdout.flush()
     except OSError:

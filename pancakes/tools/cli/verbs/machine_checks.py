@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Final
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.security.key_folders import fleets_of_person, folder_of_person
+from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.plugins import GROUPS, Plugins
 from pancakes.runtime.runtime_dir import is_locked, look, runtime_dir
 from pancakes.tools.cli.verbs.finding import Finding, Level
@@ -27,6 +29,8 @@ FEW_FILES: Final = 256
 """An agent of a full mesh has 63 links; with its files, pipes and devices it should have room for this many."""
 LATE_S: Final = 0.002
 """A machine that wakes a thread later than this, in the middle of several tries, keeps no rate well."""
+SOON_S: Final = 14 * 86_400
+"""A person's keys are to be renewed so long before they end."""
 WAITS: Final = 21
 WAIT_S: Final = 0.001
 
@@ -41,9 +45,35 @@ def check_machine(plugins: Plugins) -> Iterator[Finding]:
     yield from check_plugins(plugins)
     yield from check_runtime_dir()
     yield from check_state_dirs(state_base())
+    yield from check_own_keys()
     yield check_files(*resource.getrlimit(resource.RLIMIT_NOFILE))
     yield check_clock()
     yield check_loopback()
+
+
+def check_own_keys() -> Iterator[Finding]:
+    """Looks at this person's keys for fleets: whether they can be used, and how long."""
+    for fleet in fleets_of_person():
+        folder = folder_of_person(fleet)
+        renew = "the operator of that fleet renews it: pancakes fleet renew"
+        try:
+            from pancakes.mesh.security.keys import Keys
+
+            keys = Keys(folder)
+        except PancakesError as error:
+            yield Finding("error", f"keys for {fleet}", str(error), renew)
+            continue
+        fault, left_s = keys.fault_of(keys.own), keys.own.ends_s - wall_ns() / 1e9
+        who = f"{keys.own.role} {keys.own.name}"
+        if fault:
+            yield Finding(
+                "error", f"keys for {fleet}", f"agents do not believe {who}: {fault}", f"{renew} {keys.own.name}"
+            )
+        elif left_s < SOON_S:
+            text = f"those of {who} end in {left_s / 86_400:.0f} days"
+            yield Finding("warning", f"keys for {fleet}", text, f"{renew} {keys.own.name}")
+        else:
+            yield Finding("ok", f"keys for {fleet}", f"you are {who} for another {left_s / 86_400:.0f} days")
 
 
 def check_python() -> Iterator[Finding]:

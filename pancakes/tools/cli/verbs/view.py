@@ -31,8 +31,8 @@ def view(control: bool, port: int | None, open_: bool, ask: Ask) -> None:
 
     It shows the arena with its robots (or the mesh, where there are no poses), the agents with their tasks, what
     happens, and the last ten minutes on a timeline. The page is served on this machine's loopback interface only. From
-    another machine: ssh -L 7480:127.0.0.1:7480 HOST. With --control the address that is printed has a token in it;
-    a user who has the token may change what the agents do.
+    another machine: ssh -L 7480:127.0.0.1:7480 HOST. The address that is printed has a token, without
+    which the page shows nothing; with --control a user who has it may change what the agents do.
 
     \b
     Example:

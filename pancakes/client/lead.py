@@ -1,0 +1,25 @@
+"""An agent that a terminal looks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class Lead:
+    """An agent that is known to be somewhere.
+
+    Attributes:
+        address: where; empty where it cannot be dialled.
+        fleet: its fleet; empty while that is not known.
+        name: its name, likewise.
+        failed: why it cannot be asked; empty while it can.
+    """
+
+    address: str
+    fleet: str = ""
+    name: str = ""
+    failed: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address})" if self.name and self.address else self.name or self.address

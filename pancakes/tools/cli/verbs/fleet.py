@@ -1,0 +1,444 @@
+"""`pancakes fleet ...`: who belongs to a fleet, who does no more, and what its members may do."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from pancakes.errors import PancakesError, needing_extra
+from pancakes.mesh.security import key_folders
+from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
+from pancakes.mesh.security.key_files import KeyFiles
+from pancakes.mesh.security.rules import EVERY, RIGHTS, AccessRule, Bearer, Right, allows
+from pancakes.runtime.foundation.names import fault_of_name
+from pancakes.tools.cli.options import Duration, format_option
+from pancakes.tools.cli.output import DRY_RUN, show, show_text
+from pancakes.tools.cli.verbs.fleet_folder import founded, opened, spread
+
+if TYPE_CHECKING:
+    from pancakes.mesh.security.fleet_office import FleetOffice
+    from pancakes.mesh.security.register import Entry
+
+PORT: Final = 7490
+COLUMNS: Final = ("name", "role", "groups", "state", "since", "ends", "came_from", "serial")
+_LONGEST_NAME: Final = 40  # a person's terminals bear it with a dot and more
+
+
+class BearerName(click.ParamType):
+    """The name of a fleet, an agent or a person."""
+
+    name = "name"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        text = str(value)
+        if fault := fault_of_name(text):
+            self.fail(fault, param, ctx)
+        if len(text) > _LONGEST_NAME:
+            self.fail(f"{text!r} has {len(text)} letters, and {_LONGEST_NAME} are the most", param, ctx)
+        return text
+
+
+of_fleet = click.option(
+    "--fleet", "fleet_name", metavar="NAME", default="", help="The fleet. [default: the only one that is founded here]"
+)
+forced = click.option("--force", is_flag=True, help="Agents are to believe it whatever its date.")
+told_at = click.option(
+    "--tell",
+    "addresses",
+    metavar="HOST:PORT",
+    multiple=True,
+    help="Tell the agent at this address, which tells its fleet; else those of this machine. Repeatable.",
+)
+
+
+@click.group()
+def fleet() -> None:
+    """Who belongs to a fleet, and what its members may do.
+
+    Agents speak over tcp:// to bearers of the certificates of their fleet alone. The authority of the fleet gives those
+    out: it is a key in ~/.config/pancakes/fleets/FLEET, which `init` makes, and which no robot needs. Robots and other
+    people `join`, with a code that `enrol` shows or with a folder that it writes.
+    """
+
+
+@fleet.command()
+@click.argument("name", metavar="FLEET", type=BearerName())
+@click.option("--me", "person", metavar="NAME", type=BearerName(), help="Your name in it. [default: your user's]")
+@click.option("--no-password", is_flag=True, help="Leave the authority's key unlocked.")
+def init(name: str, person: str | None, no_password: bool) -> None:
+    """Found a fleet: its authority is made here, and you become its operator.
+
+    The authority's key is locked with a password, which each command asks for that gives out or revokes a certificate.
+
+    \b
+    Example:
+        pancakes fleet init garage
+    """
+    folder = key_folders.fleets() / name
+    who = person or _own_name()
+    with needing_extra("no fleet can be founded"):
+        from pancakes.mesh.security.fleet_office import FleetOffice
+    if folder.exists() and any(folder.iterdir()):
+        raise PancakesError(f"there is a fleet {name} in {folder} already")
+    password = None if no_password else click.prompt("Password", hide_input=True, confirmation_prompt=True)
+    office = FleetOffice.founded(name, folder, password.encode() if password else None)
+    office.enrol_with_key("operator", who).write(key_folders.folder_of_person(name))
+    until = _date(office.latest(who).ends_s)
+    show_text(f"The fleet {name} is in {folder}. You are its operator {who} until {until}.")
+
+
+@fleet.command()
+@click.argument("name", type=BearerName())
+@click.option(
+    "--role",
+    type=click.Choice(["agent", "environment", "operator", "observer"]),
+    default="agent",
+    show_default=True,
+    help="An agent, a simulated world, or a person that may change things or only look.",
+)
+@click.option("--group", "groups", metavar="GROUP", multiple=True, type=BearerName(), help="A group of it. Repeatable.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write a folder to be copied there, and wait for nothing.")
+@click.option("--host", metavar="ADDRESS", default="", help="The address at which it reaches this machine.")
+@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
+@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
+@of_fleet
+def enrol(
+    name: str,
+    role: CertifiedRole,
+    groups: tuple[str, ...],
+    out: Path | None,
+    host: str,
+    port: int,
+    for_s: float,
+    fleet_name: str,
+) -> None:
+    """Let a machine or a person into the fleet, under this name.
+
+    It shows a code, and waits until the newcomer says it: `pancakes fleet join CODE`. The newcomer makes its key
+    itself. With --out nothing waits: the folder has the key too, so copy it by a way that others cannot read.
+
+    \b
+    Example:
+        pancakes fleet enrol agent1 --group field
+        pancakes fleet enrol agent2 --out agent2/
+        pancakes fleet enrol bob --role observer
+    """
+    office = opened(fleet_name)
+    office.check_new(name)
+    _give(office, role, name, groups, out, host, port, for_s)
+
+
+@fleet.command()
+@click.argument("name", metavar="NAME")
+@click.option("--out", type=click.Path(path_type=Path), help="Write a folder to be copied there, and wait for nothing.")
+@click.option("--host", metavar="ADDRESS", default="", help="The address at which it reaches this machine.")
+@click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="Where to wait for it.")
+@click.option("--for", "for_s", type=Duration(), default=600.0, show_default="10min", help="For how long.")
+@of_fleet
+def renew(name: str, out: Path | None, host: str, port: int, for_s: float, fleet_name: str) -> None:
+    """Give a machine or a person a new key and certificate; for yourself that is done at once.
+
+    The old certificate stays good, until it ends or is revoked. An agent that runs finds its new key within a minute.
+
+    \b
+    Example:
+        pancakes fleet renew alice
+        pancakes fleet renew agent1
+    """
+    office = opened(fleet_name)
+    entry = office.latest(name)
+    own = key_folders.keys_of_person(office.fleet)
+    if out is None and entry.role in PEOPLE and own is not None and _bearer(own) == entry.name:
+        office.enrol_with_key(entry.role, entry.name, entry.groups).write(own)
+        until = _date(office.latest(name).ends_s)
+        show_text(f"You are {entry.role} {entry.name} of the fleet {office.fleet} until {until}.")
+    else:
+        _give(office, entry.role, entry.name, entry.groups, out, host, port, for_s)
+
+
+@fleet.command()
+@click.argument("code", metavar="CODE|FOLDER")
+def join(code: str) -> None:
+    """Join a fleet, on the machine that is to belong to it: with the code of its operator, or a folder from there.
+
+    \b
+    Example:
+        pancakes fleet join 192.168.1.10:7490/HJOV-ZBJL-JECU-QFLF-4IQ3-JB24-L5EC-OS6P-LNXE-YAVB
+        pancakes fleet join agent2/
+    """
+    if Path(code).is_dir():
+        files, made_here = _read(Path(code)), False
+    else:
+        with needing_extra("no fleet can be joined with a code"):
+            from pancakes.mesh.security.joining import join as join_with
+        files, made_here = _checked(join_with(code)), True
+    folder = _folder_of(files)
+    files.write(folder)
+    what = f"You are {files.role} {files.name}" if files.role in PEOPLE else f"This machine is {files.name}"
+    show_text(f"{what} of the fleet {files.fleet}: the keys are in {folder}.")
+    if made_here:
+        show_text("The key was made here and has not left this machine.")
+    else:
+        show_text(f"Remove {code} now, here and where it came from: it has the same key.")
+
+
+@fleet.command("list")
+@of_fleet
+@format_option
+def list_(fleet_name: str, format_: str) -> None:
+    """List the certificates that were given out in a fleet.
+
+    \b
+    Example:
+        pancakes fleet list
+    """
+    from pancakes.mesh.security.register import read_register
+    from pancakes.runtime.clock import wall_ns
+
+    now_s = wall_ns() / 1e9
+    rows = [
+        {
+            "name": it.name,
+            "role": it.role,
+            "groups": list(it.groups),
+            "state": f"revoked: {it.revoked}" if it.revoked else "ended" if (it.ends_s or now_s) < now_s else "good",
+            "since": _date(it.given_s),
+            "ends": _date(it.ends_s),
+            "came_from": it.came_from,
+            "serial": it.serial,
+        }
+        for it in read_register(founded(fleet_name)).entries
+    ]
+    show(rows, COLUMNS, format_)
+
+
+@fleet.command()
+@click.argument("who", metavar="NAME|ROLE/NAME")
+@click.argument("why", metavar="REASON")
+@of_fleet
+@told_at
+@forced
+@click.option("--dry-run", is_flag=True, help="Only show what would be revoked.")
+def revoke(who: str, why: str, fleet_name: str, addresses: tuple[str, ...], force: bool, dry_run: bool) -> None:
+    """Revoke all certificates of a machine or a person: a robot or a laptop is lost, or a person has left.
+
+    Agents end its links within a second of hearing of it, and tell each other. An agent that is away hears of it when
+    it is linked again.
+
+    \b
+    Example:
+        pancakes fleet revoke operator/alice "laptop stolen"
+        pancakes fleet revoke agent1 "lost in the field" --tell 192.168.1.23:7401
+    """
+    folder = founded(fleet_name)
+    if dry_run:
+        from pancakes.mesh.security.register import read_register
+
+        _show_entries(read_register(folder).of(who), DRY_RUN)
+        return
+    office = opened(fleet_name)
+    _show_entries(office.revoke(who, why, force), "revoked")
+    spread(office, addresses)
+
+
+@fleet.command()
+@of_fleet
+@told_at
+@forced
+def sign(fleet_name: str, addresses: tuple[str, ...], force: bool) -> None:
+    """Sign the roster of the fleet anew, and tell the agents.
+
+    \b
+    Example:
+        pancakes fleet sign --tell 192.168.1.23:7401
+    """
+    office = opened(fleet_name)
+    roster = office.sign(force)
+    show_text(f"The roster {roster.number} of the fleet {office.fleet} is signed.")
+    spread(office, addresses)
+
+
+@fleet.command()
+@click.argument("who", metavar="WHO")
+@click.argument("rights", metavar="RIGHT...", nargs=-1, required=True, type=click.Choice([*RIGHTS, EVERY]))
+@click.option("--on", metavar="PATTERN", multiple=True, help="What the rights are for. Repeatable. [default: anything]")
+@click.option("--at", metavar="PATTERN", multiple=True, help="At these agents. Repeatable. [default: at all]")
+@of_fleet
+@told_at
+@forced
+@click.option("--dry-run", is_flag=True, help="Only show the rule.")
+def allow(
+    who: str,
+    rights: tuple[Right, ...],
+    on: tuple[str, ...],
+    at: tuple[str, ...],
+    fleet_name: str,
+    addresses: tuple[str, ...],
+    force: bool,
+    dry_run: bool,
+) -> None:
+    """Let members of the fleet do something: it adds a rule to rules.toml, and signs the roster.
+
+    WHO is a name, a pattern of names, role:ROLE or group:GROUP. To take a right away, change rules.toml in the fleet's
+    folder, and then: pancakes fleet sign.
+
+    \b
+    Example:
+        pancakes fleet allow agent1 command --on motors --at agent2
+        pancakes fleet allow group:field change --on '*/device/*'
+    """
+    rule = AccessRule((who,), rights, on or (EVERY,), at or (EVERY,))
+    if not dry_run:
+        office = opened(fleet_name)
+        office.allow(rule, force)
+    row = {"who": who, "may": list(rights), "on": list(rule.on), "at": list(rule.at)}
+    show([{**row, "done": DRY_RUN if dry_run else "allowed"}], (*row, "done"), "table")
+    if not dry_run:
+        spread(office, addresses)
+
+
+@fleet.command()
+@click.argument("who", metavar="NAME")
+@click.argument("right", metavar="RIGHT", type=click.Choice(RIGHTS))
+@click.argument("on", metavar="ON")
+@click.option("--at", default=EVERY, metavar="AGENT", help="At this agent. [default: at an agent that no rule names]")
+@of_fleet
+def can(who: str, right: Right, on: str, at: str, fleet_name: str) -> None:
+    """Say whether a member of the fleet may do something, and by which rule. No agent is asked.
+
+    It goes by the roster that was signed last. The exit code is 1 where the answer is no.
+
+    \b
+    Example:
+        pancakes fleet can agent1 command motors --at agent2
+        pancakes fleet can bob change 'agent1/device/ir' --at agent1
+    """
+    from pancakes.mesh.security.key_files import ROSTER
+    from pancakes.mesh.security.register import read_register
+    from pancakes.mesh.security.roster import read_signed
+
+    folder = founded(fleet_name)
+    roster = read_signed((folder / ROSTER).read_bytes())[1]
+    entries = [it for it in read_register(folder).entries if who in (it.name, it.who)]
+    if not entries:
+        raise PancakesError(f"the register of the fleet {roster.fleet} has no {who}: see pancakes fleet list")
+    entry = entries[-1]
+    if entry.revoked:
+        raise PancakesError(f"no: {entry.who} was revoked: {entry.revoked}")
+    bearer = Bearer(entry.name, entry.role, entry.groups)
+    found = next((rule for rule in roster.allow if allows([rule], bearer, right, (on,), at)), None)
+    if found is None:
+        raise PancakesError(
+            f"no: no rule of the roster {roster.number} gives {entry.who} the right {right!r} on {on!r}. To grant it:"
+            f" pancakes fleet allow {entry.name} {right} --on '{on}'" + (f" --at {at}" if at != EVERY else "")
+        )
+    parts = [", ".join(found.who), "may", ", ".join(found.may), "on", ", ".join(found.on), "at", ", ".join(found.at)]
+    show_text(f"yes: {' '.join(parts)} (roster {roster.number})")
+
+
+# What they share ------------------------------------------------------------------------------------------------
+
+
+def _give(
+    office: FleetOffice,
+    role: CertifiedRole,
+    name: str,
+    groups: Sequence[str],
+    out: Path | None,
+    host: str,
+    port: int,
+    for_s: float,
+) -> None:
+    """Gives out a certificate: into a folder, or to the machine that says the code."""
+    if out is not None:
+        if out.exists() and any(out.iterdir()):
+            raise PancakesError(f"the folder {out} is not empty")
+        office.enrol_with_key(role, name, groups).write(out)
+        show_text(f"Copy {out} to {name} by a way that others cannot read; there: pancakes fleet join {out.name}")
+        show_text("It has the private key: remove it here afterwards.")
+        return
+    from pancakes.mesh.security.joining import Desk, own_address
+
+    desk = Desk(host or own_address(), port, for_s)
+    show_text(f"On {name}, within {for_s / 60:.3g} minutes:  pancakes fleet join {desk.code}")
+    came_from = desk.serve(lambda key, place: office.enrol(key, role, name, groups, came_from=place))
+    show_text(f"{name} has joined from {came_from}.")
+
+
+def _read(folder: Path) -> KeyFiles:
+    """Reads a folder that `enrol --out` has written and that was copied here.
+
+    Raises:
+        PancakesError: a file is missing, or they do not fit together.
+    """
+    from pancakes.mesh.security.key_files import FLEET, KEY, ROSTER
+
+    try:
+        key, authority, roster = ((folder / file).read_bytes() for file in (KEY, FLEET, ROSTER))
+    except OSError as error:
+        raise PancakesError(f"{folder} is no folder of pancakes fleet enrol: {error.strerror or error}") from None
+    return _checked(KeyFiles("", "", "", key, authority, roster))
+
+
+def _checked(files: KeyFiles) -> KeyFiles:
+    """Returns files with the fleet, the role and the name that the certificate says.
+
+    Raises:
+        PancakesError: they do not fit together.
+    """
+    from pancakes.mesh.security.keys import Keys
+
+    with tempfile.TemporaryDirectory() as directory:
+        aside = Path(directory) / "keys"
+        files.write(aside)
+        own = Keys(aside).own
+    return files._replace(fleet=own.fleet, role=own.role, name=own.name)
+
+
+def _folder_of(files: KeyFiles) -> Path:
+    """Returns where keys belong.
+
+    Raises:
+        PancakesError: those of another person are there.
+    """
+    if files.role not in PEOPLE:
+        return key_folders.folder_of_agent(files.fleet, files.name)
+    own = key_folders.keys_of_person(files.fleet)
+    if own is not None and (bearer := _bearer(own)) != files.name:
+        raise PancakesError(f"you are {bearer} of the fleet {files.fleet} already: remove {own} first")
+    return key_folders.folder_of_person(files.fleet)
+
+
+def _bearer(folder: Path) -> str:
+    from pancakes.mesh.security.keys import Keys
+
+    return Keys(folder).own.name
+
+
+def _show_entries(entries: Sequence[Entry], done: str) -> None:
+    rows = [{"name": it.name, "role": it.role, "serial": it.serial, "done": done} for it in entries]
+    show(rows, ("name", "role", "serial", "done"), "table")
+
+
+def _own_name() -> str:
+    import pwd
+
+    try:
+        name = pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        name = ""
+    if not name or fault_of_name(name):
+        raise click.UsageError("say your name with --me: that of your user is none for a fleet")
+    return name
+
+
+def _date(time_s: float | None) -> str:
+    if time_s is None:
+        return "never"
+    return datetime.datetime.fromtimestamp(time_s).strftime("%d %B %Y").lstrip("0")

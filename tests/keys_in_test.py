@@ -1,0 +1,49 @@
+"""Keys of agents and of a person, where they look for them."""
+
+from __future__ import annotations
+
+import os
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from pancakes.mesh.security.certified import CertifiedRole
+from pancakes.mesh.security.fleet_office import FleetOffice
+
+
+class KeysInTest:
+    """Fleets, each founded when it is first asked for.
+
+    Args:
+        directory: where all keys lie.
+
+    Attributes:
+        environment: what processes need in order to find them.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._config = directory / "config"
+        self._data = directory / "data"
+        self._offices: dict[str, FleetOffice] = {}
+        self.environment = {"XDG_CONFIG_HOME": str(self._config), "XDG_DATA_HOME": str(self._data)}
+
+    def office(self, fleet: str) -> FleetOffice:
+        """Returns the office of a fleet, of which the person alice is an operator."""
+        made = self._offices.get(fleet)
+        if made is None:
+            folder = self._config / "pancakes" / "fleets" / fleet
+            made = self._offices[fleet] = FleetOffice.founded(fleet, folder)
+            made.enrol_with_key("operator", "alice").write(folder / "me")
+        return made
+
+    def offered(self) -> AbstractContextManager[Any]:
+        """Lets clients in this process find them, until the end of the block."""
+        return mock.patch.dict(os.environ, self.environment)
+
+    def of_agent(self, fleet: str, name: str, role: CertifiedRole = "agent") -> Path:
+        """Makes the keys of an agent, where it has none; returns their folder."""
+        folder = self._data / "pancakes" / "keys" / fleet / name
+        if not folder.exists():
+            self.office(fleet).enrol_with_key(role, name).write(folder)
+        return folder

@@ -1,0 +1,211 @@
+"""Who is at the other end of an encrypted connection, and who is turned away."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from net.conftest import Ear, TlsRig
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
+from pancakes.mesh.security.fleet_office import FleetOffice
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[TlsRig]:
+    made = TlsRig(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def listening(rig: TlsRig) -> tuple[Ear, str]:
+    """An ear, and the address at which it is reached."""
+    there = rig.ear()
+    return there, rig.transport("b").listen(rig.listen_at, lambda: there)
+
+
+def dialled(rig: TlsRig, folder: Path | None, address: str) -> Ear:
+    here = rig.ear()
+    rig.with_keys(folder).dial(address, here)
+    return here
+
+
+def keys_of_a_stranger(rig: TlsRig) -> Path:
+    folder = rig.directory / "x"
+    FleetOffice.founded("default", rig.directory / "elsewhere").enrol_with_key("agent", "a").write(folder)
+    return folder
+
+
+def both_closed(rig: TlsRig, here: Ear, there: Ear) -> tuple[str, str]:
+    rig.until(lambda: here.closed_for and there.closed_for)
+    assert there.connection is None, "nothing of it reaches the handler"
+    return here.closed_for[0], there.closed_for[0].partition(": ")[2]
+
+
+def test_both_know_who_is_there(rig, listening):
+    there, address = listening
+    here = dialled(rig, rig.enrol("alice", "operator", groups=("staff",)), address)
+    rig.until(lambda: here.connection and there.connection)
+    assert here.connection and there.connection
+    answered, told = here.connection.certified, there.connection.certified
+    assert answered and told
+    assert (told.fleet, told.role, told.name, told.groups) == ("default", "operator", "alice", ("staff",))
+    assert (answered.role, answered.name) == ("agent", "b") and told.ends_s < answered.ends_s
+
+
+def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listening):
+    there, address = listening
+    folder = keys_of_a_stranger(rig)
+    here = dialled(rig, folder, address)
+    assert both_closed(rig, here, there)[0] == "its certificate is of another fleet"
+    there.closed_for.clear()
+    with raw(address) as link, bare_context(rig, folder).wrap_socket(link) as tls:  # it believes ours, shows its own
+        with pytest.raises(ssl.SSLError, match="UNKNOWN_CA"):
+            tls.recv(1)
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for[0].endswith("its certificate is of another fleet")
+
+
+def test_keys_of_two_fleets_in_one_folder_are_refused(rig):
+    folder = keys_of_a_stranger(rig)
+    shutil.copy(rig.directory / "authority" / "fleet.pem", folder / "fleet.pem")
+    with pytest.raises(PancakesError, match="the authority of that fleet has not signed its certificate"):
+        rig.with_keys(folder).listen(rig.listen_at, rig.ear)
+
+
+def test_a_person_does_not_listen(rig):
+    there = rig.ear()
+    address = rig.with_keys(rig.enrol("alice", "operator")).listen(rig.listen_at, lambda: there)
+    here = dialled(rig, rig.enrol("a"), address)
+    assert both_closed(rig, here, there) == (
+        "its certificate is not for this use",
+        "our certificate is not for this use",
+    )
+
+
+def test_one_without_keys_and_one_with_them_say_so(rig, listening):
+    there, address = listening
+    here = dialled(rig, None, address)
+    rig.until(lambda: here.connection)
+    assert here.connection
+    here.connection.send(b"\0\0\0\x05hello")
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for[0].endswith("it does not encrypt: perhaps it has no keys") and there.connection is None
+
+    plain = rig.ear()
+    bare = rig.with_keys(None).listen(rig.listen_at, lambda: plain)
+    plain.received = lambda data: plain.connection.send(b"\0\0\0\x05hello")
+    here = dialled(rig, rig.enrol("a"), bare)
+    rig.until(lambda: here.closed_for)
+    assert here.closed_for[0].endswith("it does not encrypt: perhaps it has no keys") and here.connection is None
+
+
+def raw(address: str) -> socket.socket:
+    host, _, port = address.removeprefix("tcp://").rpartition(":")
+    return socket.create_connection((host, int(port)), 5.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (b"GET / HTTP/1.1\r\n\r\n", "it speaks HTTP"),
+        (b"\x16\x03\x01\xff\xff" + bytes(100), "TLS failed"),
+        (b"", "the other side closed the connection, and did not say who it is"),
+    ],
+)
+def test_what_is_no_tls_is_named(rig, listening, said, why):
+    there, address = listening
+    with raw(address) as link:
+        link.sendall(said)
+        link.shutdown(socket.SHUT_WR)
+        rig.until(lambda: there.closed_for)
+    assert why in there.closed_for[0] and there.connection is None
+
+
+def bare_context(rig: TlsRig, folder: Path | None) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.load_verify_locations(rig.directory / "authority" / "fleet.pem")
+    if folder is not None:
+        context.load_cert_chain(folder / "key.pem")
+    return context
+
+
+def test_no_certificate_is_no_entrance(rig, listening):
+    there, address = listening
+    with raw(address) as link, bare_context(rig, None).wrap_socket(link) as tls:
+        with pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"):
+            tls.recv(1)
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for[0].endswith("it showed no certificate") and there.connection is None
+
+
+def test_an_older_tls_is_refused(rig, listening):
+    there, address = listening
+    context = bare_context(rig, rig.enrol("a"))
+    context.maximum_version = ssl.TLSVersion.TLSv1_2
+    with raw(address) as link, pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"):
+        context.wrap_socket(link)
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for[0].endswith("it speaks no TLS 1.3")
+
+
+def test_a_connection_that_is_cut_off_says_so(rig, listening):
+    there, address = listening
+    with raw(address) as link:
+        tls = bare_context(rig, rig.enrol("a")).wrap_socket(link, suppress_ragged_eofs=False)
+        rig.until(lambda: there.connection)
+        socket.socket(fileno=tls.detach()).close()  # without a word
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for[0].endswith("broke: its end was cut off")
+
+
+def test_a_key_that_others_can_read_is_refused(rig):
+    folder = rig.enrol("a")
+    (folder / "key.pem").chmod(0o644)
+    with pytest.raises(PancakesError, match=r"key\.pem can be read by others \(mode 644\): chmod 600 it"):
+        rig.with_keys(folder).listen(rig.listen_at, rig.ear)
+    (folder / "key.pem").unlink()
+    with pytest.raises(PancakesError, match=r"key\.pem cannot be used: no such file"):
+        rig.with_keys(folder).listen(rig.listen_at, rig.ear)
+
+
+def test_handshakes_are_bounded():
+    shakes: Handshakes[int] = Handshakes(0.0)
+    assert [shakes.may_begin(0.0) for _ in range(int(AT_ONCE) + 2)] == [*[True] * int(AT_ONCE), False, False]
+    assert shakes.may_begin(0.01) and shakes.may_begin(0.01) and not shakes.may_begin(0.01)
+    assert [shakes.begun(number) for number in range(MOST_UNFINISHED)] == [None] * MOST_UNFINISHED
+    assert shakes.begun(MOST_UNFINISHED) == 0
+    shakes.over(0)
+    assert shakes.begun(MOST_UNFINISHED + 1) == 1
+
+
+def test_a_newcomer_comes_in_through_a_crowd_that_says_nothing(rig, listening):
+    _, address = listening
+    crowd = [raw(address) for _ in range(MOST_UNFINISHED + 10)]
+    try:
+        here = rig.ear()
+        transport = rig.transport("a")
+
+        def again(reason: str) -> None:
+            transport.dial(address, here)
+
+        here.closed = again
+        transport.dial(address, here)
+        rig.until(lambda: here.connection)
+    finally:
+        for link in crowd:
+            link.close()
+
+
+def test_keys_in_a_folder_that_others_can_write_to_are_refused(rig):
+    folder = rig.enrol("a")
+    folder.chmod(0o770)
+    with pytest.raises(PancakesError, match=r"others can put other files into the folder with keys .*: chmod 700 it"):
+        rig.with_keys(folder)

@@ -1,0 +1,126 @@
+"""A machine in between two agents with keys: what it records, repeats and changes gets it nothing."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from net.conftest import Agent, TlsRig
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.security.keys import Keys
+
+PATIENCE_S = 20.0
+
+
+class Between:
+    """Passes on what two agents say to each other, and keeps what the one that dials says.
+
+    Args:
+        address: where the other one listens.
+        change: what becomes of each part that the one that dials says.
+    """
+
+    def __init__(self, address: str, change: Callable[[bytes], bytes] = lambda data: data) -> None:
+        self._to = int(address.rpartition(":")[2])
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._links: list[socket.socket] = []
+        self.change = change
+        self.heard: list[bytes] = []
+        self.address = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        try:
+            while True:
+                near, _ = self._listener.accept()
+                far = socket.create_connection(("127.0.0.1", self._to), PATIENCE_S)
+                self._links += [near, far]
+                self.heard.append(b"")
+                number = len(self.heard) - 1
+                threading.Thread(target=self._pass, args=(near, far, number), daemon=True).start()
+                threading.Thread(target=self._pass, args=(far, near, -1), daemon=True).start()
+        except OSError:
+            return  # it was closed
+
+    def _pass(self, source: socket.socket, sink: socket.socket, number: int) -> None:
+        try:
+            while data := source.recv(65536):
+                if number >= 0:
+                    self.heard[number] += data
+                    data = self.change(data)
+                sink.sendall(data)
+        except OSError:
+            pass
+        for link in (source, sink):
+            try:
+                link.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                continue
+
+    def close(self) -> None:
+        for link in (self._listener, *self._links):
+            link.close()
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[TlsRig]:
+    made = TlsRig(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def linked(rig: TlsRig) -> Iterator[tuple[Agent, Agent, Between]]:
+    """An agent, one that has dialled it, and what is in between."""
+    a = rig.agent("a")
+    between = Between(a.address)
+    b = rig.agent("b", [between.address], listen="")
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    yield a, b, between
+    between.close()
+
+
+def test_what_was_said_once_opens_nothing_when_it_is_said_again(rig, linked):
+    a, _, between = linked
+    recorded = between.heard[0]
+    assert len(recorded) > 500
+    before = len(a.lines)
+    with socket.create_connection(("127.0.0.1", int(a.address.rpartition(":")[2])), PATIENCE_S) as link:
+        link.sendall(recorded)
+        while link.recv(65536):
+            pass
+    rig.until(lambda: any("no link over a connection" in text for _, text in a.lines[before:]))
+    assert a.ups == ["b"]
+
+
+def test_one_changed_bit_ends_the_link_with_a_reason(rig, linked):
+    a, b, between = linked
+
+    def flipped(data: bytes) -> bytes:
+        return data[:-1] + bytes([data[-1] ^ 1])
+
+    between.change = flipped
+    b.say("a", "hello")
+    rig.until(lambda: a.downs)
+    assert "what came was changed on its way" in a.downs[0][1]
+    assert a.packets == []
+
+
+def test_nothing_that_is_said_can_be_read_on_the_way(rig, linked):
+    a, b, between = linked
+    b.say("a", "the code of the door is 4711")
+    rig.until(lambda: a.packets)
+    assert b"4711" not in between.heard[0] and b"journal of b" not in between.heard[0]
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root gives files away")
+def test_a_key_of_another_user_is_refused(rig):
+    folder = rig.enrol("a")
+    os.chown(folder / "key.pem", 1234, -1)
+    with pytest.raises(PancakesError, match=r"the key .*key\.pem belongs to another user \(uid 1234\)"):
+        Keys(folder)

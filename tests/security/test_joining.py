@@ -1,0 +1,146 @@
+"""Joining with a code, over real sockets: who gets in, who does not, and what each side says."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.joining import TRIES, Desk, JoinCode, join
+from pancakes.mesh.security.keys import Keys
+
+PATIENCE_S = 20.0
+
+
+class Waiting:
+    """A desk that waits in a thread of its own."""
+
+    def __init__(self, office: FleetOffice, open_s: float = PATIENCE_S) -> None:
+        self.desk = Desk("127.0.0.1", 0, open_s)
+        self.code = str(self.desk.code)
+        self.result: Any = None
+        self._thread = threading.Thread(target=self._serve, args=(office,), daemon=True)
+        self._thread.start()
+
+    def _serve(self, office: FleetOffice) -> None:
+        try:
+            self.result = self.desk.serve(lambda key, place: office.enrol(key, "agent", "r1", ("field",), place))
+        except PancakesError as error:
+            self.result = str(error)
+
+    def ended(self) -> Any:
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+        return self.result
+
+
+@pytest.fixture
+def office(tmp_path: Path) -> FleetOffice:
+    return FleetOffice.founded("garage", tmp_path / "office")
+
+
+@pytest.fixture
+def waiting(office: FleetOffice) -> Callable[..., Waiting]:
+    return lambda *arguments: Waiting(office, *arguments)
+
+
+def test_the_newcomer_gets_the_name_that_the_operator_chose(office, waiting, tmp_path):
+    there = waiting()
+    files = join(there.code)
+    assert there.ended() == "127.0.0.1"
+    files.write(tmp_path / "keys")
+    own = Keys(tmp_path / "keys").own
+    assert (own.fleet, own.role, own.name, own.groups) == ("garage", "agent", "r1", ("field",))
+    (entry,) = office.entries
+    assert (entry.who, entry.serial, entry.came_from) == ("agent/r1", own.serial, "127.0.0.1")
+
+
+def test_a_code_is_good_once(waiting):
+    there = waiting()
+    join(there.code)
+    there.ended()
+    with pytest.raises(PancakesError, match=r"cannot be reached: connection refused\. Does pancakes fleet enrol still"):
+        join(there.code)
+
+
+def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
+    there = waiting()
+    guess = str(there.desk.code._replace(secret=b"0123456789"))
+    for _ in range(TRIES):
+        with pytest.raises(PancakesError, match="that code is not good, or not any more"):
+            join(guess)
+    assert there.ended() == "5 attempts had a wrong code, so it is good no more: enrol the machine again"
+    assert office.entries == ()
+
+
+def test_to_a_machine_in_between_the_secret_is_not_said(waiting):
+    there = waiting()
+    heard = bytearray()
+    other = Desk("127.0.0.1", 0)  # shows a certificate of its own
+    relayed = str(there.desk.code._replace(port=other.code.port))
+    taker = threading.Thread(target=lambda: heard.extend(_first_words(other)), daemon=True)
+    taker.start()
+    with pytest.raises(PancakesError, match="another one is in between, or the code is old"):
+        join(relayed)
+    taker.join(PATIENCE_S)
+    assert bytes(heard) == b""
+
+
+def _first_words(desk: Desk) -> bytes:
+    """Returns what a newcomer says to a machine that only listens."""
+    with desk._sock as waiting:  # noqa: SLF001 - in the place of `serve`
+        link, _ = waiting.accept()
+    link.settimeout(PATIENCE_S)
+    with link, desk._context.wrap_socket(link, server_side=True) as tls:  # noqa: SLF001
+        try:
+            return tls.recv(65536)
+        except (OSError, ssl.SSLError):
+            return b""
+
+
+def test_strangers_that_say_nothing_keep_no_newcomer_out(waiting):
+    there = waiting()
+    code = there.desk.code
+    crowd = [socket.create_connection((code.host, code.port), PATIENCE_S) for _ in range(20)]
+    try:
+        for link in crowd:
+            link.sendall(b"\x16")
+        assert join(there.code).name == "r1"
+    finally:
+        for link in crowd:
+            link.close()
+
+
+def test_after_its_time_the_code_is_not_good(waiting):
+    there = waiting(0.1)
+    assert there.ended() == "no machine has joined in time: enrol it again"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "127.0.0.1:7490", "127.0.0.1:7490/ABCD", "host/" + "A" * 40, "h:0/" + "A" * 40]
+)
+def test_what_is_no_code_is_said(text):
+    with pytest.raises(PancakesError, match="is no join code: copy it whole"):
+        JoinCode.parse(text)
+
+
+def test_a_code_is_read_as_it_is_written():
+    code = JoinCode("192.168.1.10", 7490, bytes(range(15)), bytes(range(10)))
+    assert JoinCode.parse(str(code)) == code == JoinCode.parse(f" {str(code).lower()}\n")
+
+
+def test_an_older_folder_brings_no_older_roster(office, tmp_path):
+    files = office.enrol_with_key("agent", "r2")
+    older = files.roster
+    newer = office.sign()
+    files._replace(roster=(office.folder / "roster.json").read_bytes()).write(tmp_path / "keys")
+    files.write(tmp_path / "keys")
+    keys = Keys(tmp_path / "keys")
+    assert keys.roster == newer and keys.roster_text != older

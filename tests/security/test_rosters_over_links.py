@@ -1,0 +1,217 @@
+"""Rosters between agents with keys: given to those that know less, checked, kept, and obeyed at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from net.conftest import Agent, BarePeer, TlsRig
+
+from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
+from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.key_files import KEY, write_private
+from pancakes.mesh.security.roster import LATEST_S, Roster, read_signed
+from pancakes.mesh.wire.codec import Encoder
+from pancakes.mesh.wire.link_messages import RosterNumber, RosterText
+from pancakes.runtime.clock import wall_ns
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[TlsRig]:
+    made = TlsRig(tmp_path)
+    yield made
+    made.close()
+
+
+def two(rig: TlsRig) -> tuple[Agent, Agent]:
+    a = rig.agent("a")
+    b = rig.agent("b", [a.address])
+    rig.until(lambda: a.knows("b") and b.knows("a"))
+    return a, b
+
+
+def keys_of(rig: TlsRig, agent: Agent):
+    keys = rig.keys_of(agent.transport)
+    assert keys is not None
+    return keys
+
+
+def number_of(rig: TlsRig, agent: Agent) -> int:
+    return keys_of(rig, agent).roster.number
+
+
+def newer(rig: TlsRig, *revoked: str) -> Roster:
+    """Signs a newer roster, which no agent has heard of yet."""
+    for name in revoked:
+        rig.office.revoke(name, "lost")
+    return rig.office.sign()
+
+
+def test_a_newcomer_brings_the_roster_and_it_goes_from_peer_to_peer(rig):
+    a = rig.agent("a")
+    b = rig.agent("b", [a.address])
+    c = rig.agent("c", [b.address])
+    rig.until(lambda: all(len(it.mesh.connected()) == 2 for it in (a, b, c)))
+    new = newer(rig)
+    rig.agent("z", [c.address])
+    rig.until(lambda: {number_of(rig, it) for it in (a, b, c)} == {new.number})
+    kept = (keys_of(rig, a).folder / "roster.json").read_bytes()
+    assert read_signed(kept)[1] == new
+    assert f"the roster {new.number} of default: 0 revoked" in a.log("info")
+
+
+def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
+    a, b = two(rig)
+    number = newer(rig, "b").number
+    rig.agent("z", [a.address])
+    rig.until(lambda: a.downs and b.downs)
+    why = f"its certificate was revoked (roster {number}): agent/b: lost"
+    assert why in a.downs[0][1] and why in b.downs[0][1]
+    rig.until(lambda: "no link over" in b.log("warning"))
+    assert why in b.log("warning"), "it is told why"
+    assert not a.knows("b")
+
+
+def test_an_older_roster_and_the_same_change_nothing(rig):
+    a, b = two(rig)
+    old = (keys_of(rig, a).folder / "roster.json").read_bytes()
+    new = newer(rig)
+    z = rig.agent("z", [a.address])
+    rig.until(lambda: number_of(rig, a) == number_of(rig, b) == new.number)
+    z.mesh.stop()
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(old)), Encoder().link_message(RosterNumber(1)))
+    rig.until(lambda: peer.rosters)
+    assert read_signed(peer.rosters[0])[1] == new, "the peer that says that it knows less is given it"
+    assert number_of(rig, a) == new.number and peer.over is None
+
+
+class Given(BarePeer):
+    """A member of the fleet that keeps what rosters it is given."""
+
+    def __init__(self, *arguments, **more) -> None:
+        super().__init__(*arguments, **more)
+        self.rosters: list[bytes] = []
+
+    def act(self, actions) -> None:
+        for action in actions:
+            message = getattr(action, "message", None)
+            if isinstance(message, RosterText):
+                self.rosters.append(message.text)
+        super().act(actions)
+
+
+def speaks(rig: TlsRig, a: Agent) -> Given:
+    peer = Given(rig.clock.now, "y")
+    rig.transport("y").dial(a.address, peer)
+    rig.until(lambda: peer.is_up)
+    return peer
+
+
+def reason_of(rig: TlsRig, peer: BarePeer) -> str:
+    """Waits for the end of a link; returns why it ended."""
+    rig.until(lambda: peer.over)
+    assert peer.over is not None
+    return peer.over.reason
+
+
+def signed(folder: Path, **more) -> bytes:
+    values = {"fleet": "default", "number": 90, "signed_s": wall_ns() / 1e9, **more}
+    return Authority(folder).signed(Roster(**values))
+
+
+def test_a_roster_that_another_authority_has_signed_ends_the_link(rig):
+    a = rig.agent("a")
+    before = number_of(rig, a)
+    FleetOffice.founded("default", rig.directory / "elsewhere")
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "elsewhere"))))
+    why_ended = reason_of(rig, peer)
+    assert "the roster 90 was not signed by the authority of the fleet default" in why_ended
+    assert number_of(rig, a) == before
+    assert read_signed((keys_of(rig, a).folder / "roster.json").read_bytes())[1].number == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [(b'\\"number\\":90', b'\\"number\\":91'), (b'\\"revoked\\":[]', b'\\"revoked\\":[ ]')]
+)
+def test_a_roster_that_was_changed_ends_the_link(rig, old, new):
+    a = rig.agent("a")
+    text = signed(rig.directory / "authority")
+    assert old in text
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(text.replace(old, new))))
+    why_ended = reason_of(rig, peer)
+    assert "was not signed by the authority" in why_ended and number_of(rig, a) < 90
+
+
+def test_what_is_no_roster_ends_the_link(rig):
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(b"{}")))
+    why_ended = reason_of(rig, peer)
+    assert "the roster that it gave cannot be read" in why_ended
+
+
+def test_a_roster_of_a_far_day_is_taken_only_where_the_operator_says_so(rig):
+    a = rig.agent("a")
+    far_s = wall_ns() / 1e9 + LATEST_S + 86_400
+    peer = speaks(rig, a)
+    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority", signed_s=far_s))))
+    rig.until(lambda: "is dated 31 days after the last one and the own clock" in a.log("warning"))
+    assert number_of(rig, a) < 90 and peer.over is None
+    forced = signed(rig.directory / "authority", signed_s=far_s, forced=True)
+    peer.send(Encoder().link_message(RosterText(forced)))
+    rig.until(lambda: number_of(rig, a) == 90)
+
+
+def test_where_a_roster_cannot_be_checked_the_link_stays(rig, monkeypatch):
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    monkeypatch.setattr("sys.executable", "/nonexistent/python")
+    peer.send(Encoder().link_message(RosterText(signed(rig.directory / "authority"))))
+    rig.until(lambda: "its signature cannot be checked" in a.log("warning"))
+    assert number_of(rig, a) < 90 and peer.over is None
+
+
+def test_a_person_whose_time_is_over_is_refused_and_told(rig):
+    a = rig.agent("a")
+    folder = rig.enrol("alice", "operator", days=-1)
+    here = rig.ear()
+    rig.with_keys(folder).dial(a.address, here)
+    rig.until(lambda: here.closed_for)
+    assert here.data and b"its certificate ended 24.0 hours ago" in here.data
+
+
+def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
+    a = rig.agent("a")
+    authority, key = Authority(rig.directory / "authority"), new_key()
+    authority.fleet = "other"  # as one would that signs for two fleets
+    folder = rig.enrol("b")
+    write_private(folder / KEY, authority.certify(key.public_key(), "agent", "b").pem + pem_of_key(key))
+    here = rig.ear()
+    rig.with_keys(folder).dial(a.address, here)
+    rig.until(lambda: here.closed_for)
+    assert "its certificate is of the fleet default, and ours of other" in here.closed_for[0]
+
+
+@pytest.mark.parametrize(
+    ("enrolled", "name", "role", "why"),
+    [
+        (("b", "agent"), "c", "agent", "it calls itself c, and its certificate is b's (agent)"),
+        (("b", "agent"), "b", "environment", "b comes as environment, and its certificate is for the role agent"),
+        (("alice", "operator"), "alice", "client", "it calls itself alice, and its certificate is alice's (operator)"),
+        (("alice", "observer"), "alice.1", "agent", "'alice.1' is no name"),
+        (("alice", "observer"), "bob.1", "client", "it calls itself bob.1, and its certificate is alice's (observer)"),
+    ],
+)
+def test_a_hello_must_be_as_the_certificate_says(rig, enrolled, name, role, why):
+    a = rig.agent("a")
+    peer = BarePeer(rig.clock.now, "b")
+    peer.own = replace(peer.own, name=name, role=role)
+    rig.with_keys(rig.enrol(*enrolled)).dial(a.address, peer)
+    why_ended = reason_of(rig, peer)
+    assert why in why_ended or why in a.log("warning")
+    assert not a.ups

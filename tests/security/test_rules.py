@@ -1,0 +1,157 @@
+"""What rules allow, as tables."""
+
+from __future__ import annotations
+
+import pytest
+
+from pancakes.control import CONTROLS, Describe, Shutdown, Stop
+from pancakes.errors import PancakesError
+from pancakes.mesh.security.access import RIGHT_OF, Access, needs, right_of
+from pancakes.mesh.security.roster import Roster
+from pancakes.mesh.security.rules import DEFAULT, RIGHTS, AccessRule, Bearer, allows
+from pancakes.mesh.security.rules_file import RULES, add_rule, begin_rules, read_rules
+from pancakes.packet import CTRL, LOG, NETWORK, SYSCTRL, SYSTEM, Packet
+
+R2 = Bearer("r2", "agent", ("field",))
+
+
+@pytest.mark.parametrize(
+    ("rule", "is_allowed"),
+    [
+        (AccessRule(("r2",), ("change",)), True),
+        (AccessRule(("r?",), ("*",)), True),
+        (AccessRule(("role:agent",), ("look", "change")), True),
+        (AccessRule(("group:field",), ("change",)), True),
+        (AccessRule(("r2",), ("change",), ("r1/device/*",)), True),
+        (AccessRule(("r2",), ("change",), ("*",), ("r1", "r9")), True),
+        (AccessRule(("r3",), ("change",)), False),
+        (AccessRule(("role:operator",), ("change",)), False),
+        (AccessRule(("group:staff",), ("change",)), False),
+        (AccessRule(("agent",), ("change",)), False),
+        (AccessRule(("field",), ("change",)), False),
+        (AccessRule(("r2",), ("look",)), False),
+        (AccessRule(("r2",), ("change",), ("r1/client/*",)), False),
+        (AccessRule(("r2",), ("change",), ("*",), ("r9",)), False),
+    ],
+)
+def test_a_rule_allows_what_it_names_alone(rule, is_allowed):
+    assert allows([rule], R2, "change", ("r1/device/motors",), "r1") is is_allowed
+    assert allows([], R2, "change", ("r1/device/motors",), "r1") is False
+
+
+@pytest.mark.parametrize(
+    ("role", "rights"),
+    [
+        ("operator", RIGHTS),
+        ("observer", ("look",)),
+        ("agent", ("look", "host", "write", "publish")),
+        ("environment", ("publish",)),
+    ],
+)
+def test_the_rules_of_a_new_fleet(role, rights):
+    who = Bearer("x", role)
+    assert {right for right in RIGHTS if allows(DEFAULT, who, right, ("any",), "r1")} == set(rights)
+
+
+def test_each_control_packet_needs_a_right():
+    assert set(RIGHT_OF) == set(CONTROLS)
+    assert right_of(Stop("X")) == "change" and right_of(Stop("X", dry_run=True)) == "look"
+    assert right_of(Shutdown()) == "end" and right_of(Describe()) == "look"
+
+
+@pytest.mark.parametrize(
+    ("channel", "kind", "needed"),
+    [
+        (SYSCTRL, "stop", None),
+        (SYSCTRL, "reply", None),
+        (SYSCTRL, "words", ("publish", (SYSCTRL,))),
+        (CTRL, "velocity", ("command", ("r1/device/motors", "velocity"))),
+        (NETWORK, "migration.commit", None),
+        (NETWORK, "post.letter", None),
+        (NETWORK, "words", ("publish", (NETWORK,))),
+        (SYSTEM, "pose", ("publish", (SYSTEM,))),
+        (LOG, "event", ("publish", (LOG,))),
+        ("map", "words", ("publish", ("map",))),
+    ],
+)
+def test_what_a_packet_needs(channel, kind, needed):
+    assert needs(Packet(channel, kind, "r2/c/T", "r1/device/motors", 0.0, 1, None)) == needed
+
+
+def access(*rules: AccessRule, number: int = 7, **more) -> Access:
+    made = Access("r1", lambda: Roster("garage", number, 0.0, allow=rules), **more)
+    made.bearer_of = {"r2": (R2, True), "near": (Bearer("near", "operator"), False)}.get
+    return made
+
+
+def test_a_refusal_names_the_missing_right_and_the_command_that_grants_it():
+    it = access(AccessRule(("r2",), ("look",)))
+    assert it.fault("r2", "look", "r1") == ""
+    assert it.fault("r2", "change", "r1/device/motors") == (
+        "r1 does not let r2 (agent) do this: it lacks the right 'change' on 'r1/device/motors' (roster 7). To grant it:"
+        " pancakes fleet allow r2 change --on 'r1/device/motors' --at r1"
+    )
+
+
+def test_an_agent_may_do_all_to_itself_and_a_peer_that_has_gone_nothing():
+    it = access()
+    assert it.fault("r1", "change", "r1/device/motors") == ""
+    assert "has no link to r5 any more" in it.fault("r5", "look", "r1")
+
+
+def test_a_new_roster_counts_at_once():
+    rules: list[AccessRule] = []
+    it = Access("r1", lambda: Roster("garage", len(rules) + 1, 0.0, allow=tuple(rules)))
+    it.bearer_of = {"r2": (R2, True)}.get
+    assert it.fault("r2", "change", "r1/x")
+    rules.append(AccessRule(("r2",), ("change",)))
+    assert it.fault("r2", "change", "r1/x") == ""
+
+
+def test_rules_of_the_fleet_are_for_those_with_a_certificate():
+    assert access().fault("near", "end", "r1") == "", "the kernel says that it is the agent's own user"
+    own = access(own=(AccessRule(("role:operator",), ("look",)),))
+    assert own.fault("near", "look", "r1") == ""
+    assert "it lacks the right 'end' on 'r1' (the [access] of its own file)" in own.fault("near", "end", "r1")
+
+
+def test_the_own_file_takes_rights_from_all():
+    it = access(AccessRule(("*",), ("*",)), refused=("end",))
+    for peer in ("r2", "near"):
+        assert it.fault(peer, "end", "r1") == "r1 lets no peer do this: its own file refuses the right 'end'"
+        assert it.fault(peer, "look", "r1") == ""
+
+
+def test_what_others_said_needs_the_right_to_replay_and_that_to_publish():
+    it = access(AccessRule(("r2",), ("publish",)))
+    own, of_others = (Packet(SYSTEM, "pose", source, "r1", 0.0, 1, None) for source in ("r2/c/T", "r3/c/T"))
+    assert it.fault_of_packet(R2, True, "r2", own) == ""
+    assert "the right 'replay' on 'system'" in it.fault_of_packet(R2, True, "r2", of_others)
+
+
+def test_the_file_of_rules_keeps_what_a_person_wrote(tmp_path):
+    begin_rules(tmp_path)
+    assert read_rules(tmp_path) == DEFAULT
+    path = tmp_path / RULES
+    path.write_text(path.read_text() + "# a remark\n")
+    rule = AccessRule(("r2",), ("command", "look"), ("motors", 'a"b'), ("r1",))
+    add_rule(tmp_path, rule)
+    assert read_rules(tmp_path) == (*DEFAULT, rule)
+    assert "# a remark" in path.read_text() and path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[[access.allow]]\nwho = ['x']\nmay = ['fly']\n", "Invalid enum value 'fly'"),
+        ("[[access.allow]]\nwho = ['x']\n", "missing required field `may`"),
+        ("[[access.deny]]\nwho = ['x']\n", "unknown field `deny`"),
+        ("[[access.allow]]\nwho = 'x'\nmay = ['look']\n", "Expected `array`"),
+        ("[access", "not sound"),
+    ],
+)
+def test_a_file_that_is_not_sound_is_named(tmp_path, text, why):
+    (tmp_path / RULES).write_text(text)
+    with pytest.raises(PancakesError, match=r"the rules .*rules\.toml are not sound") as raised:
+        read_rules(tmp_path)
+    assert why in str(raised.value)
