@@ -187,7 +187,7 @@ MOVING = ("moved to", "is being handed over between", "is on its way", "is movin
 ELSEWHERE = ("has no task or service 'one'", "has no task 'one'", "does not run here", *MOVING)
 """What an agent says of a task that it does not have now."""
 HERE = (" already", ", not running", "is stopped, so it cannot move", "no neighbour can take one: ", " is stuck: ")
-"""What an agent says of a task that it has, and that cannot do what is asked for (stuck: a busy machine lets it wait)."""
+"""What an agent says of a task that it has, and that cannot do what is asked for (stuck: on a busy machine)."""
 
 
 def stops_and_moves(source: random.Random) -> list[tuple[str, Any]]:
