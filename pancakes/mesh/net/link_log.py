@@ -19,6 +19,8 @@ from pancakes.mesh.wire.link_messages import Hello
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
 """The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
+_AGAIN_S: Final = 60.0
+"""So often, in host time, it names the same reason again for which a place gets no link."""
 _MOST_PLACES: Final = 256
 _NEWS: Final = ("version", "fleet", "name", "full", "protocol")
 
@@ -52,16 +54,20 @@ class LinkLog:
         self._say(level, f"the link to {session.peer} has ended: {over.reason}")
 
     def not_made(self, session: Session, over: Over, now_s: float) -> None:
-        """A connection did not become a link. Of those that come in from one place, one is told of each 5 s."""
+        """A connection did not become a link.
+
+        Of an address that is dialled, each new reason is told. Of the connections that come in from one place, one is
+        told of each 5 s, and one each minute while the reason stays the same; it says how many were not.
+        """
         why = over.refused or over.refusing or ""
         place = session.address or (f"a connection from {_place(session.remote)}" if session.remote else "a connection")
         text = f"no link over {place}: {over.reason}"
         if len(self._last_reason) > _MOST_PLACES:
             self._last_reason.clear()
         last, said_s, untold = self._last_reason.get(place, ("", -math.inf, 0))
-        if last == text:
+        if session.address and last == text:
             return
-        if not session.address and now_s < said_s + DROPS_REPORTED_EVERY_S:
+        if not session.address and now_s < said_s + (_AGAIN_S if last == text else DROPS_REPORTED_EVERY_S):
             self._last_reason[place] = (last, said_s, untold + 1)
             return
         self._last_reason[place] = (text, now_s, 0)

@@ -115,8 +115,8 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
-        later = transport.call_later
-        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, on_log)
+        later, now = transport.call_later, host_clock.now
+        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -396,7 +396,7 @@ class Mesh:
 
     def _may_send(self, session: Session, first: Packet, number: int) -> bool:
         """Returns whether the peer may send packets of this head; where not, they are dropped, and the log says so."""
-        if not (fault := self._trust.fault_of_packet(session, first)):
+        if not (fault := self._trust.fault_of_packets(session, first, number)):
             return True
         self._log.false_source(session, fault, number, self._now())
         return False

@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
+from pancakes.mesh.net.bucket import Bucket
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.mesh.security.certified import Certified
@@ -111,6 +112,7 @@ class Session(ConnectionHandler):
         self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
+        self.asked: Bucket | None = None  # how often the peer asked this agent for something lately
         self.refused = 0  # packets that the peer may not send
         self.refused_said_s = float("-inf")
         self._owner = owner

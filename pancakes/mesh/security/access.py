@@ -39,7 +39,8 @@ RIGHT_OF: Final[dict[type, Right]] = {
     Shutdown: "end",
 }
 """The right that each control packet needs. A dry run needs `look`."""
-_CONTROL_TYPES: Final = frozenset(map(type_name, (*RIGHT_OF, Reply)))
+_ASKING: Final = frozenset(map(type_name, RIGHT_OF))
+_CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
 _AMONG_ITSELF: Final = ("migration.", "post.", "task.")
 """Types of packets by which agents answer what was asked: the state machines know of whom they asked it."""
@@ -48,6 +49,11 @@ _AMONG_ITSELF: Final = ("migration.", "post.", "task.")
 def right_of(body: object) -> Right:
     """Returns the right that a control packet needs."""
     return "look" if getattr(body, "dry_run", False) else RIGHT_OF[type(body)]
+
+
+def asks(packet: Packet) -> bool:
+    """Returns whether a packet asks an agent for something."""
+    return packet.channel == SYSCTRL and packet.type in _ASKING
 
 
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
