@@ -185,6 +185,29 @@ def test_a_person_whose_time_is_over_is_refused_and_told(rig):
     assert here.data and b"its certificate ended 24.0 hours ago" in here.data
 
 
+@pytest.mark.parametrize("now_ns", [0, 4_070_908_800 * 10**9], ids=["1970", "2099"])
+def test_whatever_the_clock_says_machines_get_their_links(rig, monkeypatch, now_ns):
+    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    two(rig)
+
+
+@pytest.mark.parametrize(
+    ("now_ns", "days", "told"),
+    [
+        (0, 90, b""),
+        (0, -1, b"its certificate ended"),  # the roster is newer than that, whatever the clock says
+        (4_070_908_800 * 10**9, 90, b"its certificate ended"),
+    ],
+)
+def test_the_time_of_a_person_is_over_where_the_clock_or_the_roster_says_so(rig, monkeypatch, now_ns, days, told):
+    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    a = rig.agent("a")
+    here = rig.ear()
+    rig.with_keys(rig.enrol("alice", "operator", days=days)).dial(a.address, here)
+    rig.until(lambda: here.closed_for if told else here.connection)
+    assert told in here.data and bool(here.closed_for) == bool(told)
+
+
 def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):
     a = rig.agent("a")
     authority, key = Authority(rig.directory / "authority"), new_key()

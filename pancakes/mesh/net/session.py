@@ -174,6 +174,10 @@ class Session(ConnectionHandler):
 
     # The transport's callbacks
 
+    def comes_from(self, remote: str) -> None:
+        """See `ConnectionHandler`."""
+        self._remote = remote
+
     def opened(self, connection: Connection) -> None:
         """See `ConnectionHandler`."""
         self._connection, self._remote = connection, connection.remote
