@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
+from pancakes.mesh.net.links import Links
 from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import KEY, write_private
@@ -72,6 +73,26 @@ def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
     rig.until(lambda: "no link over" in b.log("warning"))
     assert why in b.log("warning"), "it is told why"
     assert not a.knows("b")
+
+
+def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monkeypatch):
+    """A command may wait for its turn while its link ends, and be looked at before the link is cleared away."""
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    refused = a.access.fault("y", "end", "a")
+    assert "it lacks the right 'end' on 'a'" in refused
+    asked = []
+    remove = Links.remove
+
+    def removing(links, session):
+        asked.append(a.access.fault("y", "end", "a"))
+        remove(links, session)
+
+    monkeypatch.setattr(Links, "remove", removing)
+    peer.connection.close("it goes")
+    rig.until(lambda: a.downs)
+    assert asked == [refused]
+    assert a.access.fault("y", "end", "a") == "a has no link to y any more, so it is not known what y may do"
 
 
 def test_an_older_roster_and_the_same_change_nothing(rig):

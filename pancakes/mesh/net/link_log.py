@@ -102,5 +102,5 @@ class LinkLog:
 
 
 def _place(remote: str) -> str:
-    """Returns where a connection comes from, without the port, which says nothing."""
-    return remote if is_local(remote) else remote.rpartition(":")[0]
+    """Returns where a connection comes from, without the port or the process, which may be another each time."""
+    return "this machine" if is_local(remote) else remote.rpartition(":")[0]

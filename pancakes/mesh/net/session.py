@@ -97,12 +97,15 @@ class Session(ConnectionHandler):
 
     Attributes:
         counted: how many mission packets were sent.
+        certified: what the peer's certificate says, also once the link has ended, because what came over it may still
+            wait to be looked at; None: the connection has none.
     """
 
     def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float]) -> None:
         self.number = number
         self.address = address
         self.link: Link | None = None
+        self.certified: Certified | None = None
         self.peer = ""
         self.hello: Hello | None = None
         self.is_up = False
@@ -130,11 +133,6 @@ class Session(ConnectionHandler):
     def remote(self) -> str:
         """Address of the other end, for messages to people."""
         return self._remote
-
-    @property
-    def certified(self) -> Certified | None:
-        """What the peer's certificate says; None: the connection has none."""
-        return self._connection.certified if self._connection is not None else None
 
     @property
     def role(self) -> str:
@@ -181,6 +179,7 @@ class Session(ConnectionHandler):
     def opened(self, connection: Connection) -> None:
         """See `ConnectionHandler`."""
         self._connection, self._remote = connection, connection.remote
+        self.certified = connection.certified
         self._owner.session_opened(self)
 
     def received(self, data: bytes) -> None:
