@@ -163,7 +163,7 @@ class Agent:
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
         own = config.access
-        self.kernel.access = Access(self.name, self._roster, own.allow, own.refuse)
+        self.kernel.access = Access(self.name, self._roster if self._keys is not None else None, own.allow, own.refuse)
         if virtual is None:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
