@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
 
 MOST_ASKED_HZ: Final = 1000.0
-"""So often a peer may ask this agent for something, in a second; as much at once. The rest is dropped."""
+"""So often a peer may ask this agent for something, in a second; as much at once. The rest is refused."""
 
 
 class Trust:
@@ -71,24 +71,26 @@ class Trust:
         shown = session.certified
         return fault_of_bearer(shown, hello.name, hello.role, hello.fleet) if shown is not None else ""
 
-    def fault_of_packets(self, session: Session, first: Packet, number: int) -> str:
-        """Returns why the peer may not send packets, as a sentence; empty: it may.
-
-        Args:
-            session: the link that they came over.
-            first: the first of them; the others have the same head.
-            number: how many they are.
-        """
+    def fault_of_packet(self, session: Session, packet: Packet) -> str:
+        """Returns why the peer may not send packets with this head, as a sentence; empty: it may."""
         access = self._access
         if access is None:
             return ""
-        if fault := fault_of_source(self._role, session.peer, session.role, first) or access.fault_of_packet(
-            *_bearer(session), session.peer, first
-        ):
-            return fault
-        if asks(first) and not self._asked_of(session).take(number, self._now()):
-            return f"{session.peer} ({session.role}) asks for more than {MOST_ASKED_HZ:g} things in a second"
-        return ""
+        return fault_of_source(self._role, session.peer, session.role, packet) or access.fault_of_packet(
+            *_bearer(session), session.peer, packet
+        )
+
+    def asks_too_much(self, session: Session, first: Packet, number: int) -> str:
+        """Returns why what the peer asks for is refused, as a sentence; empty: it asks for nothing, or not too often.
+
+        Args:
+            session: the link that the packets came over.
+            first: the first of them; the others have the same head.
+            number: how many they are.
+        """
+        if self._access is None or not asks(first) or self._asked_of(session).take(number, self._now()):
+            return ""
+        return f"{session.peer} asks for more than {MOST_ASKED_HZ:g} things in a second"
 
     def _asked_of(self, session: Session) -> Bucket:
         if session.asked is None:
