@@ -58,9 +58,8 @@ from pancakes.runtime.services.root import Root
 from pancakes.runtime.services.wanted_recordings import wanted_recordings
 from pancakes.runtime.state_dir import state_dir_of
 from pancakes.runtime.supervision.service_messages import Close, NoRoom, PeerDown
-from pancakes.runtime.transport_settings import keys_for, tcp_addresses, transport_settings
+from pancakes.runtime.transport_settings import keys_for, network_settings, tcp_addresses, transport_settings
 from pancakes.service import Service
-from pancakes.settings import make_settings
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -160,11 +159,11 @@ class Agent:
         virtual: Virtual | None,
         arguments: Mapping[str, Mapping[str, Any]],
     ) -> None:
-        network = self._network_settings()
+        network = network_settings(self.config)
         transport = virtual.transport if virtual is not None else self._open_transport()
         self.kernel.transport = transport
         own = config.access
-        self.kernel.access = Access(self.name, self._roster, own.allow, own.refuse)
+        self.kernel.access = Access(self.name, self._roster if self._keys is not None else None, own.allow, own.refuse)
         if virtual is None:
             transport.lend_thread(self.kernel.guest, network.busy_poll_s)
         store: RecordStore
@@ -459,8 +458,8 @@ class Agent:
         return MemoryJournal({}, str(uuid.uuid4())) if directory is None else FileJournal(directory)
 
     def _open_transport(self) -> Transport:
-        agent, network = self.config.agent, self._network_settings()
-        self._keys = keys = keys_for(agent, network)
+        agent, network = self.config.agent, network_settings(self.config)
+        self._keys = keys = keys_for(self.config, network)
         if keys is not None and (fault := keys.fault_of(keys.own)):
             self.skipped.append(f"no agent of {agent.fleet} believes this one any more: {fault}")
         self.insecure = keys is None and bool(tcp_addresses(agent))
@@ -470,7 +469,7 @@ class Agent:
     def _addresses(self) -> tuple[str, ...]:
         """Returns where it listens; without `local://` where another user has taken the place of its directory."""
         agent = self.config.agent
-        directory = self._network_settings().transports.get(LOCAL, {}).get("directory")
+        directory = network_settings(self.config).transports.get(LOCAL, {}).get("directory")
         try:
             if not agent.local_group and not any(is_local(address) for address in agent.listen):
                 make_directory(Path(str(directory)) if directory else runtime_dir())
@@ -478,18 +477,6 @@ class Agent:
             self.skipped.append(f"{self.name} cannot be reached at {agent.addresses[0]}: {error}")
             return agent.listen
         return agent.addresses
-
-    def _network_settings(self) -> NetworkService.Settings:
-        """Returns those settings of the network that are for transports and mesh, which are there before the service.
-
-        Raises:
-            SettingsError: they do not fit; a configuration that was made in code has not been checked before.
-        """
-        network = self.config.services.get("network")
-        given = network.settings if network is not None else {}
-        early = ("heartbeat_s", "busy_poll_s", "insecure", "keys", "transports")
-        known = {name: given[name] for name in early if name in given}
-        return make_settings(NetworkService.Settings, known)
 
     def _resting(self) -> dict[str, str]:
         services = {task.name: task.service for task in self.config.tasks.values() if task.start}

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from pancakes.errors import PancakesError
+from pancakes.errors import ConfigError, PancakesError
 from pancakes.mesh.address import LOCAL
 from pancakes.mesh.security.certified import fault_of_bearer
 from pancakes.mesh.security.key_folders import keys_of_agent
-from pancakes.runtime.config.tables import AgentConfig
+from pancakes.runtime.config.tables import AgentConfig, Config
 from pancakes.runtime.services.network import NetworkService
+from pancakes.settings import make_settings
 
 if TYPE_CHECKING:
     from pancakes.mesh.security.keys import Keys
@@ -29,29 +30,56 @@ def transport_settings(agent: AgentConfig, network: NetworkService.Settings) -> 
     }
 
 
+def network_settings(config: Config) -> NetworkService.Settings:
+    """Returns those settings of the network that are for transports and mesh, which are there before the service.
+
+    Raises:
+        SettingsError: they do not fit; a configuration that was made in code has not been checked before.
+    """
+    network = config.services.get("network")
+    given = network.settings if network is not None else {}
+    early = ("heartbeat_s", "busy_poll_s", "insecure", "keys", "transports")
+    return make_settings(NetworkService.Settings, {key: given[key] for key in early if key in given})
+
+
 def tcp_addresses(agent: AgentConfig) -> list[str]:
     """Returns the addresses of an agent's configuration that are reached over TCP."""
     return [address for address in (*agent.listen, *agent.peers) if address.startswith(f"{TCP}://")]
 
 
-def keys_for(agent: AgentConfig, network: NetworkService.Settings) -> Keys | None:
+def keys_for(config: Config, network: NetworkService.Settings) -> Keys | None:
     """Returns an agent's keys; None: it has none, and is to do without.
 
     Raises:
-        PancakesError: it is to speak over TCP, and has no keys for that, or another's; the sentence says what to do.
+        ConfigError: it is to speak over TCP, and has no keys for that, or none that are of use; the fault says what to
+            do.
     """
+    agent, places = config.agent, config.places
     folder = Path(network.keys) if network.keys else keys_of_agent(agent.fleet, agent.name)
     if folder is not None:
-        from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
-
-        keys = Keys(folder)
-        if fault := fault_of_bearer(keys.own, agent.name, agent.role, agent.fleet):
-            raise PancakesError(f"the keys in {folder} are not those of this agent: {fault}. Run pancakes fleet join")
-        return keys
+        try:
+            return _keys_of(agent, folder)
+        except PancakesError as error:
+            key = ("service", "network", "settings", "keys") if network.keys else ("agent", "name")
+            raise ConfigError([places.fault(key, str(error))]) from None
     addresses = tcp_addresses(agent)
     if addresses and not network.insecure:
-        raise PancakesError(
-            f"{addresses[0]!r} needs keys of the agent {agent.name} of the fleet {agent.fleet}: run pancakes fleet"
-            f" join, or use {LOCAL}://{agent.name} for this machine alone"
+        raise ConfigError(
+            [
+                places.fault(
+                    ("agent", "listen" if addresses[0] in agent.listen else "peers"),
+                    f"{addresses[0]!r} needs keys of the agent {agent.name} of the fleet {agent.fleet}: run pancakes"
+                    f" fleet join, or use {LOCAL}://{agent.name} for this machine alone",
+                )
+            ]
         )
     return None
+
+
+def _keys_of(agent: AgentConfig, folder: Path) -> Keys:
+    from pancakes.mesh.security.keys import Keys  # and with it OpenSSL, for which an agent without keys has no use
+
+    keys = Keys(folder)
+    if fault := fault_of_bearer(keys.own, agent.name, agent.role, agent.fleet):
+        raise PancakesError(f"the keys in {folder} are not those of this agent: {fault}. Run pancakes fleet join")
+    return keys

@@ -194,7 +194,7 @@ def test_a_state_directory_in_use(rig: Rig):
     ("network", "reason"),
     [
         (INSECURE, "no link over a connection from tcp://127.0.0.1: the other side broke the protocol"),
-        ("", "no link over a connection: tcp://127.0.0.1:"),
+        ("", "no link over a connection from tcp://127.0.0.1: "),
     ],
     ids=["insecure", "with keys"],
 )

@@ -359,7 +359,7 @@ STATIC = {"address": "tcp://x:1", "static": True, "name": "c", "failures": 3, "r
             {"mesh": {"peers": [{**PEER, "dropped": {}, "refused": 2}], "asleep": [], "addresses": []}},
             "warning",
             "a",
-            "refused 2 packets that b sent under another name",
+            "refused 2 packets of b, which may not send them",
         ),
         (
             {"mesh": {"peers": [{**PEER, "dropped": {"log": 3}}], "asleep": [], "addresses": []}},

@@ -216,3 +216,30 @@ def test_a_length_of_thousands_of_digits_is_a_refusal_and_no_traceback(agent, ca
     assert connection.getresponse().status == 405
     connection.close()
     assert "Traceback" not in capfd.readouterr().err
+
+
+def test_with_a_token_only_its_bearer_reads(tmp_path, monkeypatch):
+    monkeypatch.setenv("PANCAKES_RUNTIME_DIR", str(tmp_path / "run"))
+    services = {"metrics": {"type": "metrics", "settings": {"port": 0, "token": True}}}
+
+    def status(agent, **headers):
+        connection = http.client.HTTPConnection("127.0.0.1", port(agent), timeout=5)
+        connection.request("GET", "/metrics", headers=headers)
+        answer = connection.getresponse()
+        text = answer.read().decode()
+        connection.close()
+        return answer.status, text
+
+    with threaded_agent("a", services=services) as agent:
+        path = tmp_path / "run" / f"metrics-{port(agent)}.token"
+        assert path.stat().st_mode & 0o777 == 0o600
+        token = path.read_text()
+        assert status(agent) == (401, "show the token that the log names\n")
+        assert status(agent, Authorization=f"Bearer {token}x")[0] == 401
+        code, text = status(agent, Authorization=f"Bearer {token}")
+        assert code == 200 and "pancakes_" in text
+        agent.ask(Restart("metrics"))
+        agent.wait_until(lambda: agent.component("metrics").port and not path.exists())
+        again = tmp_path / "run" / f"metrics-{port(agent)}.token"
+        assert again.read_text() != token
+    assert not again.exists()

@@ -366,7 +366,7 @@ class Agent:
         self._seq = 0
         self.transport = rig.transport(name, role)
         keys = rig.keys_of(self.transport)
-        access = Access(name, lambda: keys.roster if keys is not None else None)
+        self.access = access = Access(name, (lambda: keys.roster) if keys is not None else None)
         self.mesh = Mesh(
             Identity(name, journal or f"journal of {name}", boot, fleet, role),
             self.transport,

@@ -83,9 +83,12 @@ def test_of_strangers_from_one_place_one_is_told_of_each_five_seconds(
         log.not_made(session(address="", remote=f"tcp://10.0.0.9:{number}"), Over(f"stranger {number}"), number / 100)
     log.not_made(session(address="", remote="tcp://10.0.0.8:1"), Over("another place"), 1.0)
     log.not_made(session(address="", remote="tcp://10.0.0.9:7"), Over("the last"), 5.0)
-    log.not_made(session(address="", remote="tcp://10.0.0.9:7"), Over("the last"), 15.0)
+    for number in range(59):
+        log.not_made(session(address="", remote="tcp://10.0.0.9:7"), Over("the last"), 6.0 + number)
+    log.not_made(session(address="", remote="tcp://10.0.0.9:7"), Over("the last"), 65.0)
     assert [text for _, text in said] == [
         "no link over a connection from tcp://10.0.0.9: stranger 0",
         "no link over a connection from tcp://10.0.0.8: another place",
         "no link over a connection from tcp://10.0.0.9: the last (and 99 others, that were not told of)",
+        "no link over a connection from tcp://10.0.0.9: the last (and 59 others, that were not told of)",
     ]

@@ -197,7 +197,7 @@ def test_the_log_of_an_agent_names_who_was_refused(rig, tmp_path):
     assert [as_another_user(path), as_another_user(path)] == ["closed", "closed"]
     rig.until(lambda: a.log("warning"))
     (line,) = a.log("warning").splitlines()
-    assert line.startswith("no link over a connection: at its other end is the process ")
+    assert line.startswith("no link over a connection from this machine: at its other end is the process ")
     assert line.endswith(f"of another user (uid {STRANGER})")
 
 

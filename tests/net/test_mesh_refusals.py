@@ -8,12 +8,13 @@ from net.conftest import BarePeer
 from net.meetings import message_of, pair, raw_hello
 
 from pancakes.bodies.devices.types import Pose
+from pancakes.control import Channels
 from pancakes.mesh.net.newcomers import MAX_HANDSHAKES
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import MAX_PAYLOAD_BYTES, frame
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.mesh.wire.link_messages import Goodbye, RefuseLink, Welcome
-from pancakes.packet import Packet
+from pancakes.packet import Packet, type_name
 
 
 def test_another_agent_of_the_same_name_is_refused_and_told_so(rig, agent):
@@ -61,6 +62,22 @@ def test_what_an_agent_sends_under_another_name_is_dropped_and_said(rig, agent, 
     assert f"0 (agent) sends packets of {source} on {channel!r}, and may speak for itself alone" in a.log("warning")
     (peer,) = a.mesh.describe()["peers"]
     assert peer["refused"] == 2
+
+
+def test_a_peer_asks_for_a_thousand_things_at_once_and_no_more(rig, agent):
+    """What is no question is not counted."""
+    a, ear = agent("a"), rig.ear()
+    rig.transport("0").dial(a.address, ear)
+    rig.until(lambda: ear.connection)
+    question = Packet("sysctrl", type_name(Channels), "0", "a", 0.0, 0, Channels())
+    said = replace(question, channel="chat", type="words", body="said")
+    sent = [message_of(replace(packet, seq=seq)) for packet in (question, said) for seq in range(1500)]
+    ear.connection.send(raw_hello("0") + frame([Encoder().link_message(Welcome()), *sent]))
+    rig.until(lambda: a.packets and (a.packets[-1].channel, a.packets[-1].seq) == ("chat", 1499))
+    asked = [packet for packet in a.packets if packet.channel == "sysctrl"]
+    assert 1000 <= len(asked) < 1500 and len(a.packets) == len(asked) + 1500
+    refused = [packet.seq for _, packet, reason in a.unfit if reason == "0 asks for more than 1000 things in a second"]
+    assert sorted([*(packet.seq for packet in asked), *refused]) == list(range(1500))
 
 
 @pytest.mark.parametrize(("follows", "taken"), [(False, ["0/c/T"]), (True, ["b/client/T", "0/c/T"])])

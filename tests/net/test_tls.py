@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import shutil
 import socket
 import ssl
@@ -9,11 +10,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
 from net.conftest import Ear, TlsRig
 
+from pancakes.bodies.sim.bus import Drive, encode
+from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
+from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
+from pancakes.mesh.security.key_files import KEY, write_private
 
 
 @pytest.fixture
@@ -42,10 +49,27 @@ def keys_of_a_stranger(rig: TlsRig) -> Path:
     return folder
 
 
+def keys_of_none_but_itself(rig: TlsRig) -> Path:
+    """Returns keys whose certificate is signed with its own key, and not by an authority."""
+    folder, key = rig.enrol("a"), new_key()
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "garage")])
+    now = datetime.datetime.now(datetime.UTC)
+    own = (
+        x509.CertificateBuilder(name, name, key.public_key(), 1, now, now + datetime.timedelta(days=9))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.UniformResourceIdentifier("pancakes://default/agent/a")]), False
+        )
+        .sign(key, hashes.SHA256())
+        .public_bytes(serialization.Encoding.PEM)
+    )
+    write_private(folder / KEY, own + pem_of_key(key))
+    return folder
+
+
 def both_closed(rig: TlsRig, here: Ear, there: Ear) -> tuple[str, str]:
     rig.until(lambda: here.closed_for and there.closed_for)
     assert there.connection is None, "nothing of it reaches the handler"
-    return here.closed_for[0], there.closed_for[0].partition(": ")[2]
+    return here.closed_for[0], there.closed_for[0]
 
 
 def test_both_know_who_is_there(rig, listening):
@@ -70,6 +94,35 @@ def test_a_certificate_of_another_authority_is_refused_on_both_sides(rig, listen
             tls.recv(1)
     rig.until(lambda: there.closed_for)
     assert there.closed_for[0].endswith("its certificate is of another fleet")
+
+
+def test_a_certificate_that_vouches_for_itself_is_refused(rig, listening):
+    there, address = listening
+    with raw(address) as link, bare_context(rig, keys_of_none_but_itself(rig)).wrap_socket(link) as tls:
+        with pytest.raises(ssl.SSLError, match="UNKNOWN_CA"):
+            tls.recv(1)
+    rig.until(lambda: there.closed_for)
+    assert there.closed_for == ["its certificate was signed by itself"] and there.connection is None
+
+
+def test_the_bus_of_a_simulated_world_is_for_the_fleet_alone(rig):
+    asked = []
+    world = rig.transport("world", "environment")
+    server = BusServer(world, lambda do: do(), asked.append, lambda *said: None)
+    address = server.listen(rig.listen_at)
+    drive = Drive("agent1", "motors", 1.0, 1.0, 1.0, "x/y/z")
+    with raw(address) as stranger:
+        stranger.sendall(encode(drive))
+        while stranger.recv(4096):
+            pass
+    shown = dialled(rig, keys_of_a_stranger(rig), address)
+    rig.until(lambda: shown.closed_for)
+    member = dialled(rig, rig.enrol("agent1"), address)
+    rig.until(lambda: member.connection)
+    assert member.connection
+    member.connection.send(encode(drive))
+    rig.until(lambda: asked)
+    assert asked == [drive] and len(server.clients) == 1
 
 
 def test_keys_of_two_fleets_in_one_folder_are_refused(rig):

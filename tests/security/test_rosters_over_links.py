@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 from net.conftest import Agent, BarePeer, TlsRig
 
+from pancakes.mesh.net.links import Links
 from pancakes.mesh.security.authority import Authority, new_key, pem_of_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.key_files import KEY, write_private
@@ -72,6 +73,26 @@ def test_a_revoked_peer_loses_its_links_and_gets_no_others(rig):
     rig.until(lambda: "no link over" in b.log("warning"))
     assert why in b.log("warning"), "it is told why"
     assert not a.knows("b")
+
+
+def test_what_came_over_a_link_that_has_ended_since_has_no_more_rights(rig, monkeypatch):
+    """A command may wait for its turn while its link ends, and be looked at before the link is cleared away."""
+    a = rig.agent("a")
+    peer = speaks(rig, a)
+    refused = a.access.fault("y", "end", "a")
+    assert "it lacks the right 'end' on 'a'" in refused
+    asked = []
+    remove = Links.remove
+
+    def removing(links, session):
+        asked.append(a.access.fault("y", "end", "a"))
+        remove(links, session)
+
+    monkeypatch.setattr(Links, "remove", removing)
+    peer.connection.close("it goes")
+    rig.until(lambda: a.downs)
+    assert asked == [refused]
+    assert a.access.fault("y", "end", "a") == "a has no link to y any more, so it is not known what y may do"
 
 
 def test_an_older_roster_and_the_same_change_nothing(rig):
@@ -183,6 +204,29 @@ def test_a_person_whose_time_is_over_is_refused_and_told(rig):
     rig.with_keys(folder).dial(a.address, here)
     rig.until(lambda: here.closed_for)
     assert here.data and b"its certificate ended 24.0 hours ago" in here.data
+
+
+@pytest.mark.parametrize("now_ns", [0, 4_070_908_800 * 10**9], ids=["1970", "2099"])
+def test_whatever_the_clock_says_machines_get_their_links(rig, monkeypatch, now_ns):
+    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    two(rig)
+
+
+@pytest.mark.parametrize(
+    ("now_ns", "days", "told"),
+    [
+        (0, 90, b""),
+        (0, -1, b"its certificate ended"),  # the roster is newer than that, whatever the clock says
+        (4_070_908_800 * 10**9, 90, b"its certificate ended"),
+    ],
+)
+def test_the_time_of_a_person_is_over_where_the_clock_or_the_roster_says_so(rig, monkeypatch, now_ns, days, told):
+    monkeypatch.setattr("pancakes.mesh.security.keys.wall_ns", lambda: now_ns)
+    a = rig.agent("a")
+    here = rig.ear()
+    rig.with_keys(rig.enrol("alice", "operator", days=days)).dial(a.address, here)
+    rig.until(lambda: here.closed_for if told else here.connection)
+    assert told in here.data and bool(here.closed_for) == bool(told)
 
 
 def test_one_fleet_does_not_believe_another_of_the_same_authority(rig):

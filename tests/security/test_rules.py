@@ -155,3 +155,10 @@ def test_a_file_that_is_not_sound_is_named(tmp_path, text, why):
     with pytest.raises(PancakesError, match=r"the rules .*rules\.toml are not sound") as raised:
         read_rules(tmp_path)
     assert why in str(raised.value)
+
+
+def test_without_a_roster_an_agent_with_keys_lets_no_peer_do_anything():
+    it = Access("r1", lambda: None)
+    assert "lacks the right 'end'" in it.fault_of(R2, True, "end", ("r1",))
+    assert "has no link to r2 any more" in it.fault("r2", "end", "r1")
+    assert Access("r1").fault("r2", "end", "r1") == ""

@@ -218,20 +218,29 @@ class Fuzzer:
             yield link
 
     def send(self, frames: int, ended: int) -> tuple[int, int]:
-        """Sends so many frames at least, until so many links have been ended; returns both numbers."""
+        """Sends so many frames at least, until so many links have been ended; returns both numbers.
+
+        Raises:
+            ConnectionRefusedError: the agent has ended.
+        """
         sent = links = 0
         while sent < frames or links < ended:
             rest = max(frames - sent, 1) / max(ended - links, 1)
-            with contextlib.suppress(OSError), self._linked() as link:
-                link.setblocking(False)
-                left = max(1, round(rest))
-                while left > 0:
-                    part = self._source.choices(self._keeping, k=min(BATCH, left))
-                    self._give(link, b"".join(part))
-                    sent += len(part)
-                    left -= len(part)
-                self._give(link, self._source.choice(self._ending) + b"\0\0\0\x01\x05")
-                self._until_ended(link)
+            left = max(1, round(rest))
+            try:
+                with self._linked() as link:
+                    link.setblocking(False)
+                    while left > 0:
+                        part = self._source.choices(self._keeping, k=min(BATCH, left))
+                        self._give(link, b"".join(part))
+                        sent += len(part)
+                        left -= len(part)
+                    self._give(link, self._source.choice(self._ending) + b"\0\0\0\x01\x05")
+                    self._until_ended(link)
+            except ConnectionRefusedError:
+                raise
+            except OSError:
+                pass
             links += 1
         return sent, links
 
@@ -265,9 +274,12 @@ def fuzz(rig: Rig, frames: int, ended: int, seed: int) -> Fuzzed:
     """
     agent = rig.ready("a", _AGENT, agent=f'state_dir = "{rig.directory}/state"')
     fuzzer = Fuzzer(rig.keys.of_agent("test", "z"), rig.port(agent), random.Random(seed))
-    fuzzer.send(frames // 20, ended // 20)  # what it takes once
-    before = psutil.Process(agent.pid).memory_info().rss
-    sent, links = fuzzer.send(frames, ended)
+    try:
+        fuzzer.send(frames // 20, ended // 20)  # what it takes once
+        before = psutil.Process(agent.pid).memory_info().rss
+        sent, links = fuzzer.send(frames, ended)
+    except ConnectionRefusedError:
+        return Fuzzed(0, 0, 0.0, ["it has ended:", *agent.so_far()[-20:]])
     grown = (psutil.Process(agent.pid).memory_info().rss - before) / 2**20
     assert rig.pancakes("task", "list", "a").returncode == 0, "the agent answers its own user"
     return Fuzzed(sent, links, grown, [line for line in agent.so_far() if _is_defect(line)])

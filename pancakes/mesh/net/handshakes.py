@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final, Generic, TypeVar
 
+from pancakes.mesh.net.bucket import Bucket
+
 MOST_UNFINISHED: Final = 64
 """Of more, the oldest is given up. A handshake that is meant takes some milliseconds."""
 RATE_HZ: Final = 200.0
@@ -23,17 +25,11 @@ class Handshakes(Generic[_T]):
 
     def __init__(self, now_s: float) -> None:
         self._unfinished: dict[_T, None] = {}
-        self._tokens = AT_ONCE
-        self._filled_s = now_s
+        self._beginning = Bucket(AT_ONCE, RATE_HZ, now_s)
 
     def may_begin(self, now_s: float) -> bool:
         """Returns whether one more may begin now; it then counts as begun."""
-        self._tokens = min(AT_ONCE, self._tokens + (now_s - self._filled_s) * RATE_HZ)
-        self._filled_s = now_s
-        if self._tokens < 1.0:
-            return False
-        self._tokens -= 1.0
-        return True
+        return self._beginning.take(1, now_s)
 
     def begun(self, connection: _T) -> _T | None:
         """A handshake begins; returns the connection that is to be given up for it, None: none."""

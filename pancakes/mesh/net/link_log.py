@@ -19,6 +19,8 @@ from pancakes.mesh.wire.link_messages import Hello
 
 DROPS_REPORTED_EVERY_S: Final = 5.0
 """The log names a slow peer, or one that speaks for another, at most that often, in seconds of host time."""
+_AGAIN_S: Final = 60.0
+"""So often, in host time, it names the same reason again for which a place gets no link."""
 _MOST_PLACES: Final = 256
 _NEWS: Final = ("version", "fleet", "name", "full", "protocol")
 
@@ -34,8 +36,9 @@ class LinkLog:
     def __init__(self, say: Callable[[str, str], None], static: Sequence[str]) -> None:
         self._say = say
         self._static = static
-        # The last that was told, when that was, and how many were not told of since; by the place that it is about.
-        self._last_reason: dict[str, tuple[str, float, int]] = {}
+        # The last that was told, when that was, and how many were not told of since; by the place that it is about, and
+        # by how loud that was.
+        self._last_reason: dict[tuple[str, str], tuple[str, float, int]] = {}
 
     def stood_up(self, session: Session, hello: Hello) -> None:
         """A link stands."""
@@ -52,26 +55,29 @@ class LinkLog:
         self._say(level, f"the link to {session.peer} has ended: {over.reason}")
 
     def not_made(self, session: Session, over: Over, now_s: float) -> None:
-        """A connection did not become a link. Of those that come in from one place, one is told of each 5 s."""
+        """A connection did not become a link.
+
+        Of an address that is dialled, each new reason is told. Of the connections that come in from one place, one is
+        told of each 5 s, and one each minute while the reason stays the same; it says how many were not.
+        """
         why = over.refused or over.refusing or ""
         place = session.address or (f"a connection from {_place(session.remote)}" if session.remote else "a connection")
         text = f"no link over {place}: {over.reason}"
-        if len(self._last_reason) > _MOST_PLACES:
-            self._last_reason.clear()
-        last, said_s, untold = self._last_reason.get(place, ("", -math.inf, 0))
-        if last == text:
-            return
-        if not session.address and now_s < said_s + DROPS_REPORTED_EVERY_S:
-            self._last_reason[place] = (last, said_s, untold + 1)
-            return
-        self._last_reason[place] = (text, now_s, 0)
-        if untold:
-            text += f" (and {untold} others, that were not told of)"
         # That one of two links goes is usual.
         quiet = "info" if session.address in self._static and not why else "debug"
         # Its transport will have nothing to do with it.
         stranger = not session.address and session.link is None and UNSAID not in over.reason
-        self._say("warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet, text)
+        level = "warning" if over.broken or over.turned_away or stranger or why in _NEWS else quiet
+        if len(self._last_reason) > _MOST_PLACES:
+            self._last_reason.clear()
+        last, said_s, untold = self._last_reason.get((place, level), ("", -math.inf, 0))
+        if session.address and last == text:
+            return
+        if not session.address and now_s < said_s + (_AGAIN_S if last == text else DROPS_REPORTED_EVERY_S):
+            self._last_reason[place, level] = (last, said_s, untold + 1)
+            return
+        self._last_reason[place, level] = (text, now_s, 0)
+        self._say(level, f"{text} (and {untold} others, that were not told of)" if untold else text)
 
     def drops(self, session: Session, now_s: float) -> None:
         """Names a peer that lost packets since it was last named."""
@@ -96,5 +102,5 @@ class LinkLog:
 
 
 def _place(remote: str) -> str:
-    """Returns where a connection comes from, without the port, which says nothing."""
-    return remote if is_local(remote) else remote.rpartition(":")[0]
+    """Returns where a connection comes from, without the port or the process, which may be another each time."""
+    return "this machine" if is_local(remote) else remote.rpartition(":")[0]

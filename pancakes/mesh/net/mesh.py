@@ -66,7 +66,7 @@ class Mesh:
         host_clock: the clock of hand-shakes and heartbeats.
         on_packets: takes (peer's name, packets, their bytes on the wire): all of one channel, type, source and
             destination, in their order.
-        on_unfit: takes (peer's name, packet, reason) of a packet whose body does not fit its type, and is None now.
+        on_unfit: takes (peer's name, packet, reason) of a packet that does not fit its type, or asks for too much.
         on_peer_up: takes the peer's hello when a link stands.
         on_peer_down: takes (name, reason, seconds it sleeps): None where it does not sleep on purpose, infinity
             where it did not say for how long.
@@ -115,8 +115,8 @@ class Mesh:
         self._state = "new"
         self._asleep_until_s = 0.0
         self._gossip = Gossiper(identity.role, self._links, self._tell)
-        later = transport.call_later
-        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, on_log)
+        later, now = transport.call_later, host_clock.now
+        self._trust = Trust(identity.role, keys, access, self._links, self._tell, self._refuse, later, now, on_log)
         self._sending = Sending(self._lost, defer)
         self._peers_alarm = Alarm(transport, self._now, self._run_peers)
         self._links_alarm = Alarm(transport, self._now, self._run_links, TOGETHER * self._times.heartbeat_s)
@@ -372,8 +372,14 @@ class Mesh:
             if session.number not in self._sessions or self._peers is None:
                 return  # an action before ended it
             if isinstance(action, PacketsReceived):
-                session.counters.packets_in += len(action.packets)
-                if self._may_send(session, action.packets[0], len(action.packets)):
+                first, number = action.packets[0], len(action.packets)
+                session.counters.packets_in += number
+                if not self._may_send(session, first, number):
+                    continue
+                if too_much := self._trust.asks_too_much(session, first, number):
+                    for packet in action.packets:
+                        self._call(self._on_unfit, session.peer, packet, too_much)
+                else:
                     self._call(self._on_packets, session.peer, action.packets, action.size)
             elif isinstance(action, SendMessage):
                 session.send_link(action.message)
@@ -386,9 +392,7 @@ class Mesh:
             elif isinstance(action, Up):
                 self._stood_up(session)
             elif isinstance(action, Learnt):
-                decisions = self._peers.learnt(action.addresses, self._now(), session.peer, session.remote)
-                if decisions:
-                    self._carry_out(decisions)
+                self._carry_out(self._peers.learnt(action.addresses, self._now(), session.peer, session.remote))
             elif isinstance(action, RosterHeard):
                 self._trust.rosters.heard(session, action.message)
             else:

@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol
 
 import msgspec
 
+from pancakes.mesh.net.bucket import Bucket
 from pancakes.mesh.net.send_buffer import FIRST, Counters, Key, Message, PeerBusy, SendBuffer
 from pancakes.mesh.net.transport import Connection, ConnectionHandler
 from pancakes.mesh.security.certified import Certified
@@ -96,12 +97,15 @@ class Session(ConnectionHandler):
 
     Attributes:
         counted: how many mission packets were sent.
+        certified: what the peer's certificate says, also once the link has ended, because what came over it may still
+            wait to be looked at; None: the connection has none.
     """
 
     def __init__(self, owner: Owner, number: int, address: str, now: Callable[[], float]) -> None:
         self.number = number
         self.address = address
         self.link: Link | None = None
+        self.certified: Certified | None = None
         self.peer = ""
         self.hello: Hello | None = None
         self.is_up = False
@@ -111,6 +115,7 @@ class Session(ConnectionHandler):
         self.counted = 0
         self.reported_drops = 0
         self.reported_s = float("-inf")
+        self.asked: Bucket | None = None  # how often the peer asked this agent for something lately
         self.refused = 0  # packets that the peer may not send
         self.refused_said_s = float("-inf")
         self._owner = owner
@@ -128,11 +133,6 @@ class Session(ConnectionHandler):
     def remote(self) -> str:
         """Address of the other end, for messages to people."""
         return self._remote
-
-    @property
-    def certified(self) -> Certified | None:
-        """What the peer's certificate says; None: the connection has none."""
-        return self._connection.certified if self._connection is not None else None
 
     @property
     def role(self) -> str:
@@ -172,9 +172,14 @@ class Session(ConnectionHandler):
 
     # The transport's callbacks
 
+    def comes_from(self, remote: str) -> None:
+        """See `ConnectionHandler`."""
+        self._remote = remote
+
     def opened(self, connection: Connection) -> None:
         """See `ConnectionHandler`."""
         self._connection, self._remote = connection, connection.remote
+        self.certified = connection.certified
         self._owner.session_opened(self)
 
     def received(self, data: bytes) -> None:

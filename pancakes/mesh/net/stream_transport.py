@@ -288,6 +288,8 @@ def _begin(
 ) -> None:
     """A socket is connected: its connection begins, unless the transport will have none there."""
     sock.setblocking(False)
+    if not dialled:
+        handler.comes_from(remote)
     refusal = transport.prepare(sock, dialled)
     if refusal:
         sock.close()

@@ -57,7 +57,7 @@ class TcpTransport(StreamTransport):
             return super().connection(sock, remote, handler, dialled)
         made = self._tls(self, sock, remote, handler, self.keys, dialled, self._handshakes.over)
         if not dialled and (oldest := self._handshakes.begun(made)) is not None:
-            oldest.dispose(f"{oldest.remote}: it was slow to say who it is, and others wait")
+            oldest.dispose("it was slow to say who it is, and others wait")
         return made
 
     def bind(self, address: str) -> Bound:

@@ -50,7 +50,6 @@ class TlsConnection(StreamConnection):
     ) -> None:
         super().__init__(owner, sock, remote, handler)
         self._keys = keys
-        self._dialled = dialled
         self._shaken = shaken
         self._in, self._out = ssl.MemoryBIO(), ssl.MemoryBIO()
         context = keys.dialling if dialled else keys.listening
@@ -60,7 +59,7 @@ class TlsConnection(StreamConnection):
 
     def begin(self) -> None:
         self._take_socket()
-        late = self._about(f"no handshake within {HANDSHAKE_S:g} s")
+        late = f"no handshake within {HANDSHAKE_S:g} s"
         self._late = self._owner.loop.call_later(HANDSHAKE_S, lambda: self.dispose(late))
         self._shake()
 
@@ -122,13 +121,9 @@ class TlsConnection(StreamConnection):
         self._end_handshake()
         if fault:
             # Closed in order, so that the other side sees the alert before the end.
-            self.close(self._about(fault))
+            self.close(fault)
         else:
             self._handler.opened(self)
-
-    def _about(self, fault: str) -> str:
-        """Returns what is wrong with the other side, with its place where this side does not know that yet."""
-        return fault if self._dialled else f"{self.remote}: {fault}"
 
     def _look(self) -> str:
         """Learns who is there; returns why that is not believed, as a clause."""
@@ -180,7 +175,7 @@ class TlsConnection(StreamConnection):
 
     def _end(self) -> str:
         if self.certified is None:
-            return self._about(UNSAID)
+            return UNSAID
         return f"the connection to {self.remote} broke: its end was cut off"
 
     def _half_close(self) -> None:

@@ -53,8 +53,12 @@ class Connection(ABC):
 class ConnectionHandler(Protocol):
     """What a user of a connection implements."""
 
+    def comes_from(self, remote: str) -> None:
+        """A connection came in from there; called before it is known whether it comes to stand."""
+        return
+
     def opened(self, connection: Connection) -> None:
-        """The connection stands; called first."""
+        """The connection stands."""
         ...
 
     def received(self, data: bytes) -> None:

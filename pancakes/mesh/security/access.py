@@ -39,7 +39,8 @@ RIGHT_OF: Final[dict[type, Right]] = {
     Shutdown: "end",
 }
 """The right that each control packet needs. A dry run needs `look`."""
-_CONTROL_TYPES: Final = frozenset(map(type_name, (*RIGHT_OF, Reply)))
+_ASKING: Final = frozenset(map(type_name, RIGHT_OF))
+_CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
 _AMONG_ITSELF: Final = ("migration.", "post.", "task.")
 """Types of packets by which agents answer what was asked: the state machines know of whom they asked it."""
@@ -48,6 +49,11 @@ _AMONG_ITSELF: Final = ("migration.", "post.", "task.")
 def right_of(body: object) -> Right:
     """Returns the right that a control packet needs."""
     return "look" if getattr(body, "dry_run", False) else RIGHT_OF[type(body)]
+
+
+def asks(packet: Packet) -> bool:
+    """Returns whether a packet asks an agent for something."""
+    return packet.channel == SYSCTRL and packet.type in _ASKING
 
 
 def needs(packet: Packet) -> tuple[Right, tuple[str, ...]] | None:
@@ -74,7 +80,7 @@ class Access:
 
     Args:
         agent: the agent.
-        roster: returns the roster that is known.
+        roster: returns the roster that is known; None: the agent has no keys.
         own: the rules of the agent's own file for peers without a certificate; None: it has none, and they may do all.
         refused: rights that the agent's own file gives to no peer.
     """
@@ -82,7 +88,7 @@ class Access:
     def __init__(
         self,
         agent: str,
-        roster: Callable[[], Roster | None] = lambda: None,
+        roster: Callable[[], Roster | None] | None = None,
         own: Sequence[AccessRule] | None = None,
         refused: Sequence[Right] = (),
     ) -> None:
@@ -108,7 +114,7 @@ class Access:
         found = self.bearer_of(peer)
         if found is not None:
             return self.fault_of(*found, right, on)
-        if self._roster() is None and self._own is None and not self._refused:
+        if self._roster is None and self._own is None and not self._refused:
             return ""
         return f"{self._agent} has no link to {peer} any more, so it is not known what {peer} may do"
 
@@ -136,7 +142,7 @@ class Access:
             if self._own is None or allows(self._own, who, right, on, self._agent):
                 return ""
             return f"{self._lacks(who, right, on)} (the [access] of its own file)"
-        roster = self._roster()
+        roster = self._roster() if self._roster is not None else None
         if roster is not self._known_of or len(self._known) > _MOST_KNOWN:
             self._known, self._known_of = {}, roster
         known = self._known.get((who, right, on))

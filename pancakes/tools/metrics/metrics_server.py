@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hmac
 import threading
 from collections.abc import Callable, Iterable
 from http import HTTPStatus
@@ -33,6 +34,7 @@ class MetricsServer:
     Args:
         port: the port; 0: a free one.
         registry: what is served.
+        token: what a request must show, as `Authorization: Bearer TOKEN`; empty: nothing.
 
     Attributes:
         port: the port that it is at.
@@ -41,9 +43,9 @@ class MetricsServer:
         OSError: the port cannot be had.
     """
 
-    def __init__(self, port: int, registry: CollectorRegistry) -> None:
+    def __init__(self, port: int, registry: CollectorRegistry, token: str = "") -> None:
         self._server = _Server((HOST, port), _MetricsRequestHandler)
-        self._server.set_app(_guarded(make_wsgi_app(registry)))
+        self._server.set_app(_guarded(make_wsgi_app(registry), token))
         self.port = self._server.server_port
         self._thread = threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True)
         self._thread.start()
@@ -93,7 +95,7 @@ class _MetricsRequestHandler(WSGIRequestHandler):
         """Does nothing."""
 
 
-def _guarded(metrics: Callable[..., Iterable[bytes]]) -> Callable[..., Iterable[bytes]]:
+def _guarded(metrics: Callable[..., Iterable[bytes]], token: str) -> Callable[..., Iterable[bytes]]:
     """Returns a WSGI application that hands on what may be asked, and says to others why not."""
 
     def answer(environ: dict[str, Any], respond: _Respond) -> Iterable[bytes]:
@@ -103,6 +105,11 @@ def _guarded(metrics: Callable[..., Iterable[bytes]]) -> Callable[..., Iterable[
         if method != "GET":
             sentence = f"{method[:20]} changes nothing here: there is only GET"
             return _refuse(environ, respond, HTTPStatus.METHOD_NOT_ALLOWED, sentence, ("Allow", "GET"))
+        if token and not hmac.compare_digest(
+            environ.get("HTTP_AUTHORIZATION", "").encode(), f"Bearer {token}".encode()
+        ):
+            challenge = ("WWW-Authenticate", "Bearer")
+            return _refuse(environ, respond, HTTPStatus.UNAUTHORIZED, "show the token that the log names", challenge)
         try:
             return metrics(environ, respond)
         except Exception as error:  # else the library would print a traceback

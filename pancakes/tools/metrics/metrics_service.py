@@ -2,23 +2,27 @@
 
 [service.metrics]
 type = "metrics"
-settings = { port = 9464 }
+settings = { port = 9464, token = true }
 """
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta
 
 from pancakes.errors import PancakesError, needing_extra
 from pancakes.events import Event
+from pancakes.mesh.security.key_files import write_private
 from pancakes.packet import LOG, SYSTEM, Packet, agent_of
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.kernel.task_timer import TaskTimer
+from pancakes.runtime.runtime_dir import make_directory, runtime_dir
 from pancakes.service import Service
 
 
@@ -35,9 +39,13 @@ class MetricsService(Service):
 
         Attributes:
             port: the port on 127.0.0.1; 0 takes a free one, which `log` tells.
+            token: whether a request must show a token, because other users of this machine reach 127.0.0.1 too. It is
+                in the file `metrics-PORT.token` of the runtime directory, which this user alone can read; each start
+                makes another.
         """
 
         port: Annotated[int, Meta(ge=0, le=65535)] = 9464
+        token: bool = False
 
     def __init__(self, *args: Any, **others: Any) -> None:
         super().__init__(*args, **others)
@@ -52,14 +60,20 @@ class MetricsService(Service):
             from pancakes.tools.metrics.metrics_server import HOST, MetricsServer
         self._metrics = AgentMetrics(self.kernel)
         try:
-            server = MetricsServer(self.settings.port, self._metrics.registry)
+            token = secrets.token_urlsafe(24) if self.settings.token else ""
+            server = MetricsServer(self.settings.port, self._metrics.registry, token)
         except OSError as error:
             where = f"{HOST}:{self.settings.port}"
             raise PancakesError(f"{self.address} cannot serve at {where}: {error.strerror or error}") from None
+        try:
+            shown = self._write_token(token, server.port) if token else ""
+        except BaseException:
+            server.close()
+            raise
         self.port = server.port
         self._close = server.close
         self.kernel.hear_lateness(self._late)
-        self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics")
+        self.log("info", f"metrics are at http://{HOST}:{self.port}/metrics{shown}")
 
     def _late(self, tick: tuple[TaskTimer, float]) -> None:
         self._metrics.ticked(*tick)
@@ -79,7 +93,22 @@ class MetricsService(Service):
     def on_stop(self) -> None:
         self.kernel.unhear_lateness(self._late)
         self._close()
+        if self.settings.token and self.port:
+            _token_file(self.port).unlink(missing_ok=True)
+
+    def _write_token(self, token: str, port: int) -> str:
+        path = _token_file(port)
+        try:
+            make_directory(path.parent)
+            write_private(path, token.encode())
+        except OSError as error:
+            raise PancakesError(f"{self.address} cannot write its token to {path}: {error.strerror}") from None
+        return f", for requests with the token in {path}"
 
     def on_failure(self, exception_type: Any, exception_value: Any, traceback: Any) -> None:
         super().on_failure(exception_type, exception_value, traceback)
         self.on_stop()
+
+
+def _token_file(port: int) -> Path:
+    return runtime_dir() / f"metrics-{port}.token"

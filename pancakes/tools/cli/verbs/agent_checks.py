@@ -108,6 +108,8 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
             peer = f"{known['name']} at {known['address']}" if known["name"] else f"at {known['address']}"
             text = f"is not connected to its peer {peer}" + (f": {known['refused']}" if known["refused"] else "")
             advice = "start that agent, or correct peers in [agent]"
+            if "certificate" in known["refused"]:
+                advice = "pancakes fleet list, and enrol it again if it is to belong to the fleet"
             yield Finding("warning", name, text, advice)
     for peer in mesh["peers"]:
         lost = sum(peer["dropped"].values())
@@ -116,8 +118,8 @@ def _check_peers(agent: dict[str, Any]) -> Iterator[Finding]:
             text = f"dropped {_count(lost, 'packet')} to {peer['name']}, which is too slow for them: {channels}"
             yield Finding("warning", name, text, "send less often, or look at the network between them")
         if peer["refused"]:
-            text = f"refused {_count(peer['refused'], 'packet')} that {peer['name']} sent under another name"
-            yield Finding("warning", name, text, f"find out what runs at {peer['remote']}: it speaks for others")
+            text = f"refused {_count(peer['refused'], 'packet')} of {peer['name']}, which may not send them"
+            yield Finding("warning", name, text, f"see why: pancakes log --from {name} --level warning")
 
 
 def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:

@@ -1,0 +1,117 @@
+"""Machines for tests of fleets: each has a home and an address of its own, and shares nothing with the others."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from cli.processes import PATIENCE_S, Running
+from torture.live import free_ports
+from torture.namespaces import Namespaces, NoNamespaces, check
+
+PANCAKES = ("-m", "pancakes.tools.cli.main")
+AGENT = ("-m", "pancakes.tools.cli.agent_command")
+PASSWORD = "a long way home"
+
+
+class Machine:
+    """One machine.
+
+    Args:
+        home: the home of its user.
+        host: its address.
+        port: where its agent listens.
+        command: what stands before each command that runs there.
+    """
+
+    def __init__(self, home: Path, host: str, port: int, command: Sequence[str] = ()) -> None:
+        self.home, self.host, self.port = home, host, port
+        self.command = [*command, sys.executable]
+        self.address = f"{host}:{port}"
+        home.mkdir(mode=0o700)
+        kept = {key: value for key, value in os.environ.items() if not key.startswith(("PANCAKES_", "XDG_"))}
+        self.environment = {**kept, "HOME": str(home), "PANCAKES_RUNTIME_DIR": str(home / "run")}
+        self._running: list[Running] = []
+
+    def pancakes(self, *arguments: str, typed: str = "") -> subprocess.CompletedProcess[str]:
+        """Runs a command to its end, without a terminal; `typed` are the lines that it reads."""
+        return subprocess.run(
+            [*self.command, *PANCAKES, *arguments],
+            input=typed,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_S,
+            env=self.environment,
+            cwd=self.home,
+            start_new_session=True,
+        )
+
+    def said(self, *arguments: str, typed: str = "") -> str:
+        """Runs a command that succeeds; returns what it said."""
+        ended = self.pancakes(*arguments, typed=typed)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    def begin(self, *arguments: str, typed: str = "") -> Running:
+        """Starts a command that goes on."""
+        lines = self.home / "typed"
+        lines.write_text(typed)
+        return self._run(["sh", "-c", 'exec "$@" < typed', "sh", *self.command, *PANCAKES, *arguments], whole=True)
+
+    def agent(self, name: str, peers: Sequence[str] = (), rest: str = "") -> Running:
+        """Starts an agent of the fleet garage."""
+        config = self.home / f"{name}.toml"
+        config.write_text(
+            f'schema = 1\ndevice.load = {{ driver = "host.load", rate_hz = 2 }}\n[agent]\nname = "{name}"\n'
+            f'fleet = "garage"\nlisten = "tcp://{self.address}"\npeers = {list(peers)}\n{rest}\n'
+        )
+        return self._run([*self.command, *AGENT, "--config", str(config)])
+
+    def _run(self, command: list[str], whole: bool = False) -> Running:
+        running = Running(command, self.environment, self.home, whole)
+        self._running.append(running)
+        return running
+
+    def bring(self, folder: str, other: Machine) -> None:
+        """Copies a folder from this home to that of another machine, as a memory stick would, and removes it here."""
+        shutil.move(self.home / folder, other.home / folder)
+
+    def close(self) -> None:
+        """Ends what runs there."""
+        for running in self._running:
+            running.close()
+
+
+@contextmanager
+def machines(directory: Path, names: Sequence[str], kind: str) -> Iterator[list[Machine]]:
+    """Gives machines: `homes` on the loopback interface, or `namespaces` with a network each.
+
+    Machines in namespaces need root; where they cannot be had, the test is skipped, with the reason.
+    """
+    made: list[Machine] = []
+    try:
+        if kind == "homes":
+            made += [
+                Machine(directory / name, "127.0.0.1", port)
+                for name, port in zip(names, free_ports(len(names)), strict=True)
+            ]
+            yield made
+            return
+        try:
+            check()
+        except NoNamespaces as error:
+            pytest.skip(str(error))
+        with Namespaces() as spaces:  # the first is that of this thread, and of what it starts
+            places = [*spaces.places, *(spaces.add() for _ in names[1:])]
+            for name, place in zip(names, places, strict=True):
+                made.append(Machine(directory / name, place.host, 7401, () if place is places[0] else place.command))
+            yield made
+    finally:
+        for machine in made:
+            machine.close()

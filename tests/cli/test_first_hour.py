@@ -1,0 +1,135 @@
+"""The first hour with a fleet (docs/security.md), between machines that share nothing but a network."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+
+import pytest
+from cli.machines import PASSWORD, Machine, machines
+from cli.processes import READY
+
+ONCE = f"{PASSWORD}\n"
+
+
+@pytest.fixture(params=["homes", "namespaces"])
+def three(request, tmp_path) -> Iterator[list[Machine]]:
+    with machines(tmp_path, ["laptop", "robot1", "robot2"], request.param) as made:
+        made[0].said("fleet", "init", "garage", "--me", "alice", typed=ONCE * 2)
+        yield made
+
+
+def enrolled(laptop: Machine, machine: Machine, *arguments: str) -> str:
+    """Lets a machine in with a code; returns what `join` said there."""
+    waiting = laptop.begin("fleet", *arguments, "--host", laptop.host, "--port", "0", typed=ONCE)
+    code = waiting.hear("pancakes fleet join ").rpartition(" ")[2]
+    said = machine.said("fleet", "join", code)
+    waiting.hear(f"{arguments[1]} has joined from {machine.host}.")
+    assert waiting.ended() == 0
+    again = machine.pancakes("fleet", "join", code)
+    assert again.returncode == 1 and "connection refused. Does pancakes fleet enrol still wait there?" in again.stderr
+    return said
+
+
+def carried(laptop: Machine, machine: Machine, *arguments: str) -> str:
+    """Lets a machine in with a folder; returns what `join` said there."""
+    laptop.said("fleet", *arguments, "--out", "stick", typed=ONCE)
+    laptop.bring("stick", machine)
+    said = machine.said("fleet", "join", "stick")
+    assert "Remove stick now" in said
+    return said
+
+
+def agents(laptop: Machine, at: Machine) -> dict[str, dict]:
+    rows = json.loads(laptop.said("agent", "list", "--at", at.address, "--fleet", "garage", "--format", "json"))
+    return {row["agent"]: row for row in rows}
+
+
+def test_two_robots_join_run_are_renewed_and_revoked(three):
+    laptop, robot1, robot2 = three
+    said = enrolled(laptop, robot1, "enrol", "agent1", "--group", "field")
+    assert "This machine is agent1 of the fleet garage" in said and "has not left this machine" in said
+    carried(laptop, robot2, "enrol", "agent2")
+    one = robot1.agent("agent1", [f"tcp://{robot2.address}"])
+    two = robot2.agent("agent2", [f"tcp://{robot1.address}"])
+    one.hear("agent2 (agent, tcp://")
+    one.so_far(), two.hear(READY)
+    found = agents(laptop, robot1)
+    assert {name: it["neighbours"] for name, it in found.items()} == {"agent1": ["agent2"], "agent2": ["agent1"]}
+    listed = json.loads(laptop.said("fleet", "list", "--format", "json"))
+    assert [(it["name"], it["role"], it["groups"], it["state"]) for it in listed] == [
+        ("alice", "operator", [], "good"),
+        ("agent1", "agent", ["field"], "good"),
+        ("agent2", "agent", [], "good"),
+    ]
+    assert listed[1]["came_from"] == robot1.host
+
+    enrolled(laptop, robot1, "renew", "agent1")
+    reloaded = laptop.said("agent", "reload-keys", "agent1", "--at", robot1.address, "--fleet", "garage")
+    assert "agent1" in reloaded
+    one.hear("there is a new key in ")
+    two.hear("agent1 (agent, tcp://")
+    assert agents(laptop, robot2)["agent2"]["neighbours"] == ["agent1"]
+
+    lost = laptop.said("fleet", "revoke", "agent2", "lost in the field", "--tell", robot1.address, typed=ONCE)
+    assert "revoked" in lost and "The roster 2 is known to agent1." in lost, lost
+    one.hear("agent2 is not believed any more: its certificate was revoked (roster 2): agent/agent2: lost in the field")
+    assert agents(laptop, robot1)["agent1"]["neighbours"] == []
+    refused = laptop.pancakes("agent", "list", "--at", robot2.address, "--fleet", "garage")
+    assert refused.returncode != 0 and "its certificate was revoked" in refused.stderr, refused.stderr
+
+    enrolled(laptop, robot2, "enrol", "agent2")
+    robot2.said("agent", "reload-keys", "agent2")
+    one.hear("agent2 (agent, tcp://")
+
+
+def test_a_person_joins_looks_and_is_told_what_is_missing(three):
+    laptop, robot1, desk = three
+    enrolled(laptop, robot1, "enrol", "agent1")
+    said = carried(laptop, desk, "enrol", "bob", "--role", "observer")
+    assert "You are observer bob of the fleet garage" in said
+    robot1.agent("agent1").hear(READY)
+    assert list(agents(desk, robot1)) == ["agent1"]
+    at = ("--at", robot1.address, "--fleet", "garage")
+    refused = desk.pancakes("task", "stop", "agent1/load", *at)
+    grant = re.search(r"pancakes (fleet allow bob change --on '(.+)' --at agent1)", refused.stderr)
+    assert refused.returncode == 1 and grant is not None, refused.stderr
+    told = laptop.said(
+        "fleet", "allow", "bob", "change", "--on", grant[2], "--at", "agent1", "--tell", robot1.address, typed=ONCE
+    )
+    assert "The roster 2 is known to agent1." in told
+    assert desk.pancakes("task", "stop", "agent1/load", *at).returncode == 0
+
+
+def test_a_wrong_password_gives_nothing_out(three):
+    laptop, robot1, _ = three
+    refused = laptop.pancakes("fleet", "enrol", "agent1", "--out", "stick", typed="guess\n")
+    assert refused.returncode == 1 and "password" in refused.stderr.lower() and "Traceback" not in refused.stderr
+    assert not (laptop.home / "stick").exists() and "agent1" not in laptop.said("fleet", "list")
+    other = robot1.pancakes("fleet", "init", "garage", "--me", "eve", typed="one\ntwo\n")
+    assert other.returncode != 0 and not (robot1.home / ".config/pancakes/fleets/garage").exists()
+
+
+def test_no_secret_is_written_down_or_said(three):
+    """Neither the key, nor the code, nor the password: not by an agent that says everything, nor by a command."""
+    laptop, robot1, _ = three
+    waiting = laptop.begin("fleet", "enrol", "agent1", "--host", laptop.host, "--port", "0", typed=ONCE)
+    code = waiting.hear("pancakes fleet join ").rpartition(" ")[2]
+    shown = robot1.said("fleet", "join", code)
+    assert waiting.ended() == 0
+    rest = '[service.log]\nsettings = { level = "debug", file = "all.jsonl", traceback = true }\n'
+    robot1.agent("agent1", rest=rest).hear(READY)
+    laptop.said("agent", "info", "agent1", "--at", robot1.address, "--fleet", "garage")
+    key = robot1.home / ".local/share/pancakes/keys/garage/agent1/key.pem"
+    private = key.read_text().partition("PRIVATE KEY-----\n")[2].partition("\n-----END")[0].split("\n")
+    secret = code.rpartition("/")[2]
+    outside = [path for path in (*robot1.home.rglob("*"), *laptop.home.rglob("*")) if path.is_file() and path != key]
+    others = [line for line in waiting.said if code not in line]
+    texts = [shown, *others, *(path.read_bytes().decode("latin-1") for path in outside)]
+    assert len(private) > 1 and len(texts) > 8
+    for text in texts:
+        assert not any(line in text for line in private)
+        assert secret not in text and secret.replace("-", "") not in text
+        if text != ONCE:  # which is what the test itself types
+            assert PASSWORD not in text
