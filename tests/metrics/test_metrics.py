@@ -239,7 +239,7 @@ def test_with_a_token_only_its_bearer_reads(tmp_path, monkeypatch):
         code, text = status(agent, Authorization=f"Bearer {token}")
         assert code == 200 and "pancakes_" in text
         agent.ask(Restart("metrics"))
-        agent.wait_until(lambda: agent.component("metrics").port and not path.exists())
+        agent.wait_until(lambda: not path.exists() and port(agent))
         again = tmp_path / "run" / f"metrics-{port(agent)}.token"
         assert again.read_text() != token
     assert not again.exists()

@@ -14,7 +14,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 from net.conftest import Ear, TlsRig
 
-from pancakes.bodies.sim.bus import Drive, encode
+from pancakes.bodies.sim.bus import Drive, Request, encode
 from pancakes.bodies.sim.bus_server import BusServer
 from pancakes.errors import PancakesError
 from pancakes.mesh.net.handshakes import AT_ONCE, MOST_UNFINISHED, Handshakes
@@ -106,7 +106,7 @@ def test_a_certificate_that_vouches_for_itself_is_refused(rig, listening):
 
 
 def test_the_bus_of_a_simulated_world_is_for_the_fleet_alone(rig):
-    asked = []
+    asked: list[Request] = []
     world = rig.transport("world", "environment")
     server = BusServer(world, lambda do: do(), asked.append, lambda *said: None)
     address = server.listen(rig.listen_at)
