@@ -10,7 +10,7 @@ name of a service, `service/` means the service.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -118,8 +118,9 @@ class Migrate(msgspec.Struct, frozen=True):
 class Adopt(msgspec.Struct, frozen=True):
     """Runs a task here on a person's word that it runs nowhere else.
 
-    Either its hand-off stands in doubt, and the other agent is gone for good; or this agent's own record of it was
-    lost. The one request that can make two of a task, namely where that person is wrong.
+    Its hand-off stands in doubt, and the other agent is gone for good; or this agent's own record of it was lost; or
+    another agent owns it too, and it is this one that is to live. The one request that can make two of a task, namely
+    where that person is wrong.
 
     Attributes:
         target: the task.
@@ -136,19 +137,52 @@ class Adopt(msgspec.Struct, frozen=True):
 
 @packet_type("forget")
 class Forget(msgspec.Struct, frozen=True):
-    """Lets a task of which this agent has lost its record rest here, on a person's word that it runs elsewhere.
+    """Lets a task rest here, on a person's word that it runs elsewhere.
 
-    From then on the agent neither starts it nor asks about it; it may be handed over to this agent like any other.
-    `Adopt` takes that back.
+    Either this agent has lost its record of it, and neither starts it nor asks about it from then on; `Adopt` takes
+    that back. Or another agent owns the task too: what is here of it, its state among it, is given up, and packets for
+    it go to the other agent. In both cases it may be handed over to this agent like any other.
 
     Attributes:
         target: the task.
-        birthplace: the agent that the task was born on, where the records of two tasks of its name were lost here.
+        birthplace: the agent that the task was born on, where two tasks of its name are undecided here.
+        owner: the agent that is to have it, where two own it; empty: the record of it was lost.
         dry_run: only says whether it would be done, and changes nothing.
     """
 
     target: str
     birthplace: str = ""
+    owner: str = ""
+    dry_run: bool = False
+
+
+@packet_type("revive")
+class Revive(msgspec.Struct, frozen=True):
+    """Runs a task here whose agent is gone for good, as its configuration says: its state is lost.
+
+    Its epoch is so much higher than all that is known of it that no actuator takes its commands for old, and that the
+    lost agent's own copy stands still where that agent ever comes back, once it is linked.
+
+    Attributes:
+        task_id: the task, as `birthplace/name`.
+        type: name of its class, such as `encirclement.ScanTarget`.
+        service: the service here that is to look after it.
+        settings: plain values for its settings.
+        restart: what its service does when it fails, as in `[task.NAME] restart`; empty: what is usual.
+        durability: `lazy` or `each`.
+        migrate: its rule for moving, as in `[task.NAME] migrate`; None: it has none.
+        force: whether to do it; without, the refusal says what it would mean.
+        dry_run: only says whether it would be done, and changes nothing.
+    """
+
+    task_id: str
+    type: str
+    service: str = "client"
+    settings: dict[str, Any] = {}
+    restart: dict[str, Any] = {}
+    durability: Literal["lazy", "each"] = "lazy"
+    migrate: dict[str, Any] | None = None
+    force: bool = False
     dry_run: bool = False
 
 
@@ -353,6 +387,7 @@ CONTROLS: tuple[type, ...] = (
     Migrate,
     Adopt,
     Forget,
+    Revive,
     SetFence,
     Migrations,
     Describe,

@@ -31,6 +31,8 @@ from pancakes.mesh.wire.link_messages import Hello, Identity
 from pancakes.packet import Packet, body_class, join
 from pancakes.runtime.composition import Composition
 from pancakes.runtime.config import Config
+from pancakes.runtime.hosting.census import Census
+from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
@@ -42,6 +44,7 @@ from pancakes.runtime.hosting.records import Records
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
+from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.dispatch import defer
 from pancakes.runtime.kernel.kernel import Kernel
 from pancakes.runtime.kernel.tell import tell
@@ -239,7 +242,8 @@ class Agent:
             self.kernel.transport.close()
             self.kernel.stop()
             raise
-        self._spawn_courier()
+        self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
+        self._tend(Census, CENSUS, records=self.records, state=self.host_state, mesh=self.mesh)
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -253,23 +257,17 @@ class Agent:
         )
         self._root = root
 
-    def _spawn_courier(self) -> None:
-        self.kernel.spawn(
-            Courier,
-            join(self.name, COURIER),
-            outbox=self.outbox,
-            records=self.records,
-            mesh=self.mesh,
-            exited=self._courier_ended,
-        )
+    def _tend(self, cls: type[Component], place: str, **arguments: Any) -> None:
+        """Starts an actor that belongs to no service, and again where it fails: what it must know is not in it."""
 
-    def _courier_ended(self, courier: Courier, error: BaseException | None) -> None:
-        self.kernel.stream.unsubscribe(courier.address)
-        if error is not None and not self.stopping.is_set():
-            # What it carried is not lost with it.
-            text = f"{courier.address} failed and is started again: {describe(error, type(courier))}"
-            self.kernel.log("error", text, traceback_of(error))
-            self._spawn_courier()
+        def ended(helper: Component, error: BaseException | None) -> None:
+            self.kernel.stream.unsubscribe(helper.address)
+            if error is not None and not self.stopping.is_set():
+                text = f"{helper.address} failed and is started again: {describe(error, cls)}"
+                self.kernel.log("error", text, traceback_of(error))
+                self._tend(cls, place, **arguments)
+
+        self.kernel.spawn(cls, join(self.name, place), exited=ended, **arguments)
 
     def _root_ended(self, root: Root, error: BaseException | None) -> None:
         """Without its root an agent takes no command any more, and no service comes back: so the agent ends too."""
@@ -318,9 +316,10 @@ class Agent:
                 self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
             elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
-        courier = self.kernel.registry.get(join(self.name, COURIER))
-        if courier is not None:
-            courier.stop()
+        for address in (COURIER, CENSUS):
+            helper = self.kernel.registry.get(join(self.name, address))
+            if helper is not None:
+                helper.stop()
         self.mesh.stop()
         self.store.close()
         if self.kernel.virtual is not None:
@@ -440,6 +439,9 @@ class Agent:
             self._clients.add(hello.name)
         else:
             self._say(lambda: self.kernel.say(Event("peer_up", {"peer": hello.name, "role": hello.role})))
+        census = self.kernel.registry.get(join(self.name, CENSUS))
+        if hello.role == "agent" and census is not None:
+            tell(census, NeighbourUp(hello.name))
 
     def _on_peer_down(self, name: str, reason: str, asleep_s: float | None) -> None:
         if name in self._clients:

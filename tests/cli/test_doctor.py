@@ -257,7 +257,15 @@ def test_too_few_files():
 
 
 def task(name: str = "Scan", **other: Any) -> dict[str, Any]:
-    plain = {"task": name, "service": "client", "state": "running", "reason": "", "ticks": 1000, "missed": 0}
+    plain = {
+        "task": name,
+        "service": "client",
+        "state": "running",
+        "rest": "",
+        "reason": "",
+        "ticks": 1000,
+        "missed": 0,
+    }
     return {**plain, "lateness_max_s": 0.0, "dropped": 0, **other}
 
 

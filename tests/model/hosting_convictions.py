@@ -145,4 +145,13 @@ CONVICTED_IN: Final[Mapping[str, str]] = {
     "what is stopped while the disk fails keeps its service waiting": "writes fail",
     "what a crash has left frozen waits for leave for ever": "given away, and writes fail after a crash",
     "what a crash has left frozen is tried again while it is handed over": "given away, and writes fail after a crash",
+    "GiveWay means nothing": "another owns it, and writes fail",
+    "GiveWay only passes": "another owns it, and writes fail",
+    "a disputed task is given leave": "another owns it, and writes fail",
+    "a task that waits for leave is stopped, where another owns it": "another owns it, and writes fail",
+    "what a refused task carried is not written down, where another owns it": "another owns it, and its service ends",
+    "a task that another owns is refused twice": "another owns it, and writes fail",
+    "the adoption of a disputed task that cannot be written down is not answered": "another owns it, and writes fail",
+    "that a disputed task cannot be given up is not answered": "another owns it, and writes fail",
+    "an adoption is not answered where a stop comes after it": "another owns it, and writes fail",
 }

@@ -11,6 +11,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, Final
 
+from model.hosting_dispute_mutants import DISPUTES
 from model.hosting_mutant import HostingMutant, edited_machine
 from model.hosting_rim import Step
 
@@ -237,8 +238,8 @@ MUTANTS: Final = (
     ),
     HostingMutant(
         "what cannot be forgotten is forgotten",
-        "    step.do(hosting_effect.Lasts(effect.reason))",
-        "    step.do(hosting_effect.Lasts())",
+        "lambda step, effect: step.do(hosting_effect.Lasts(effect.reason))",
+        "lambda step, effect: step.do(hosting_effect.Lasts())",
     ),
     # The service begins
     HostingMutant("what is born is recovered", "    if record.unborn or (event.fresh", "    if (event.fresh"),
@@ -320,7 +321,9 @@ MUTANTS: Final = (
         "trouble=event.reason)",
     ),
     HostingMutant(
-        "an adoption is not answered", "    if standing.record.phase in DOUBT and not", "    if False and not"
+        "an adoption is not answered",
+        "    if (standing.record.phase in (*DOUBT, Phase.RELEASED) or adopted) and not",
+        "    if False and not",
     ),
     HostingMutant(
         "an adoption that waits is answered",
@@ -473,4 +476,5 @@ MUTANTS: Final = (
         "    elif state in UNDECIDED:\n        step.live(life_event.PutOff",
         "    elif state is State.ASKED:\n        step.live(life_event.PutOff",
     ),
+    *DISPUTES,
 )

@@ -8,6 +8,7 @@ from model.hosting_world import Spent, Violation, World
 
 from pancakes.mesh.migration.effect import Persist, StartTask
 from pancakes.mesh.migration.event import GiveUp, Resend, WriteAgain
+from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import NO_EPOCH, Phase, Wanted
 from pancakes.runtime.hosting.hosting_event import StillOverdue
 from pancakes.runtime.hosting.machine import idle, settled
@@ -43,6 +44,8 @@ def _check_actor(world: World) -> None:
             raise Violation(f"it runs, and its record is {record.phase.name}")
         if world.disk.phase not in (Phase.OWNER, Phase.FROZEN):
             raise Violation(f"it runs, and its record on disk is {world.disk.phase.name}")
+    if is_disputed(record) and world.actor in ("made", "runs", "still"):
+        raise Violation("another agent owns it too, and it is not told to end")
     if world.actor == "still":
         if record.phase not in (Phase.OWNER, Phase.FROZEN):
             raise Violation("it was given away, and its actor was not told to end")
@@ -133,7 +136,7 @@ def _check_idle(world: World) -> None:
         raise Violation("its service waits for its end, and it has ended")
     if record.phase is Phase.RELEASED and record.sequel and not world.parts and not world.spent.faults:
         raise Violation("what follows its hand-over is done, and that is not written down")
-    if world.asked_for & {"adopt", "forget", "forgotten"} and settled(standing):
+    if world.asked_for & {"adopt", "forget", "forgotten", "give up"} and settled(standing):
         raise Violation("a decision of a person is never answered")
     if "follow" in world.asked_for and state not in (*UNDECIDED, *ACTOR):
         raise Violation("what it is to follow waits for ever")
@@ -169,7 +172,7 @@ def _check_place(world: World) -> None:
         raise Violation(f"it is {life.state.name}, and its record says that it is to run")
     if not settled(standing):
         return
-    if life.state is State.FAILED and life.at_rest and record.wanted is not Wanted.FAILED:
+    if life.state is State.FAILED and life.at_rest and record.wanted not in (Wanted.FAILED, Wanted.DISPUTED):
         raise Violation("it is given up, and its record says otherwise")
     tried = life.state in (State.REFUSED, State.RESTARTING) or life.restarts.due_s is not None
     if tried and record.wanted is not Wanted.RUNNING:

@@ -280,7 +280,9 @@ class Rim:
     def lasts(self, world: World, one: effect.Lasts, events: deque[Any], luck: Luck) -> World:
         if "forget" in world.asked_for and not one.why_not:
             raise Violation("it was said that it is forgotten, and that is not on disk")
-        return replace(world, asked_for=world.asked_for - {"forget", "forgotten"})
+        if "give up" in world.asked_for and not one.why_not and world.disk.phase is not Phase.RELEASED:
+            raise Violation("it was said that it is given up, and that is not on disk")
+        return replace(world, asked_for=world.asked_for - {"forget", "forgotten", "give up"})
 
     def rested(self, world: World, one: Any, events: deque[Any], luck: Luck) -> World:
         if world.actor:

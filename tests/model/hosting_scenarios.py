@@ -58,6 +58,11 @@ SUITE: Final[Mapping[str, Bounds]] = {
     "given away, and fails while its service ends": Bounds(offers=1, closes=True, spawns=1),
     "given away, it sticks, and its service ends": Bounds(offers=1, sticks=True, closes=True, ends=0),
     "it comes back, and it sticks": Bounds(offers=1, theirs=1, sticks=True, ends=0),
+    "another owns it, and writes fail": Bounds(claims=1, decisions=1, requests=1, faults=1),
+    "another owns it, and the agent crashes": Bounds(claims=1, decisions=1, requests=1, crashes=1),
+    "another owns it while it is given away": Bounds(offers=1, claims=1, decisions=1, ends=0, refusals=1),
+    "another owns it, and its service ends": Bounds(claims=1, closes=True, crashes=1, decisions=1),
+    "another owns it, and it sticks": Bounds(claims=2, sticks=True, requests=1, decisions=2),
     "it comes back, and had failed": Bounds(TEMPORARY, offers=1, theirs=1, spawns=1),
 }
 """Seconds in all: searched by the tests too."""

@@ -9,8 +9,17 @@ from model.hosting_rim import Rim
 from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.event import AdoptionAsked, Award, Checkpoint, ForgettingAsked, Received, Resend
+from pancakes.mesh.migration.event import (
+    AdoptionAsked,
+    Award,
+    Checkpoint,
+    ClaimHeard,
+    ForgettingAsked,
+    Received,
+    Resend,
+)
 from pancakes.mesh.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
+from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
 from pancakes.runtime.hosting import hosting_event as event
 from pancakes.runtime.hosting.machine import idle, settled
@@ -25,7 +34,7 @@ GOING: Final = (Phase.FROZEN, Phase.COMMITTED, Phase.PREPARED)
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
 MOST_WAIT: Final = 1
 """So many events wait for a record to be written; messages and timers that repeat themselves come later then."""
-MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked)
+MESSAGES: Final = (Received, Award, AdoptionAsked, ForgettingAsked, ClaimHeard)
 RESTS: Final = (State.STOPPED, State.REFUSED, State.FAILED)
 Following = Iterator[tuple[str, World]]
 
@@ -74,6 +83,7 @@ class Steps:
         yield from self._timers(world)
         yield from self._requests(world)
         yield from self._decisions(world)
+        yield from self._claims(world)
         yield from self._as_a_source(world)
         yield from self._as_a_destination(world)
         if world.parts:
@@ -200,16 +210,29 @@ class Steps:
         record, spent = world.standing.record, world.spent
         if spent.decisions >= self._bounds.decisions:
             return
-        if world.asked_for & {"adopt", "forget", "forgotten"}:
+        if world.asked_for & {"adopt", "forget", "forgotten", "give up"}:
             return
         asked = replace(world, spent=replace(spent, decisions=spent.decisions + 1))
         adopting = replace(asked, asked_for=world.asked_for | {"adopt"})
         if record.phase in DOUBT:
             yield "it is adopted", adopting, AdoptionAsked()
+        if is_disputed(record) and world.life is not None and world.life.at_rest and not world.closing:
+            yield "it is adopted", adopting, AdoptionAsked()
+            giving_up = replace(asked, asked_for=world.asked_for | {"give up"})
+            yield "it is given up", giving_up, ForgettingAsked(record.seen, PEER)
+        if record.phase is Phase.RELEASED and not record.sequel and not world.closing:
+            yield "it is revived", adopting, AdoptionAsked(BIRTH, 0, 2)
         if world.lost and record.phase is Phase.ABSENT:
             yield "it is adopted", adopting, AdoptionAsked(BIRTH, 0, 2)
             forgetting = replace(asked, asked_for=world.asked_for | {"forget"})
             yield "it is forgotten", forgetting, ForgettingAsked(NO_EPOCH)
+
+    def _claims(self, world: World) -> Iterator[Any]:
+        record, spent = world.standing.record, world.spent
+        may = spent.claims < self._bounds.claims and world.closing != "over"
+        if may and record.phase is Phase.OWNER and not is_disputed(record):
+            heard = replace(world, spent=replace(spent, claims=spent.claims + 1))
+            yield "another agent says that it owns it", heard, ClaimHeard(PEER, Epoch(record.epoch.n + 1, PEER))
 
     # The other agent -------------------------------------------------------------------------------------------
 

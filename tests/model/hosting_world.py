@@ -53,6 +53,7 @@ class Bounds(msgspec.Struct, frozen=True):
         wiped: whether the whole disk was, and the agent does not know that it ever had a record.
         blocked: whether another task has its name at first.
         follows: whether it is to run because another task has left.
+        claims: so often another agent says that it owns it too.
     """
 
     restart: RestartSpec = RestartSpec("permanent", at_most=1)
@@ -75,6 +76,7 @@ class Bounds(msgspec.Struct, frozen=True):
     wiped: bool = False
     blocked: bool = False
     follows: bool = False
+    claims: int = 0
 
 
 class Spent(msgspec.Struct, frozen=True):
@@ -89,6 +91,7 @@ class Spent(msgspec.Struct, frozen=True):
     awards: int = 0
     decisions: int = 0
     followed: bool = False
+    claims: int = 0
 
 
 class World(msgspec.Struct, frozen=True):

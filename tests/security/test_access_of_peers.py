@@ -7,7 +7,9 @@ from services.counting import Count
 
 from pancakes.bodies.devices.types import Load
 from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Shutdown, Start, Stop
-from pancakes.packet import CTRL
+from pancakes.mesh.migration.claim import Owned, OwnerClaim
+from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.packet import CTRL, NETWORK
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.testing import FleetInTest
 
@@ -118,3 +120,24 @@ def test_a_letter_reaches_a_task_only_with_the_right_to_write_to_it(fleet):
     b.publish("system", Load(0.5), to="task:a/Count")
     a.wait_until(lambda: any("it lacks the right 'write' on 'a/Count'" in line for line in a.lines("warning")))
     assert a.probe.packets(Load) == []
+
+
+@pytest.mark.parametrize("believed", [False, True])
+def test_a_claim_counts_only_from_a_peer_that_may_host_the_task(fleet, believed):
+    a, b = two(fleet, allowed('["publish", "host"]' if believed else '["publish"]'))
+    forged = OwnerClaim(TaskId("a", "Count"), Epoch(9, "b"))
+    b.publish(NETWORK, Owned((forged,)), to="a/kernel/Census")
+    fleet.run_for(1.0)
+    assert a.running("client") == ([] if believed else ["Count"])
+    refused = any("b says that it owns a/Count, and is not believed: a does not" in it for it in a.lines("warning"))
+    assert refused != believed
+
+
+def test_an_agent_claims_for_itself_alone(fleet):
+    """A packet under another agent's name does not come in (`speaker`); a terminal is no owner."""
+    a = fleet.start("a", tasks={"Count": Count})
+    w = fleet.start("w", role="environment")
+    fleet.connect()
+    w.publish(NETWORK, Owned((OwnerClaim(TaskId("a", "Count"), Epoch(9, "w")),)), to="a/kernel/Census")
+    fleet.run_for(1.0)
+    assert a.running("client") == ["Count"] and a.events("task_disputed") == []

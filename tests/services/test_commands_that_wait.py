@@ -45,7 +45,7 @@ def test_where_their_service_is_stopped():
     ("heard", "reason"),
     [
         (True, "a/fragile failed before it had done that: RuntimeError: no map"),
-        (False, "a/fragile ended before it came to that"),
+        (False, ("a/fragile ended before it came to that", "a/fragile is restarting, and Count with it")),
     ],
 )
 def test_where_their_service_fails(heard: bool, reason: str):

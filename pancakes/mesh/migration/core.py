@@ -22,6 +22,7 @@ from pancakes.mesh.migration.event import (
     Award,
     Born,
     Checkpoint,
+    ClaimHeard,
     Concluded,
     Ended,
     Event,
@@ -93,7 +94,7 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
         case Born():
             return owner.born(me, record, event)
         case RunAsked():
-            return owner.start(record, volatile, event)
+            return owner.start(me, record, volatile, event)
         case Ended():
             return owner.ended(record, volatile, event)
         case Concluded():
@@ -101,7 +102,9 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
         case AdoptionAsked():
             return owner.adopt(me, record, event)
         case ForgettingAsked():
-            return owner.forget(me, record, event)
+            return owner.forget(me, record, volatile, event)
+        case ClaimHeard():
+            return owner.claimed(me, record, volatile, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)
         case WriteAgain():
@@ -193,6 +196,9 @@ def _again(record: Record, volatile: Volatile, event: PersistFailed) -> Event | 
     """Returns what to try again by itself; in the other phases the other side's next message does it."""
     if record.phase is Phase.FROZEN:
         return GiveUp(record.offer, event.reason)
-    if record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER and not volatile.running:
+    # Of an adoption the person may have learnt better meanwhile.
+    adopted = record.phase is Phase.OWNER and event.record.epoch != record.epoch
+    ours = record.phase in (Phase.ABSENT, Phase.OWNER) and event.record.phase is Phase.OWNER
+    if ours and not adopted and not volatile.running:
         return WriteAgain(record, event.record)
     return None

@@ -74,6 +74,16 @@ class Resume(msgspec.Struct, frozen=True):
     snapshot: bytes
 
 
+class GiveWay(msgspec.Struct, frozen=True):
+    """Stop the task for good: another agent owns it too.
+
+    Attributes:
+        reason: why, as a sentence.
+    """
+
+    reason: str
+
+
 class Discard(msgspec.Struct, frozen=True):
     """Let go of the object that stands still here: a frozen task that was given away, or a dormant one."""
 
@@ -170,6 +180,7 @@ Effect = (
     | StartTask
     | Freeze
     | Resume
+    | GiveWay
     | Discard
     | Ack
     | Deliver

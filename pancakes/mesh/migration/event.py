@@ -79,11 +79,12 @@ class Arrived(msgspec.Struct, frozen=True):
 class AdoptionAsked(msgspec.Struct, frozen=True):
     """A person says that the other side is gone for good, and that the task shall run here after all.
 
-    The one event that can make two of a task, namely where that person is wrong.
+    The one event that can make two of a task, namely where that person is wrong. Of a task that two agents own, it says
+    that the one here lives.
 
     Attributes:
-        snapshot: where this agent has lost its record of the task, or was told to forget it: how the task is to begin,
-            encoded; empty: as the snapshot says that a hand-off in doubt has left here.
+        snapshot: where the agent that owned the task is lost, or this one has lost its record of it, or was told to
+            forget it: how the task is to begin, encoded; empty: as the snapshot says that is here.
         seen: the highest number of an epoch that is known of the task besides the record.
         jump: by how much the new epoch is to be higher than all that is known.
     """
@@ -94,13 +95,27 @@ class AdoptionAsked(msgspec.Struct, frozen=True):
 
 
 class ForgettingAsked(msgspec.Struct, frozen=True):
-    """A person says that the task, of which this agent has lost its record, is not to run here.
+    """A person says that the task is not to run here: this agent has lost its record, or another owns it too.
 
     Attributes:
         seen: the highest epoch that is known of it.
+        owner: the agent that is to have it; empty: that is not known.
     """
 
     seen: Epoch
+    owner: str = ""
+
+
+class ClaimHeard(msgspec.Struct, frozen=True):
+    """Another agent says that it owns the task.
+
+    Attributes:
+        peer: that agent.
+        epoch: the epoch under which it owns it.
+    """
+
+    peer: str
+    epoch: Epoch
 
 
 class PersistFailed(msgspec.Struct, frozen=True):
@@ -237,6 +252,7 @@ Event = (
     | Arrived
     | AdoptionAsked
     | ForgettingAsked
+    | ClaimHeard
     | PersistFailed
     | WriteAgain
     | Award

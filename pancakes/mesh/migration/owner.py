@@ -9,8 +9,10 @@ from pancakes.mesh.migration.effect import (
     AttemptFailed,
     Decline,
     Deliver,
+    Discard,
     Effect,
     Forward,
+    GiveWay,
     Persist,
     Remember,
     StartTask,
@@ -20,6 +22,7 @@ from pancakes.mesh.migration.event import (
     Arrived,
     Born,
     Checkpoint,
+    ClaimHeard,
     Ended,
     ForgettingAsked,
     RunAsked,
@@ -40,12 +43,14 @@ def born(me: str, record: Record, event: Born) -> list[Effect]:
     return [Persist(own), *_run(own)]
 
 
-def start(record: Record, volatile: Volatile, event: RunAsked) -> list[Effect]:
+def start(me: str, record: Record, volatile: Volatile, event: RunAsked) -> list[Effect]:
     """Starts a task that this agent owns; refuses where it does not."""
     if record.phase is not Phase.OWNER:
         return [_decline(record)]
     if volatile.running and not event.again:
         return [Decline(f"{record.task_id} runs already")]
+    if disputed := _disputed(record, volatile):
+        return [Decline(dispute_of(me, disputed))]
     if event.again and record.wanted is not Wanted.RUNNING:
         return [Decline(f"{record.task_id} is not restarted, it is to be {record.wanted.value}")]
     own = replace(record, wanted=Wanted.RUNNING, incarnation=record.incarnation + 1)
@@ -62,7 +67,8 @@ def ended(record: Record, volatile: Volatile, event: Ended) -> list[Effect]:
     """Writes down that the task shall not run, so that this outlives a reboot."""
     if record.phase is not Phase.OWNER:
         return [_decline(record)]
-    end = replace(record, wanted=event.wanted, snapshot=event.snapshot or record.snapshot)
+    disputed = _disputed(record, volatile)
+    end = replace(disputed or replace(record, wanted=event.wanted), snapshot=event.snapshot or record.snapshot)
     reason = f"the task was {'stopped' if event.wanted is Wanted.STOPPED else 'given up by its service'}"
     return [Remember(Volatile()), *_broken_off(volatile, reason), Persist(end)]
 
@@ -72,6 +78,29 @@ def write_again(record: Record, volatile: Volatile, event: WriteAgain) -> list[E
     if record != event.old or volatile.running or volatile.again != event.record:
         return []
     return [Remember(Volatile()), Persist(event.record), *recover(event.record)]
+
+
+def claimed(me: str, record: Record, volatile: Volatile, event: ClaimHeard) -> list[Effect]:
+    """Stands still where another agent owns the task under an epoch that is not lower.
+
+    No hand-off makes two owners, and each gives its owner a higher epoch than all before: so the other has it from a
+    restored disk, or by a person's word. Of two under one epoch neither knows whether it is the copy: both stand still.
+    """
+    if record.phase is not Phase.OWNER or event.epoch < record.epoch:
+        return []
+    if is_disputed(record):
+        if event.epoch <= record.seen:
+            return []
+        return [Persist(replace(record, peer=event.peer, seen=event.epoch))]  # an adoption here must be higher
+    own = replace(record, wanted=Wanted.DISPUTED, peer=event.peer, seen=max(record.seen, event.epoch))
+    reason = dispute_of(me, own)
+    return [
+        Remember(Volatile(again=own)),  # no start is given leave from now on
+        *_broken_off(volatile, reason),
+        GiveWay(reason),
+        Persist(own),
+        Remember(Volatile()),
+    ]
 
 
 def checkpoint(record: Record, volatile: Volatile, event: Checkpoint) -> list[Effect]:
@@ -98,21 +127,36 @@ def arrived(record: Record, volatile: Volatile, event: Arrived) -> list[Effect]:
 
 
 def adopt(me: str, record: Record, event: AdoptionAsked) -> list[Effect]:
-    """Takes a task that is in doubt, or whose record was lost, under a new epoch, on a person's word."""
-    fits = (Phase.ABSENT,) if event.snapshot else (Phase.COMMITTED, Phase.PREPARED)
-    if record.phase not in fits:
+    """Takes a task that is in doubt or disputed, or whose record was lost, under a new epoch, on a person's word."""
+    if not _may_be_adopted(record, event):
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to adopt")]
     epoch = Epoch(max(record.seen.n, event.seen) + event.jump, me)
     own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot or record.snapshot)
     return [Persist(own), *_run(own)]
 
 
-def forget(me: str, record: Record, event: ForgettingAsked) -> list[Effect]:
-    """Writes down that a task whose record was lost is not here, so that it is not born here again."""
+def forget(me: str, record: Record, volatile: Volatile, event: ForgettingAsked) -> list[Effect]:
+    """Writes down that a task is not here: it is not born here again, and what was here of a disputed one is gone."""
+    seen = max(record.seen, event.seen, Epoch(0, me))
+    if event.owner and record.phase is Phase.OWNER and record.wanted is not Wanted.RUNNING and not volatile.running:
+        tombstone = Record(record.task_id, Phase.RELEASED, record.epoch, seen, peer=event.owner)
+        return [Remember(Volatile()), Persist(tombstone), Discard()]
     if record.phase is not Phase.ABSENT:
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to forget")]
-    seen = max(record.seen, event.seen, Epoch(0, me))
     return [Remember(Volatile()), Persist(Record(record.task_id, seen=seen))]
+
+
+def is_disputed(record: Record) -> bool:
+    """Returns whether the task rests here because another agent owns it too."""
+    return record.phase is Phase.OWNER and record.wanted is Wanted.DISPUTED
+
+
+def dispute_of(me: str, record: Record) -> str:
+    """Returns why a disputed task rests, and what a person can do, as a sentence."""
+    return (
+        f"{record.task_id} is owned by {record.peer} too: it rests on {me} (epoch {record.epoch}) until you decide with"
+        f" `pancakes task resolve AGENT/{record.task_id.name}` which of the two lives"
+    )
 
 
 def recover(record: Record) -> list[Effect]:
@@ -124,9 +168,20 @@ def _run(own: Record) -> list[Effect]:
     return [Remember(Volatile(running=True)), StartTask(own.epoch, own.incarnation, own.snapshot)]
 
 
+def _may_be_adopted(record: Record, event: AdoptionAsked) -> bool:
+    if event.snapshot:  # what follows a hand-over, and is still to be done, must not be lost with its tombstone
+        return record.phase is Phase.ABSENT or (record.phase is Phase.RELEASED and not record.sequel)
+    return record.phase in (Phase.COMMITTED, Phase.PREPARED) or is_disputed(record)
+
+
 def _broken_off(volatile: Volatile, reason: str) -> list[Effect]:
     """Returns the news that a hand-off under way has come to nothing, if there was one."""
     return [AttemptFailed(volatile.asked, reason)] if volatile.asked else []
+
+
+def _disputed(record: Record, volatile: Volatile) -> Record | None:
+    """Returns the record that says that the task is disputed, also where it could not be written yet; None: none."""
+    return next((it for it in (record, volatile.again) if it is not None and is_disputed(it)), None)
 
 
 def _decline(record: Record) -> Decline:

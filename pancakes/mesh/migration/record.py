@@ -91,6 +91,8 @@ class Wanted(Enum):
     STOPPED = "stopped"
     FAILED = "failed"
     """Its service gave up on it."""
+    DISPUTED = "disputed"
+    """`peer` owns it too: it rests until a person decides which of the two lives."""
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -102,7 +104,8 @@ class Record(msgspec.Struct, frozen=True):
         epoch: the epoch that it runs, or last ran, under here.
         seen: the highest epoch ever seen here; never goes down.
         offer: in FROZEN, COMMITTED and PREPARED, the epoch of the hand-off under way.
-        peer: the other side of that hand-off; afterwards, where packets for the task are forwarded to.
+        peer: the other side of that hand-off; afterwards, where packets for the task are forwarded to. Of a disputed
+            task, the other owner.
         wanted: what those who command the task want of it.
         incarnation: how often it was started here under `epoch`; a checkpoint of an earlier one is not taken.
         snapshot: an encoded `Snapshot`; empty where this agent holds none.

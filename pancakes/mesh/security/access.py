@@ -20,6 +20,7 @@ from pancakes.control import (
     Reply,
     Reschedule,
     Restart,
+    Revive,
     SetFence,
     Shutdown,
     Start,
@@ -34,7 +35,7 @@ from pancakes.packet import CTRL, NETWORK, SYSCTRL, Packet, agent_of, type_name
 RIGHT_OF: Final[dict[type, Right]] = {
     **dict.fromkeys((Describe, Channels, History, Traces, Migrations, Follow, Unfollow), "look"),
     **dict.fromkeys((Start, Stop, Restart, Reschedule, Configure, Begin, SetFence, ReloadKeys), "change"),
-    **dict.fromkeys((Adopt, Forget), "adopt"),
+    **dict.fromkeys((Adopt, Forget, Revive), "adopt"),
     Migrate: "move",
     Shutdown: "end",
 }

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pancakes.errors import ControlRefused
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record
+from pancakes.mesh.migration.owner import is_disputed
+from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId
 from pancakes.runtime.hosting.lost import Lost
 
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
@@ -47,7 +48,7 @@ def chosen(
     meant = [record for record in records if birthplace in ("", record.task_id.birthplace)]
     found: list[Record | Lost] = [one for one in lost if birthplace in ("", one.task_id.birthplace)]
     if verb == "adopt":
-        found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record))]
+        found += [*in_doubt(meant), *(record for record in meant if was_forgotten(record) or is_disputed(record))]
     known = {one.task_id for one in found}
     meant = [record for record in meant if record.task_id in known or not record.unborn]
     if len(found) == 1:
@@ -64,6 +65,12 @@ def chosen(
 def meaning(record: Record, me: str) -> str:
     """Returns what adopting a task would mean, for a person who has not yet said `force`."""
     task_id, peer = record.task_id, record.peer
+    if is_disputed(record):
+        return (
+            f"{task_id} is owned by {me} (epoch {record.epoch}) and by {peer}, and rests here. By force, it runs on"
+            f" {me} as it was, under an epoch that is higher than both, and stands still on {peer}."
+            f" `pancakes task resolve {me}/{task_id.name}` does that, and clears it from {peer}. Nothing was done"
+        )
     if record.phase is Phase.COMMITTED:
         doubt = f"{task_id} was given to {peer} (offer {record.offer}), which does not say that it has it"
     else:
@@ -77,8 +84,20 @@ def meaning(record: Record, me: str) -> str:
     )
 
 
+def cost_of_revival(task_id: TaskId, me: str) -> str:
+    """Returns what reviving a task would mean, for a person who has not yet said `force`."""
+    return (
+        f"{task_id} would begin anew on {me}, as its configuration says: its state is lost, and with it the effect of"
+        f" all that it has acknowledged. Packets that wait for it come here. Where the agent that had it still runs,"
+        f" cut off from {me}, there are two of it until they are linked; then the other one stands still. So only where"
+        f" that agent is gone for good, or off. Nothing was done"
+    )
+
+
 def _standing(record: Record) -> str:
     match record.phase:
+        case Phase.OWNER if is_disputed(record):
+            return f"here, and owned by {record.peer} too"
         case Phase.OWNER:
             return "here already"
         case Phase.RELEASED:

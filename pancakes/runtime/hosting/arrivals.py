@@ -8,12 +8,13 @@ from typing import Any, Final
 import msgspec
 from msgspec.structs import replace
 
+from pancakes.control import Revive
 from pancakes.errors import PancakesError
 from pancakes.mesh.migration.candidate import would_take
 from pancakes.mesh.migration.effect import StartTask
 from pancakes.mesh.migration.event import Received
 from pancakes.mesh.migration.messages import HandOffMessage, Reserve, Transfer
-from pancakes.mesh.migration.record import Phase, Record
+from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.packet import Fence, join
 from pancakes.runtime.foundation.arrays import alike
@@ -71,10 +72,20 @@ class Arrivals:
                 host.log("warning", f"no actuators are kept for {task_id}: {reason}")
         return specs
 
-    def undecided(self, record: Record) -> str:
-        """Says why a task whose record was lost is not started; empty: it was not lost, or that has been decided."""
+    def undecided(self, place: Place) -> str:
+        """Says why a task is not started of which this agent does not know what it must know; empty: there is none."""
+        record, other = place.standing.record, place.other
+        if record.phase is not Phase.ABSENT:
+            return ""
         lost = self._records.lost(record.task_id)
-        return lost.undecided(self._host.agent) if lost is not None and record.phase is Phase.ABSENT else ""
+        if lost is not None:
+            return lost.undecided(self._host.agent)
+        if other is None or not record.unborn:
+            return ""
+        return (
+            f"{other.peer} owns {place.task_id} (epoch {other.epoch}), of which {self._host.agent} knows nothing: its"
+            f" disk was lost. It stays there; `pancakes task migrate` brings it here"
+        )
 
     def receive(self, peer: str, message: HandOffMessage, place: Place) -> Received | None:
         """Takes a hand-off message from a peer.
@@ -92,24 +103,25 @@ class Arrivals:
             self._state.free(message.task_id)
             if not would_take(record, message.offer):
                 return Received(peer, message)
-            refusal = self._cannot_build(peer, place, message)
+            refusal = self.cannot_build(peer, place, message.snapshot)
             place.came_from = "" if refusal else peer
             return Received(peer, message, refusal)
         if record.unborn and self._records.service_of(message.task_id) not in ("", self._host.name):
             return None
         return Received(peer, message)
 
-    def _cannot_build(self, peer: str, place: Place, message: Transfer) -> str:
-        """Builds what arrives, dormant, and keeps its actuators for it; says why that cannot be."""
+    def cannot_build(self, peer: str, place: Place, encoded: bytes) -> str:
+        """Builds a task that a peer brings, dormant, and keeps its actuators for it; says why that cannot be."""
+        task_id = place.task_id
         try:
-            snapshot = Snapshot.decode(message.snapshot)
+            snapshot = Snapshot.decode(encoded)
             if fault := self._host.kernel.access.fault(peer, "host", snapshot.type):
                 return fault
-            if snapshot.task_id != message.task_id:
-                return f"the snapshot is of {snapshot.task_id}, not of {message.task_id}"
-            here = self._records.service_of(message.task_id) or self._host.name
+            if snapshot.task_id != task_id:
+                return f"the snapshot is of {snapshot.task_id}, not of {task_id}"
+            here = self._records.service_of(task_id) or self._host.name
             if not here == snapshot.service == self._host.name:
-                return f"has a record of {message.task_id} in its service {here!r}, not in {snapshot.service!r}"
+                return f"has a record of {task_id} in its service {here!r}, not in {snapshot.service!r}"
             spec = spec_of(snapshot, self._catalogue)
             make_settings(spec.cls.Settings, snapshot.settings, owner=spec.name)
             make_settings(spec.cls.State, snapshot.state, allow_nan=True)
@@ -117,17 +129,37 @@ class Arrivals:
                 return f"bad settings for {spec.name}: {outside}"
         except (PancakesError, msgspec.ValidationError) as error:
             return str(error)
-        slot = self._host.slots.get(message.task_id.name)
+        slot = self._host.slots.get(task_id.name)
         if slot is not None:
             there = self._host.places.at[slot.name]
             if there is not place and not there.standing.leaving:
                 return f"has a task named {slot.name} already"
-        return self._host.kernel.registry.reserve(join(self._host.address, message.task_id.name), snapshot.requires)
+        return self._host.kernel.registry.reserve(join(self._host.address, task_id.name), snapshot.requires)
+
+    def as_configured(self, body: Revive) -> bytes:
+        """Returns a task as it begins that a person has described, encoded.
+
+        Raises:
+            PancakesError: its class is not installed here, or it cannot be written.
+        """
+        cls, version = self._catalogue.find(body.type)
+        return Snapshot(
+            task_id=TaskId.parse(body.task_id),
+            type=body.type,
+            version=version,
+            service=self._host.name,
+            requires=cls.requires,
+            settings=body.settings,
+            configured=body.settings,
+            restart=body.restart,
+            durability=body.durability,
+            migrate=body.migrate,
+        ).encode()
 
     def room(self, slot: Slot, place: Place, asked: AskRoom) -> Room:
         """Sees whether a task can run here now, and what it would begin with."""
         registry, record = self._host.kernel.registry, place.standing.record
-        if undecided := self.undecided(record):
+        if undecided := self.undecided(place):
             registry.unreserve(slot.address)
             return Room(asked, undecided, for_good=True)
         reason = self._host.admit(slot)

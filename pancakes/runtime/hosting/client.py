@@ -23,11 +23,13 @@ from pancakes.runtime.hosting import hosting_effect, hosting_event
 from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MigratorBegan, MoveOver
 from pancakes.runtime.hosting.carrier import Carrier
+from pancakes.runtime.hosting.census_messages import CENSUS, ClaimsCame, HostBegan
 from pancakes.runtime.hosting.checkpointing import Checkpointing
 from pancakes.runtime.hosting.courier_messages import COURIER, CameFor
 from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
+from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
@@ -118,7 +120,8 @@ class ClientService(Service):
         self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
-        self._decisions = Decisions(self, records, self._mover)
+        self._disputes = Disputes(self)
+        self._decisions = Decisions(self, records, self._mover, self._arrivals, self._disputes)
 
     # Its own life ----------------------------------------------------------------------------------------------
 
@@ -150,6 +153,7 @@ class ClientService(Service):
                 self.feed_place(place, hosting_event.TakeUp())
         self._checkpointing.begin()
         self._mover.begin()
+        self.tell_census(HostBegan(self))
 
     def wants(self, slot: Slot) -> bool:
         record = self.places.at[slot.name].standing.record
@@ -214,6 +218,9 @@ class ClientService(Service):
                 self.keeper.carry_out(slot, effect)
         if place.standing.record.phase is not before.record.phase or place.standing.leaving != before.leaving:
             self._note(place)
+        record = place.standing.record
+        if record.phase is Phase.OWNER and (before.record.phase, before.record.epoch) != (record.phase, record.epoch):
+            self._disputes.became_owner(place)
 
     def _note(self, place: Place) -> None:
         """A phase or a slot has changed: keeps true which slot is whose, also for others on this agent."""
@@ -347,6 +354,11 @@ class ClientService(Service):
         if courier is not None:
             tell(courier, message)
 
+    def tell_census(self, message: object) -> None:
+        census = self.kernel.registry.get(join(self.agent, CENSUS))
+        if census is not None:
+            tell(census, message)
+
     # What others tell ------------------------------------------------------------------------------------------
 
     def on_receive(self, message: Any) -> Any:
@@ -364,6 +376,8 @@ class ClientService(Service):
                 self._deliveries.given(message)
             case CameFor():
                 self._deliveries.arrived(message)
+            case ClaimsCame():
+                self._disputes.heard(message)
             case PeerDown():
                 self._carrier.drop(message.peer)
             case BidAwarded():
@@ -420,6 +434,9 @@ class ClientService(Service):
         if isinstance(body, control.Forget):
             self._decisions.forget(body, request)
             return
+        if isinstance(body, control.Revive):
+            self._decisions.revive(body, request)
+            return
         if slot is not None:
             self._refuse_elsewhere(body, slot)
         if isinstance(body, control.Migrate) and slot is not None:
@@ -450,7 +467,7 @@ class ClientService(Service):
         self._waiters.look_after(place, request)
 
     def refuse_start(self, slot: Slot) -> str:
-        return self._arrivals.undecided(self.places.at[slot.name].standing.record) or super().refuse_start(slot)
+        return self._arrivals.undecided(self.places.at[slot.name]) or super().refuse_start(slot)
 
     @classmethod
     def refuse_stop(cls, kernel: Kernel, name: str, arguments: Mapping[str, Any]) -> str:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from pancakes.control import Adopt, Forget
+from pancakes.control import Adopt, Forget, Revive
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId
+from pancakes.mesh.migration.owner import is_disputed
+from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
+from pancakes.packet import agent_of, join
 from pancakes.runtime.hosting import adoption
+from pancakes.runtime.hosting.arrivals import Arrivals
 from pancakes.runtime.hosting.bidding_messages import AttemptOver
+from pancakes.runtime.hosting.disputes import Disputes
 from pancakes.runtime.hosting.hosting_service import HostingService
-from pancakes.runtime.hosting.lost import Lost
+from pancakes.runtime.hosting.lost import MORE_THAN_MOVES, Lost
 from pancakes.runtime.hosting.mover import Mover
 from pancakes.runtime.hosting.place import Adoption, Place
 from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.life.request import Request
 
 
@@ -23,12 +28,18 @@ class Decisions:
         host: the service.
         records: knows of tasks whose records were lost.
         mover: looks after their moves.
+        arrivals: builds what is revived.
+        disputes: knows what other agents own.
     """
 
-    def __init__(self, host: HostingService, records: Records, mover: Mover) -> None:
+    def __init__(
+        self, host: HostingService, records: Records, mover: Mover, arrivals: Arrivals, disputes: Disputes
+    ) -> None:
         self._host = host
         self._records = records
         self._mover = mover
+        self._arrivals = arrivals
+        self._disputes = disputes
 
     def _known(self, name: str) -> list[Record]:
         return [place.standing.record for place in self._host.places.named(name)]
@@ -53,6 +64,11 @@ class Decisions:
             chosen = Lost(chosen.task_id, f"{host.agent} was told to forget it, after its record was lost")
         if isinstance(chosen, Lost):
             self._adopt_lost(chosen, body, request)
+        elif is_disputed(chosen):
+            if not body.force:
+                raise ControlRefused(adoption.meaning(chosen, host.agent))
+            why = f"{chosen.peer}, which owns it too, is to have it no longer"
+            self._run_here(chosen.task_id, AdoptionAsked(), chosen.peer, why, body.dry_run, request)
         else:
             self._adopt_doubtful(chosen, body, request)
 
@@ -89,6 +105,34 @@ class Decisions:
         event = AdoptionAsked(snapshot, lost.seen.n, lost.jump)
         self._run_here(task_id, event, "", f"{request.by} says that it runs nowhere else", body.dry_run, request)
 
+    def revive(self, body: Revive, request: Request) -> None:
+        """Runs a task here that a lost agent had, as its configuration says.
+
+        Raises:
+            ControlRefused: it is here, or may be elsewhere, it cannot run here, or the request does not say `force`.
+        """
+        host, task_id = self._host, TaskId.parse(body.task_id)
+        snapshot = self._arrivals.as_configured(body)
+        place = host.places.get(task_id) or Place(task_id, Standing(Record(task_id)))
+        record, lost = place.standing.record, self._records.lost(task_id)
+        if lost is not None or record.phase not in (Phase.ABSENT, Phase.RELEASED):
+            raise ControlRefused(f"{task_id} is known on {host.agent}: see `pancakes task adopt` and `task resolve`")
+        other = self._disputes.claimant(task_id)
+        if other is not None and host.connected(other.peer):
+            raise ControlRefused(
+                f"{task_id} is not revived: {other.peer} is connected, and owns it (epoch {other.epoch})"
+            )
+        refusal = self._arrivals.cannot_build(agent_of(request.by), place, snapshot)
+        if refusal or body.dry_run or not body.force:
+            host.kernel.registry.unreserve(join(host.address, task_id.name))
+        if refusal:
+            raise ControlRefused(f"{task_id} cannot run on {host.agent}: {refusal}")
+        if not body.force:
+            raise ControlRefused(adoption.cost_of_revival(task_id, host.agent))
+        seen = max(record.seen.n, other.epoch.n if other is not None else 0)
+        event = AdoptionAsked(snapshot, seen, MORE_THAN_MOVES)
+        self._run_here(task_id, event, "", f"{request.by} says that its agent is gone for good", body.dry_run, request)
+
     def _run_here(
         self, task_id: TaskId, event: AdoptionAsked, peer: str, why: str, dry_run: bool, request: Request
     ) -> None:
@@ -119,11 +163,14 @@ class Decisions:
         host.reply(adopted.request, why_not, done if not why_not else None)
 
     def forget(self, body: Forget, request: Request) -> None:
-        """Lets a task rest here whose record was lost, on a person's word that it runs elsewhere.
+        """Lets a task rest here, on a person's word that it runs elsewhere.
 
         Raises:
-            ControlRefused: its record was not lost, or several can be meant.
+            ControlRefused: its record was not lost and no other agent owns it, it runs, or several can be meant.
         """
+        if body.owner:
+            self._give_up(body, request)
+            return
         host = self._host
         known, lost_ones = self._known(body.target), self._lost(body.target)
         lost = adoption.chosen(host.address, body.target, body.birthplace, known, lost_ones, "forget")
@@ -136,6 +183,32 @@ class Decisions:
         place.forgetting = (request,)
         host.look_after(place, request)
         host.feed_place(place, ForgettingAsked(lost.seen if isinstance(lost, Lost) else NO_EPOCH))
+
+    def _give_up(self, body: Forget, request: Request) -> None:
+        host = self._host
+        ours = [
+            place
+            for place in host.places.named(body.target)
+            if place.standing.record.phase is Phase.OWNER and body.birthplace in ("", place.task_id.birthplace)
+        ]
+        if not ours:
+            raise ControlRefused(f"{host.address} owns no task {body.target!r}")
+        place = ours[0]
+        record, task_id = place.standing.record, place.task_id
+        if not is_disputed(record) and (place.other is None or place.other.peer != body.owner):
+            raise ControlRefused(f"{task_id} is owned by {host.agent} alone, as far as {host.agent} knows")
+        runs = record.wanted is Wanted.RUNNING or (place.slot is not None and not place.slot.life.at_rest)
+        if body.dry_run:
+            told = {"task_id": str(task_id), "epoch": str(record.epoch), "runs": runs}
+            host.reply(request, result=told)
+            return
+        if runs:
+            raise ControlRefused(f"{task_id} runs on {host.agent}: stop it there first")
+        place = self._place(task_id)
+        self._tell_asked("forget", task_id, request)
+        place.forgetting = (request,)
+        host.look_after(place, request)
+        host.feed_place(place, ForgettingAsked(record.seen, body.owner))
 
     def written(self, place: Place, why_not: str) -> None:
         """All that was decided about a task is on disk, or cannot be: answers the requests to forget it."""

@@ -109,6 +109,7 @@ Joined = (
     | handoff_effect.StartTask
     | handoff_effect.Freeze
     | handoff_effect.Resume
+    | handoff_effect.GiveWay
     | handoff_effect.Discard
     | handoff_effect.Decline
     | handoff_effect.HandedOver

@@ -55,6 +55,9 @@ class HostingService(Reference, Protocol):
     def tell_courier(self, message: object) -> None:
         """Tells this agent's courier something; nothing, while it is being started anew."""
 
+    def tell_census(self, message: object) -> None:
+        """Tells this agent's census something; nothing, while it is being started anew."""
+
     def open_slot(self, spec: TaskSpec) -> Slot: ...
 
     def has_migrator(self) -> bool:

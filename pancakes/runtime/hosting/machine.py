@@ -16,24 +16,19 @@ from msgspec.structs import replace
 from pancakes.mesh.migration import core
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import event as handoff_event
+from pancakes.mesh.migration.owner import dispute_of
 from pancakes.mesh.migration.record import Phase, Wanted
 from pancakes.mesh.migration.snapshot import begins_alike
 from pancakes.runtime.hosting import hosting_effect, hosting_event
+from pancakes.runtime.hosting.adoption import DOUBT
 from pancakes.runtime.hosting.leave import Leave
 from pancakes.runtime.hosting.now import Now
-from pancakes.runtime.hosting.standing import Standing
+from pancakes.runtime.hosting.standing import Standing, disputed_in
 from pancakes.runtime.life import life_effect, life_event, table
-from pancakes.runtime.life.life import CLOSES, Life, State
-
-ACTOR: Final = frozenset((State.STARTING, State.RUNNING, State.STOPPING, State.STUCK))
-"""The states of a life in which its task has an actor."""
-UNDECIDED: Final = frozenset((State.ASKED, State.CALLED_OFF))
-"""The states of a life in which it waits for leave."""
-
+from pancakes.runtime.life.life import ACTOR, CLOSES, UNDECIDED, Life, State
 
 _LIFE_EVENTS: Final = frozenset(get_args(life_event.Event))
 _HOSTING_EVENTS: Final = frozenset(get_args(hosting_event.HostingEvent))
-
 
 AnyEvent = life_event.Event | handoff_event.Event | hosting_event.HostingEvent
 AnyEffect = hosting_effect.PassedOn | hosting_effect.SlotEffect | hosting_effect.HostingEffect
@@ -115,6 +110,12 @@ class HostingStep:
                 self._carry(effect)
         self._living = False
 
+    def refuse(self, reason: str) -> None:
+        """Refuses the life the leave that it waits for, for good, unless that is about to happen."""
+        self.unreserve()
+        if not any(isinstance(event, life_event.LeaveRefused) for event, _ in self._lives):
+            self.live(life_event.LeaveRefused(reason, for_good=True))
+
     def go_on(self) -> None:
         """Goes on with the hand-off, until one of its effects takes time."""
         if self._going:
@@ -178,6 +179,8 @@ def _ask_leave(step: HostingStep, effect: life_effect.AskLeave) -> None:
         return
     if step.at.closing:
         step.live(life_event.LeaveRefused(CLOSES))
+    elif (disputed := disputed_in(step.standing)) is not None:
+        step.refuse(dispute_of(step.at.me, disputed))
     elif leave is Leave.RECOVERED:
         step.change(effects=(*step.standing.effects, *core.recover(step.standing.record)))
     elif leave is Leave.AGAIN:
@@ -234,6 +237,8 @@ def _start_task(step: HostingStep, effect: handoff_effect.StartTask) -> None:
     life = step.life
     if any(isinstance(event, handoff_event.Ended) for event in step.standing.events):
         step.change(waits=None)  # it was decided otherwise since
+        if life is None or life.at_rest:
+            step.do(hosting_effect.Decided("it was stopped since"))
     elif life is None:
         step.do(hosting_effect.OpenPlace(effect))
     elif life.state not in ACTOR:  # else it came back before the actor that was given away has ended
@@ -256,6 +261,16 @@ def _resume(step: HostingStep, effect: handoff_effect.Resume) -> None:
     if step.life is not None and step.life.state not in ACTOR | UNDECIDED:
         # Its actor failed while it stood still: it begins again from what was written down.
         step.live(life_event.StartAsked(), Leave.AGAIN)
+
+
+def _give_way(step: HostingStep, effect: handoff_effect.GiveWay) -> None:
+    life = step.life
+    if life is not None and life.state in UNDECIDED:
+        step.refuse(effect.reason)
+    elif life is not None:
+        step.live(life_event.StopAsked(reason=effect.reason))
+        if life.state is State.REFUSED:
+            step.do(life_effect.WriteRest())  # what it carried when it was refused
 
 
 def _discard(step: HostingStep, effect: handoff_effect.Discard) -> None:
@@ -286,18 +301,6 @@ def _start_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
     step.unreserve()
     if step.life is not None and step.life.state in UNDECIDED:
         step.live(life_event.LeaveRefused(effect.reason, for_good=True))
-
-
-def _adoption_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
-    step.do(hosting_effect.Decided(effect.reason))
-
-
-def _forgetting_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
-    step.do(hosting_effect.Lasts(effect.reason))
-
-
-def _award_declined(step: HostingStep, effect: handoff_effect.Decline) -> None:
-    step.do(handoff_effect.AttemptFailed("", effect.reason))
 
 
 # What happens besides ------------------------------------------------------------------------------------------
@@ -389,10 +392,12 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
     failed = handoff_event.PersistFailed(event.reason, waits.record)
     effects = core.handle(step.at.me, standing.record, standing.volatile, failed)
     step.change(waits=None, trouble=event.reason, effects=tuple(effects))
-    if waits.record.phase is Phase.ABSENT:
+    owner = standing.record.phase is Phase.OWNER
+    if waits.record.phase is Phase.ABSENT or (owner and waits.record.phase is Phase.RELEASED):
         step.do(hosting_effect.Lasts(event.reason))
     adopted_later = any(isinstance(later, handoff_event.AdoptionAsked) for later in standing.events)
-    if standing.record.phase in DOUBT and not adopted_later:
+    adopted = owner and waits.record.epoch != standing.record.epoch
+    if (standing.record.phase in (*DOUBT, Phase.RELEASED) or adopted) and not adopted_later:
         # An adoption is not tried again by itself: the person may have learnt better meanwhile.
         step.do(hosting_effect.Decided(f"{standing.record.task_id} is not adopted: {event.reason}"))
     step.go_on()
@@ -436,15 +441,12 @@ def _part_concluded(step: HostingStep, event: hosting_event.PartConcluded) -> No
         step.feed(handoff_event.Concluded())
 
 
-DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)
-"""The phases in which an agent cannot know by itself whether a task is its own."""
-
 DECLINED: Final[Mapping[type, Rule]] = {
     handoff_event.Born: _start_declined,
     handoff_event.RunAsked: _start_declined,
-    handoff_event.AdoptionAsked: _adoption_declined,
-    handoff_event.ForgettingAsked: _forgetting_declined,
-    handoff_event.Award: _award_declined,
+    handoff_event.AdoptionAsked: lambda step, effect: step.do(hosting_effect.Decided(effect.reason)),
+    handoff_event.ForgettingAsked: lambda step, effect: step.do(hosting_effect.Lasts(effect.reason)),
+    handoff_event.Award: lambda step, effect: step.do(handoff_effect.AttemptFailed("", effect.reason)),
 }
 """What it means that the hand-off declines an event."""
 
@@ -457,6 +459,7 @@ RULES: Final[Mapping[type, Rule]] = {
     handoff_effect.StartTask: _start_task,
     handoff_effect.Freeze: _freeze,
     handoff_effect.Resume: _resume,
+    handoff_effect.GiveWay: _give_way,
     handoff_effect.Discard: _discard,
     handoff_effect.Decline: _decline,
     handoff_effect.HandedOver: _handed_over,

@@ -54,6 +54,18 @@ class Adoption(msgspec.Struct, frozen=True):
     ledger: Ledger | None
 
 
+class OtherOwner(msgspec.Struct, frozen=True):
+    """Another agent that owns the task too, as it says.
+
+    Attributes:
+        peer: that agent.
+        epoch: under which epoch.
+    """
+
+    peer: str
+    epoch: Epoch
+
+
 class Place(msgspec.Struct):
     """The place of one task, whether it runs here or has left only its record.
 
@@ -73,6 +85,7 @@ class Place(msgspec.Struct):
         adoption: the adoption that waits for its start; None: none.
         forgetting: the requests to forget it that wait for the disk.
         follows: the task that it is started after; None: none.
+        other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
     """
 
     task_id: TaskId
@@ -88,6 +101,7 @@ class Place(msgspec.Struct):
     adoption: Adoption | None = None
     forgetting: tuple[Request, ...] = ()
     follows: TaskId | None = None
+    other: OtherOwner | None = None
 
     @property
     def owes(self) -> bool:

@@ -6,6 +6,7 @@ import msgspec
 
 from pancakes.mesh.migration.effect import Effect, Persist, StartTask
 from pancakes.mesh.migration.event import Event
+from pancakes.mesh.migration.owner import is_disputed
 from pancakes.mesh.migration.record import Record
 from pancakes.mesh.migration.volatile import Volatile
 
@@ -38,3 +39,10 @@ class Standing(msgspec.Struct, frozen=True):
     unanswered: int = 0
     rests: bool = False
     to_conclude: int = 0
+
+
+def disputed_in(standing: Standing) -> Record | None:
+    """Returns the record that says that another agent owns the task too, also where it is not on disk yet."""
+    writing = standing.waits.record if isinstance(standing.waits, Persist) else None
+    records = (standing.record, standing.volatile.again, writing)
+    return next((record for record in records if record is not None and is_disputed(record)), None)

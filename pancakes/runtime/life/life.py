@@ -45,7 +45,10 @@ WORDS: Final = {
 
 RESTS: Final = frozenset((State.STOPPED, State.REFUSED, State.FAILED))
 """The states in which nothing runs and nothing is under way."""
-
+ACTOR: Final = frozenset((State.STARTING, State.RUNNING, State.STOPPING, State.STUCK))
+"""The states in which a task has an actor."""
+UNDECIDED: Final = frozenset((State.ASKED, State.CALLED_OFF))
+"""The states in which it waits for leave."""
 
 CLOSES: Final = "its service stops"
 """Why a task ends, or does not start, where its service ends."""

@@ -15,10 +15,12 @@ from pancakes.mesh.net.mesh import Mesh
 from pancakes.mesh.wire.link import LinkTimes
 from pancakes.packet import Packet, agent_of, join
 from pancakes.runtime.hosting.bidding import TaskMigrator
+from pancakes.runtime.hosting.census_messages import CENSUS, NetworkBegan
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.kernel.handlers import Tick, every
 from pancakes.runtime.kernel.kernel import Kernel
+from pancakes.runtime.kernel.tell import tell
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.services.follower import LEAST_HZ, Follower
 from pancakes.runtime.supervision.service_messages import PeerDown
@@ -42,6 +44,9 @@ class NetworkClient(Task):
 
     def on_start(self) -> None:
         self.kernel.stream.gateway = self.send
+        census = self.kernel.registry.get(join(self.agent, CENSUS))
+        if census is not None:
+            tell(census, NetworkBegan())
 
     def on_stop(self) -> None:
         self.kernel.stream.gateway = None

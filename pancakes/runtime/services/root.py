@@ -30,6 +30,7 @@ from pancakes.control import (
     ReloadKeys,
     Reschedule,
     Restart,
+    Revive,
     SetFence,
     Shutdown,
     Start,
@@ -169,7 +170,12 @@ class Root(Component):
     def _resolve(self, body: Any, request: Request) -> None:
         target = getattr(body, "target", "")
         service, task = self.find(target) if target else ("", "")
+        if isinstance(body, Revive):  # of a task that need not be known here
+            service, task = body.service, body.task_id.rpartition("/")[2]
         self._must_be_allowed(body, request, service, task)
+        if isinstance(body, Revive):
+            self._hand(service, "", body, request)
+            return
         if isinstance(body, Begin):
             if not 0 <= body.in_s < math.inf:
                 raise ControlRefused(f"a mission cannot begin in {body.in_s} s")

@@ -127,6 +127,11 @@ def _check_tasks(agent: dict[str, Any], ask: Ask) -> Iterator[Finding]:
     for task in agent["tasks"]:
         about = f"{name}/{task['task']}"
         yield from _check_tries(about, "task", task)
+        if task["rest"] == "disputed":
+            text = "is owned by another agent too, and rests: " + (task["reason"] or "see the log of both")
+            yield Finding(
+                "error", about, text, f"pancakes task resolve AGENT/{task['task']} says which of the two lives"
+            )
         if task["state"] == "stuck":
             text = "was asked to stop and does not come back from what it is doing"
             yield Finding("error", about, text, "restart its agent; a task that waits for long sets blocking = True")

@@ -155,7 +155,7 @@ def forget(name: TaskName, birthplace: str, dry_run: bool, ask: Ask) -> None:
         pancakes task forget agent1/ScanTarget
     """
     with ask.client() as client:
-        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run))
+        reply = accepted(client, name.agent, Forget(name.target, birthplace, dry_run=dry_run))
     _show_decided(ask, name, reply, DRY_RUN if dry_run else "forgotten")
 
 

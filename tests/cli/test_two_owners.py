@@ -1,0 +1,114 @@
+"""A restored backup makes two owners of one task: what people see of that, and how they decide."""
+
+from __future__ import annotations
+
+import shutil
+
+from cli.processes import Rig, Running
+
+SOURCE = """
+from dataclasses import dataclass
+from pancakes.task import Task, every
+
+class Count(Task):
+    @dataclass
+    class State:
+        n: int = 0
+
+    @every(hz=20)
+    def tick(self, tick):
+        self.state.n += 1
+"""
+TASK = '[task.Count]\ntype = "count.Count"\n'
+
+
+def heard(agent: Running, text: str) -> str:
+    """Returns the line that contains a text, said already or soon."""
+    return next((line for line in agent.said if text in line), "") or agent.hear(text)
+
+
+def test_a_person_decides_which_of_two_owners_lives(rig: Rig):
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    b = rig.ready("b")
+    peers = f'peers = ["{rig.address(b)}"]'
+    a = rig.ready("a", TASK, agent=peers)
+    heard(a, "b (agent")
+    backup = rig.directory / "backup"
+    state = next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
+    shutil.copytree(state, backup)
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+    a.process.terminate()
+    assert a.ended() == 0
+    shutil.rmtree(state)
+    shutil.copytree(backup, state)
+
+    a = rig.ready("a", TASK, agent=peers)
+    said = heard(a, "is owned by a (epoch 0@a) and by b (epoch 1@a)")
+    assert "error" in said and "it stands still here, and goes on on b" in said
+    heard(b, "it goes on here, and must stand still on a")
+    rests = {row["agent"]: (row["state"], row["rest"]) for row in rig.listed("task", "list") if row["task"] == "Count"}
+    assert rests == {"a": ("stopped", "disputed"), "b": ("running", "")}
+    doctor = rig.pancakes("doctor")
+    assert doctor.returncode == 1 and "is owned by another agent too" in doctor.stdout, doctor.stdout
+    refused = rig.pancakes("task", "start", "a/Count")
+    assert refused.returncode == 1 and "pancakes task resolve" in refused.stderr
+
+    dry = rig.listed("task", "resolve", "a/Count", "--dry-run")
+    assert [(row["agent"], row["was"], row["becomes"], row["done"]) for row in dry] == [
+        ("b", "running", "given up", "dry run"),
+        ("a", "at rest", "running", "dry run"),
+    ]
+    done = rig.pancakes("task", "resolve", "a/Count")
+    assert done.returncode == 0, done.stderr
+    listed = [row for row in rig.listed("task", "list") if row["task"] == "Count" and row["state"] == "running"]
+    assert [row["agent"] for row in listed] == ["a"]
+    assert rig.pancakes("doctor").returncode == 0
+    again = rig.pancakes("task", "resolve", "a/Count")
+    assert again.returncode == 1 and "is owned by a alone" in again.stderr
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+
+
+def test_the_other_owner_need_not_be_there(rig: Rig):
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    b = rig.ready("b")
+    peers = f'peers = ["{rig.address(b)}"]'
+    a = rig.ready("a", TASK, agent=peers)
+    heard(a, "b (agent")
+    state = next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
+    assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
+    a.process.terminate()
+    assert a.ended() == 0
+    shutil.rmtree(state)
+    a = rig.ready("a", TASK, agent=peers)
+    heard(a, "task_disputed")
+    address = rig.address(b)
+    b.process.kill()
+    b.process.wait()
+    refused = rig.pancakes("task", "resolve", "a/Count")
+    assert refused.returncode == 1 and "does not answer" in refused.stderr and "--force" in refused.stderr
+    assert rig.pancakes("task", "resolve", "a/Count", "--force").returncode == 0
+    back = rig.agent(rig.directory / "b.toml", "--set", f'agent.listen="{address}"')
+    heard(back, "it stands still here, and goes on on a")
+
+
+def test_a_task_of_a_lost_agent_is_revived_from_its_configuration(rig: Rig):
+    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
+    b = rig.ready("b")
+    a = rig.ready("a", TASK, agent=f'peers = ["{rig.address(b)}"]')
+    heard(a, "b (agent")
+    asked = ("task", "revive", "b/Count", "--config", str(rig.directory / "a.toml"))
+    runs = rig.pancakes(*asked, "--force")
+    assert runs.returncode == 1 and "Count is running on a: it is not lost" in runs.stderr
+    a.process.kill()
+    a.process.wait()
+    heard(b, "peer_down peer=a")
+    meaning = rig.pancakes(*asked)
+    assert meaning.returncode == 1 and "its state is lost" in meaning.stderr and "Nothing was done" in meaning.stderr
+    assert [row["done"] for row in rig.listed(*asked, "--dry-run")] == ["dry run"]
+    assert [row["done"] for row in rig.listed(*asked, "--force")] == ["revived"]
+    listed = [row["state"] for row in rig.listed("task", "list", "b") if row["task"] == "Count"]
+    assert listed == ["running"]
+    other = rig.pancakes("task", "revive", "b/Nothing", "--config", str(rig.directory / "a.toml"))
+    assert other.returncode == 1 and "has no [task.Nothing]: it has Count" in other.stderr
+    back = rig.agent(rig.directory / "a.toml")
+    heard(back, "it stands still here, and goes on on b")

@@ -1,0 +1,94 @@
+"""A task whose agent is gone for good runs again on another, as a person describes it."""
+
+from __future__ import annotations
+
+import pytest
+from services.numbered import Numbered, Sink
+
+from pancakes.control import Describe, Migrate, Revive
+from pancakes.packet import task_address
+from pancakes.testing import FleetInTest
+
+SINK = Revive("a/Sink", "test.Sink")
+FORCED = Revive("a/Sink", "test.Sink", force=True)
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=8, classes={"test.Sink": Sink}) as made:
+        yield made
+
+
+def lost(fleet):
+    """An agent that had the task is gone; returns another, which never had to do with it."""
+    fleet.start("a", tasks={"Sink": {"type": "test.Sink"}})
+    b = fleet.start("b")
+    fleet.connect()
+    fleet.crash("a")
+    fleet.run_for(3.0)
+    return b
+
+
+def test_it_runs_again_and_packets_reach_it_under_an_epoch_above_all(fleet):
+    b = lost(fleet)
+    b.publish("system", Numbered(1), to=task_address("a/Sink"))
+    told = b.ask(SINK)
+    assert not told.ok and "its state is lost" in told.reason and told.reason.endswith("Nothing was done")
+    dry = b.ask(Revive("a/Sink", "test.Sink", force=True, dry_run=True))
+    assert dry.ok and b.running("client") == []
+    revived = b.ask(FORCED)
+    assert revived.ok, revived.reason
+    fleet.run_for(5.0)
+    assert b.task("Sink").state.numbers == [1]
+    assert b.ask(Describe(target="Sink")).result["fence"] == {"task_id": "a/Sink", "epoch": 1_000_000}
+
+
+def test_the_lost_agent_stands_still_when_it_is_back(fleet):
+    b = lost(fleet)
+    assert b.ask(FORCED).ok
+    a = fleet.restart("a")
+    fleet.connect()
+    fleet.run_for(1.0)
+    found = a.ask(Describe(target="Sink")).result
+    assert (found["state"], found["rest"]) == ("stopped", "disputed") and b.running("client") == ["Sink"]
+
+
+def test_where_its_owner_is_there_it_is_not_revived(fleet):
+    fleet.start("a", tasks={"Sink": {"type": "test.Sink"}})
+    b = fleet.start("b")
+    fleet.connect()
+    fleet.run_for(1.0)
+    refused = b.ask(FORCED)
+    assert not refused.ok and "a is connected, and owns it (epoch 0@a)" in refused.reason
+    assert "is known on a" in fleet.agents["a"].ask(FORCED).reason
+
+
+def test_an_agent_that_gave_it_away_can_revive_it(fleet):
+    a = fleet.start("a", tasks={"Sink": {"type": "test.Sink"}})
+    fleet.start("b")
+    fleet.connect()
+    assert a.ask(Migrate("Sink")).ok
+    fleet.run_for(2.0)
+    fleet.crash("b")
+    fleet.run_for(3.0)
+    assert a.ask(FORCED).ok
+    fleet.run_for(1.0)
+    assert a.running("client") == ["Sink"]
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (Revive("a/Sink", "test.Nothing", force=True), "test.Nothing"),
+        (Revive("Sink", "test.Sink", force=True), "is no task id"),
+        (Revive("a/Sink", "test.Sink", settings={"x": 1}, force=True), "cannot run on b"),
+        (Revive("a/Sink", "test.Sink", service="device", force=True), "cannot be asked for revive"),
+        (Revive("a/Sink", "test.Sink", service="nothing", force=True), "is not there"),
+    ],
+)
+def test_what_cannot_be_is_said_and_nothing_is_left_of_it(fleet, body, why):
+    b = lost(fleet)
+    refused = b.ask(body)
+    assert not refused.ok and why in refused.reason
+    assert b.running("client") == []
+    assert b.ask(FORCED).ok
