@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from services.numbered import Numbered, Sink
 
-from pancakes.control import Describe, Migrate, Revive
+from pancakes.control import Describe, Migrate, Revive, Start
 from pancakes.packet import task_address
 from pancakes.testing import FleetInTest
 
@@ -74,6 +74,26 @@ def test_an_agent_that_gave_it_away_can_revive_it(fleet):
     assert a.ask(FORCED).ok
     fleet.run_for(1.0)
     assert a.running("client") == ["Sink"]
+
+
+class Drives(Sink):
+    """Needs what another may need."""
+
+    requires = ("motors",)
+
+
+def test_what_was_only_asked_for_keeps_no_actuators(fleet):
+    b = fleet.start(
+        "b",
+        devices={"motors": "null.motors"},
+        tasks={"Other": {"type": Drives, "start": False}},
+        classes={"test.Drives": Drives},
+    )
+    asked = Revive("a/Sink", "test.Drives", force=True, dry_run=True)
+    assert b.ask(asked).ok and not b.ask(Revive("a/Sink", "test.Drives")).ok
+    started = b.ask(Start("Other"))
+    assert started.ok, started.reason
+    assert "is held by" in b.ask(Revive("a/Sink", "test.Drives", force=True)).reason
 
 
 @pytest.mark.parametrize(

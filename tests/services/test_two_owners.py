@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from services.numbered import Sink
 
-from pancakes.control import Adopt, Describe, Forget, Migrate, Start, Stop
+from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
+from pancakes.runtime.hosting.census import Census
+from pancakes.runtime.hosting.census_messages import NeighbourUp
 from pancakes.testing import FleetInTest
 
 TASKS = {"Sink": Sink}
@@ -120,8 +122,22 @@ def test_a_birthplace_that_hears_of_the_owner_first_gives_no_birth(fleet):
     a = fleet.start("a", tasks={"Sink": {"type": Sink, "start": False}})
     fleet.connect()
     fleet.run_for(1.0)
-    refused = a.ask(Start("Sink"))
-    assert not refused.ok and "b owns a/Sink (epoch 1@a), of which a knows nothing" in refused.reason
+    for _ in range(2):
+        refused = a.ask(Start("Sink"))
+        assert not refused.ok and "b owns a/Sink (epoch 1@a), of which a knows nothing" in refused.reason
+        assert a.ask(Restart("client")).ok, "its successor is told again"
+        fleet.run_for(1.0)
+
+
+def test_a_link_that_stands_before_its_network_service_runs_is_caught_up_with(fleet, monkeypatch):
+    receive = Census.on_receive
+    deaf = lambda census, message: None if isinstance(message, NeighbourUp) else receive(census, message)  # noqa: E731
+    monkeypatch.setattr(Census, "on_receive", deaf)
+    a, b = restored(fleet)
+    assert state(a)[0] == state(b)[0] == "running"
+    assert a.ask(Restart("network/NetworkClient")).ok
+    fleet.run_for(1.0)
+    assert state(a) == ("stopped", "disputed") and state(b)[0] == "running"
 
 
 def test_of_two_copies_of_one_disk_both_stand_still(fleet):
