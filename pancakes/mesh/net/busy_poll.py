@@ -13,8 +13,11 @@ from typing import Final
 
 from pancakes.runtime.kernel.inbox import LONGEST_S
 
-BUSY_POLL_S: Final = 0.0002
-"""So long the thread stays awake for the next packet, if the configuration does not say otherwise."""
+BUSY_POLL_S: Final = 0.0005
+"""So long the thread stays awake for the next packet, if the configuration does not say otherwise.
+
+A round trip over TLS on a slow board must still fit in.
+"""
 STREAK: Final = 8
 """So many waits in a row have to end that soon before it does. Two packets that come together, as those of two agents
 that tick at the same time, are no dialogue.
