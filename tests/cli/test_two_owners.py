@@ -27,12 +27,18 @@ def heard(agent: Running, text: str) -> str:
     return next((line for line in agent.said if text in line), "") or agent.hear(text)
 
 
-def test_a_person_decides_which_of_two_owners_lives(rig: Rig):
+def two(rig: Rig) -> tuple[Running, Running, str]:
+    """Returns an agent that owns the task, its neighbour, and what the file of the first says of the second."""
     rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
     b = rig.ready("b")
     peers = f'peers = ["{rig.address(b)}"]'
     a = rig.ready("a", TASK, agent=peers)
     heard(a, "b (agent")
+    return a, b, peers
+
+
+def test_a_person_decides_which_of_two_owners_lives(rig: Rig):
+    a, b, peers = two(rig)
     backup = rig.directory / "backup"
     state = next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
     shutil.copytree(state, backup)
@@ -69,11 +75,7 @@ def test_a_person_decides_which_of_two_owners_lives(rig: Rig):
 
 
 def test_the_other_owner_need_not_be_there(rig: Rig):
-    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
-    b = rig.ready("b")
-    peers = f'peers = ["{rig.address(b)}"]'
-    a = rig.ready("a", TASK, agent=peers)
-    heard(a, "b (agent")
+    a, b, peers = two(rig)
     state = next(path for path in (rig.directory / "state").rglob("a") if path.is_dir())
     assert rig.pancakes("task", "migrate", "a/Count", "--to", "b").returncode == 0
     a.process.terminate()
@@ -92,10 +94,7 @@ def test_the_other_owner_need_not_be_there(rig: Rig):
 
 
 def test_a_task_of_a_lost_agent_is_revived_from_its_configuration(rig: Rig):
-    rig.install("count", "[pancakes.tasks]\ncount.Count = plugin_count:Count\n", SOURCE)
-    b = rig.ready("b")
-    a = rig.ready("a", TASK, agent=f'peers = ["{rig.address(b)}"]')
-    heard(a, "b (agent")
+    a, b, _ = two(rig)
     asked = ("task", "revive", "b/Count", "--config", str(rig.directory / "a.toml"))
     runs = rig.pancakes(*asked, "--force")
     assert runs.returncode == 1 and "Count is running on a: it is not lost" in runs.stderr

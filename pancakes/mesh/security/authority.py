@@ -17,6 +17,7 @@ from pancakes.errors import PancakesError
 from pancakes.mesh.security.certified import PEOPLE, CertifiedRole
 from pancakes.mesh.security.key_files import FLEET, write_private
 from pancakes.mesh.security.roster import MOST_BYTES, Roster, SignedRoster, signed_bytes
+from pancakes.runtime.clock import wall_ns
 from pancakes.runtime.foundation import codecs
 
 AUTHORITY: Final = "authority.key"
@@ -118,7 +119,7 @@ class Authority:
         """
         if days is None and role in PEOPLE:
             days = PERSON_DAYS
-        now = datetime.datetime.now(datetime.UTC)
+        now = datetime.datetime.fromtimestamp(wall_ns() / 1e9, datetime.UTC)
         end = _FOREVER if days is None else now + datetime.timedelta(days=days)
         uris = [
             f"pancakes://{self.fleet}/{role}/{name}",

@@ -18,7 +18,6 @@ import socket
 import ssl
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -31,6 +30,7 @@ from cryptography.x509.oid import NameOID
 from pancakes.errors import PancakesError
 from pancakes.mesh.security.authority import new_key, pem_of_key
 from pancakes.mesh.security.key_files import KeyFiles, write_private
+from pancakes.runtime.clock import MonotonicClock, wall_ns
 
 OPEN_S: Final = 600.0
 TRIES: Final = 5
@@ -101,10 +101,11 @@ class Desk:
     """
 
     def __init__(self, host: str, port: int, open_s: float = OPEN_S) -> None:
-        self._until_s = time.monotonic() + open_s
+        self._now = MonotonicClock().now
+        self._until_s = self._now() + open_s
         key = new_key()
         name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "pancakes fleet enrol")])
-        now = datetime.datetime.now(datetime.UTC)
+        now = datetime.datetime.fromtimestamp(wall_ns() / 1e9, datetime.UTC)
         shown = (
             x509.CertificateBuilder()
             .subject_name(name)
@@ -146,7 +147,7 @@ class Desk:
             PancakesError: no machine came in time, or the code was guessed at too often.
         """
         with self._sock:
-            while (left_s := self._until_s - time.monotonic()) > 0 and self._tries < TRIES and not self._told.is_set():
+            while (left_s := self._until_s - self._now()) > 0 and self._tries < TRIES and not self._told.is_set():
                 self._sock.settimeout(min(left_s, LOOK_S))
                 with contextlib.suppress(OSError):
                     link, place = self._sock.accept()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pancakes.errors import MigrationError
 from pancakes.mesh.migration.claim import Claims, OwnerClaim
 from pancakes.mesh.migration.event import ClaimHeard
 from pancakes.mesh.migration.owner import is_disputed
@@ -85,5 +86,7 @@ class Disputes:
     def _type_of(self, place: Place) -> str:
         if place.slot is not None and place.slot.spec.type:
             return place.slot.spec.type
-        snapshot = place.standing.record.snapshot
-        return Snapshot.decode(snapshot).type if snapshot else ""
+        try:
+            return Snapshot.decode(place.standing.record.snapshot).type
+        except MigrationError:  # it has none, or one that cannot be read here
+            return ""

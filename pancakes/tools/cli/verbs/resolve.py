@@ -43,7 +43,7 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
     with ask.client() as client:
         name = placed(client, name)
         agents = client.survey().agents
-        (here,) = [_task(agent, name) for agent in agents if agent["agent"] == name.agent] or [None]
+        here = next((_task(agent, name) for agent in agents if agent["agent"] == name.agent), None)
         if here is None:
             raise ControlRefused(f"{name.agent} has no task {name.task}")
         if here["rest"] == "forgotten" or here["rest"].startswith("moved"):
@@ -67,7 +67,8 @@ def resolve(name: TaskName, birthplace: str, force: bool, dry_run: bool, ask: As
         if rests:
             reply = accepted(client, name.agent, Adopt(name.target, True, birthplace, dry_run))
             living["task_id"] = reply.result["task_id"]
-    rows.append({**living, "was": "at rest" if rests else here["state"], "becomes": "running"})
+    was = "at rest" if rests else here["state"]
+    rows.append({**living, "was": was, "becomes": "running" if rests else was})
     ask.show([{**row, "done": DRY_RUN if dry_run else "resolved"} for row in rows], (*COLUMNS, "done"))
 
 

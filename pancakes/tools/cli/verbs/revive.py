@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 import msgspec
 
 from pancakes.control import Reschedule, Revive
 from pancakes.errors import ControlRefused, PancakesError
-from pancakes.tools.cli.asking import accepted
+from pancakes.tools.cli.asking import accepted, meant
 from pancakes.tools.cli.name_types import AGENT_NAME, TaskName, a_task
 from pancakes.tools.cli.options import Ask, dry_run_option, orders_agents
 from pancakes.tools.cli.output import DRY_RUN
+
+if TYPE_CHECKING:
+    from pancakes.runtime.config.tables import TaskConfig
 
 RUNS = ("running", "starting", "restarting", "stuck")
 
@@ -50,18 +55,9 @@ def revive(
     task = config.tasks.get(name.task)
     if task is None:
         raise PancakesError(f"{config.path} has no [task.{name.task}]: it has {', '.join(config.tasks) or 'no task'}")
-    body = Revive(
-        f"{birthplace or config.agent.name}/{name.task}",
-        task.type,
-        name.service or task.service,
-        dict(task.settings),
-        msgspec.to_builtins(task.restart),
-        task.durability,
-        msgspec.to_builtins(task.migrate) if task.migrate is not None else None,
-        force or dry_run,
-        dry_run,
-    )
     with ask.client() as client:
+        name = meant(client, name)
+        body = _asked(task, f"{birthplace or config.agent.name}/{name.task}", name.service, force, dry_run)
         for agent in client.survey().agents:
             for row in agent["tasks"]:
                 if (row["task"], row["service"]) == (name.task, body.service) and row["state"] in RUNS:
@@ -71,3 +67,17 @@ def revive(
             accepted(client, name.agent, Reschedule(f"{body.service}/{name.task}", task.rate_hz))
     done = {"task_id": reply.result["task_id"], "done": DRY_RUN if dry_run else "revived", "number": reply.number}
     ask.show([{"agent": name.agent, **done}], ("agent", *done))
+
+
+def _asked(task: TaskConfig, task_id: str, service: str, force: bool, dry_run: bool) -> Revive:
+    return Revive(
+        task_id,
+        task.type,
+        service or task.service,
+        dict(task.settings),
+        msgspec.to_builtins(task.restart),
+        task.durability,
+        msgspec.to_builtins(task.migrate) if task.migrate is not None else None,
+        force or dry_run,
+        dry_run,
+    )
