@@ -36,11 +36,13 @@ from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
+from pancakes.runtime.hosting.guardian import GUARDIAN, Guardian
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import describe_process
 from pancakes.runtime.hosting.records import KIND as RECORD
 from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.registers import Registers
 from pancakes.runtime.hosting.shared_outbox import SharedOutbox
 from pancakes.runtime.installed import Installed
 from pancakes.runtime.journal import Disk, FileJournal, Journal, MemoryJournal, RecordStore, ThreadedStore, VirtualStore
@@ -181,6 +183,7 @@ class Agent:
         disk = Disk(journal, store, self.skipped)
         self.records = Records(disk)
         self.resting = self._resting()
+        self._registers = Registers(disk)
         self.ledgers = Ledgers(disk, self.kernel.log)
         installed = Installed(self._plugins)
         self.host_state = HostState(self.kernel, config.agent.role, installed.version_of, installed.costs, self.records)
@@ -244,6 +247,7 @@ class Agent:
             raise
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
         self._tend(Census, CENSUS, records=self.records, state=self.host_state, mesh=self.mesh)
+        self._tend(Guardian, GUARDIAN, registers=self._registers, mesh=self.mesh)
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),
@@ -316,7 +320,7 @@ class Agent:
                 self.kernel.virtual.run_while(lambda: not closed.is_set(), self.kernel.host.now() + CLOSE_S)
             elif not closed.wait(CLOSE_S):
                 self.kernel.log("warning", f"{self.name} stops although some of its tasks have not ended")
-        for address in (COURIER, CENSUS):
+        for address in (COURIER, CENSUS, GUARDIAN):
             helper = self.kernel.registry.get(join(self.name, address))
             if helper is not None:
                 helper.stop()

@@ -44,7 +44,7 @@ def test_a_rule_allows_what_it_names_alone(rule, is_allowed):
     [
         ("operator", RIGHTS),
         ("observer", ("look",)),
-        ("agent", ("look", "host", "write", "publish")),
+        ("agent", ("look", "host", "guard", "write", "publish")),
         ("environment", ("publish",)),
     ],
 )

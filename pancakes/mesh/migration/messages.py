@@ -11,7 +11,7 @@ leaves it empty; `addressed` fills it in on the way out, and `is_for` checks it 
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -195,7 +195,14 @@ Message = Solicit | Bid | Refuse | Reserve | Reserved | Piece | Nak | Prepared |
 HandOffMessage = Reserve | Reserved | Transfer | Nak | Prepared | Commit | Activated | Abort | Unknown
 """What the hand-off's core sends and receives; each has a `task_id`."""
 
-_M = TypeVar("_M", bound=Message)
+_M = TypeVar("_M", bound=msgspec.Struct)
+
+
+class ForJournal(Protocol):
+    """A message that is meant for an agent with one journal, and none that it had before."""
+
+    @property
+    def journal(self) -> str: ...
 
 
 def addressed(message: _M, journal: str) -> _M:
@@ -203,6 +210,6 @@ def addressed(message: _M, journal: str) -> _M:
     return replace(message, journal=journal)
 
 
-def is_for(message: Message, journal: str) -> bool:
+def is_for(message: ForJournal, journal: str) -> bool:
     """Returns whether the agent whose journal has the id `journal` may believe the message."""
     return message.journal == journal

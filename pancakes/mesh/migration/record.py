@@ -37,6 +37,10 @@ class Epoch(NamedTuple):
 
 NO_EPOCH: Final = Epoch(0, "")
 """Lower than every epoch that was ever minted."""
+MOST_STEP: Final = 10_000_000
+"""An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
+million for each time that it was lost.
+"""
 
 
 _Name = Annotated[str, msgspec.Meta(pattern=rf"\A{NAME}\Z")]

@@ -43,7 +43,7 @@ RIGHT_OF: Final[dict[type, Right]] = {
 _ASKING: Final = frozenset(map(type_name, RIGHT_OF))
 _CONTROL_TYPES: Final = _ASKING | {type_name(Reply)}
 _MOST_KNOWN: Final = 4096
-_AMONG_ITSELF: Final = ("migration.", "post.", "task.")
+_AMONG_ITSELF: Final = ("migration.", "guard.", "post.", "task.")
 """Types of packets by which agents answer what was asked: the state machines know of whom they asked it."""
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 import msgspec
 
 Right = Literal[
-    "look", "change", "move", "adopt", "end", "host", "command", "write", "publish", "replay"
+    "look", "change", "move", "adopt", "end", "host", "guard", "command", "write", "publish", "replay"
 ]  # docs/security.md has a line for each
 RIGHTS: Final[tuple[Right, ...]] = (
     "look",
@@ -18,6 +18,7 @@ RIGHTS: Final[tuple[Right, ...]] = (
     "adopt",
     "end",
     "host",
+    "guard",
     "command",
     "write",
     "publish",
@@ -63,7 +64,7 @@ class AccessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 DEFAULT: Final = (
     AccessRule(("role:operator",), (EVERY,)),
     AccessRule(("role:observer",), ("look",)),
-    AccessRule(("role:agent",), ("publish", "look", "host", "write")),
+    AccessRule(("role:agent",), ("publish", "look", "host", "guard", "write")),
     AccessRule(("role:environment",), ("publish",)),
 )
 """The rules of a new fleet."""

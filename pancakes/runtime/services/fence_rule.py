@@ -12,14 +12,10 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import MigrationError
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.record import MOST_STEP, Epoch, Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.packet import Fence
 
-MOST_STEP: Final = 10_000_000
-"""An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
-million for each time that it was lost.
-"""
 MOST_TASKS: Final = 1000
 """An actuator that has seen so many tasks takes no other from elsewhere: what it has seen is never forgotten."""
 MOST_ASKED: Final = 8

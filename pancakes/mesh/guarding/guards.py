@@ -1,0 +1,63 @@
+"""The guardians of a task: a few agents that together remember who may run it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Annotated, Final, NamedTuple
+
+import msgspec
+
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch
+
+MOST_GUARDIANS: Final = 5
+"""So many guardians a set has at most: more are slower, and survive nothing that is likely."""
+
+
+class GuardianId(NamedTuple):
+    """A guardian. An agent whose disk was lost has another journal, and so is another guardian.
+
+    Attributes:
+        agent: the agent's name.
+        journal: the id of its journal.
+    """
+
+    agent: str
+    journal: str
+
+
+GuardianSet = Annotated[tuple[GuardianId, ...], msgspec.Meta(min_length=1, max_length=MOST_GUARDIANS)]
+
+
+class Guards(msgspec.Struct, frozen=True):
+    """The guardians of a task, as its owner has chosen them.
+
+    Attributes:
+        epoch: the epoch of the owner that wrote this.
+        version: how often that owner has changed them.
+        sets: one set of guardians; two, while the second takes over from the first; none: the task is not guarded.
+    """
+
+    epoch: Epoch = NO_EPOCH
+    version: Annotated[int, msgspec.Meta(ge=0)] = 0
+    sets: Annotated[tuple[GuardianSet, ...], msgspec.Meta(max_length=2)] = ()
+
+    def has_quorum(self, members: Collection[GuardianId]) -> bool:
+        """Returns whether these are more than half of each set."""
+        return bool(self.sets) and all(2 * sum(it in members for it in one) > len(one) for one in self.sets)
+
+    def members(self) -> list[GuardianId]:
+        """Returns all guardians, each once."""
+        return list(dict.fromkeys(member for one in self.sets for member in one))
+
+    @property
+    def stamp(self) -> tuple[Epoch, int]:
+        """Orders the guards of one task: the later is the newer, and those of a later owner always are."""
+        return self.epoch, self.version
+
+
+NO_GUARDS: Final = Guards()
+
+
+def newest(*guards: Guards) -> Guards:
+    """Returns the newest of several."""
+    return max(guards, key=lambda one: one.stamp)

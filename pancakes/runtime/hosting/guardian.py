@@ -1,0 +1,203 @@
+"""The guardian: remembers for the owners of tasks, and decides with others who may run each of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.errors import PancakesError
+from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, KeepLease, SeizeTask
+from pancakes.mesh.guarding.guardian_core import (
+    AnswerAsker,
+    GuardEffect,
+    GuardEvent,
+    GuardRegister,
+    Lease,
+    LeaseOver,
+    SetLease,
+    WriteRegister,
+    handle,
+    recover,
+)
+from pancakes.mesh.guarding.guards import GuardianId
+from pancakes.mesh.migration.messages import addressed, is_for
+from pancakes.mesh.migration.record import NO_EPOCH, TaskId
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, Packet, agent_of
+from pancakes.runtime.hosting.registers import Registers, RegisterWritten
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.handlers import on
+from pancakes.runtime.kernel.keep import queue
+from pancakes.runtime.kernel.timer import OneShot
+
+GUARDIAN: Final = "kernel/Guardian"
+"""Where on each agent the guardian is."""
+KEEP: Final = queue(1024)
+"""What falls out is said again."""
+MOST_WAIT: Final = 16
+"""So much may wait for the disk of what is said of one task; what falls out is said again."""
+MOST_TASKS: Final = 1024
+"""An agent guards so many tasks of one peer at most, ..."""
+MOST_BYTES: Final = 64 * 1024 * 1024
+"""... and so many bytes of their checkpoints."""
+
+
+class _Guarded(msgspec.Struct):
+    """One task that is guarded here.
+
+    Attributes:
+        register: what is on disk of it.
+        lease: the newest lease on it.
+        alarm: feeds the end of that lease.
+        asker: the address that is to have the answers of the event that is being dealt with.
+        effects: what is still to be carried out of that event.
+        writing: the register that is being written; None: none is.
+        waiting: the events that wait, each with the address that asked.
+    """
+
+    register: GuardRegister
+    lease: Lease = Lease()
+    alarm: OneShot | None = None
+    asker: str = ""
+    effects: deque[GuardEffect] = msgspec.field(default_factory=deque)
+    writing: GuardRegister | None = None
+    waiting: list[tuple[str, GuardEvent]] = msgspec.field(default_factory=list)
+
+
+class Guardian(Component):
+    """Answers the owners of tasks, and the agents that are to take them (docs/protocol.md, guardians).
+
+    It belongs to no service: an agent that hosts no task may guard those of others.
+
+    Args:
+        registers: what it has on disk.
+        mesh: says what neighbours there are.
+    """
+
+    def __init__(self, *args: Any, registers: Registers, mesh: Mesh, **others: Any) -> None:
+        super().__init__(*args, **others)
+        self._registers = registers
+        self._mesh = mesh
+        self._guarded: dict[TaskId, _Guarded] = {}
+        self._refused: dict[str, str] = {}  # why a peer was refused last
+
+    def on_start(self) -> None:
+        for task, why in self._registers.lost().items():
+            self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
+        for register in self._registers.all():
+            one = self._guarded[register.task_id] = _Guarded(register)
+            one.effects.extend(recover(register))
+            self._go_on(one)
+
+    def on_receive(self, message: Any) -> Any:
+        if not isinstance(message, RegisterWritten):
+            return super().on_receive(message)
+        one = self._guarded[message.task_id]
+        written, one.writing = one.writing, None
+        if message.why_not:
+            one.effects.clear()  # as after a crash: nothing of it has happened, and nothing was promised
+        elif written is not None:
+            one.register = written
+        self._go_on(one)
+        return None
+
+    @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
+    def on_keep(self, packet: Packet) -> None:
+        """The owner of a task asks for a lease."""
+        self._take(packet)
+
+    @on(NETWORK, SeizeTask, keep=KEEP, addressed=True)
+    def on_seize(self, packet: Packet) -> None:
+        """An agent is to take a task, and asks for a pledge."""
+        self._take(packet)
+
+    def _take(self, packet: Packet) -> None:
+        asked: KeepLease | SeizeTask = packet.body
+        peer = agent_of(packet.source)
+        if not is_for(asked, self._mesh.identity.journal):
+            return
+        if fault := self._fault(peer, asked):
+            if self._refused.get(peer) != fault:
+                self._refused[peer] = fault
+                self.log("warning", f"{self.agent} does not guard {asked.task_id} for {peer}: {fault}")
+            self._say(packet.source, DenyLease(asked.task_id, asked.epoch, self._me, NO_EPOCH, fault))
+            return
+        one = self._guarded.setdefault(asked.task_id, _Guarded(GuardRegister(asked.task_id)))
+        if isinstance(asked, KeepLease):  # a newer one says all that an older one says
+            one.waiting = [it for it in one.waiting if it[0] != packet.source or not isinstance(it[1], KeepLease)]
+        if len(one.waiting) < MOST_WAIT:
+            one.waiting.append((packet.source, asked))
+        self._go_on(one)
+        if one.register.blank and one.writing is None:
+            del self._guarded[asked.task_id]  # it was refused
+
+    def _fault(self, peer: str, asked: KeepLease | SeizeTask) -> str:
+        """Returns why a peer has no right to what it asks for, as a clause; empty: it has."""
+        task_id, known = asked.task_id, self._guarded.get(asked.task_id)
+        if asked.epoch.minter != peer:
+            return f"the epoch {asked.epoch} is not of its making, and each agent speaks for itself alone"
+        if known is not None and known.register.type not in ("", asked.type):
+            return f"it is a {known.register.type}, and no {asked.type}"
+        access = self.kernel.access
+        if fault := access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type):
+            return fault
+        if str(task_id) in self._registers.lost():
+            return f"{self.agent} has lost what it knew of it, and may have forgotten a pledge"
+        return self._lacks_room(peer, asked)
+
+    def _lacks_room(self, peer: str, asked: KeepLease | SeizeTask) -> str:
+        theirs = [it.register for it in self._guarded.values() if it.register.promised.minter == peer]
+        if asked.task_id not in self._guarded and len(theirs) >= MOST_TASKS:
+            return f"{self.agent} guards {MOST_TASKS} tasks of {peer} already"
+        body = asked.body if isinstance(asked, KeepLease) else None
+        others = sum(len(it.body.snapshot) for it in theirs if it.body is not None and it.task_id != asked.task_id)
+        if body is not None and others and others + len(body.snapshot) > MOST_BYTES:
+            return f"the checkpoints of {peer} would take more than {MOST_BYTES // 2**20} MiB on {self.agent}"
+        return ""
+
+    # Deciding --------------------------------------------------------------------------------------------------
+
+    @property
+    def _me(self) -> GuardianId:
+        return GuardianId(self.agent, self._mesh.identity.journal)
+
+    def _go_on(self, one: _Guarded) -> None:
+        """Goes on with a task, until something waits for the disk."""
+        while one.writing is None and (one.effects or one.waiting):
+            if one.effects:
+                self._carry_out(one, one.effects.popleft())
+            else:
+                one.asker, event = one.waiting.pop(0)
+                one.effects.extend(handle(self._me, one.register, one.lease, event))
+
+    def _carry_out(self, one: _Guarded, effect: GuardEffect) -> None:
+        match effect:
+            case WriteRegister(register):
+                one.writing = register
+                self._registers.write(register, self)
+            case SetLease(lease, lease_s):
+                if one.alarm is not None:
+                    one.alarm.cancel()
+                one.lease, one.alarm = lease, None
+                if lease.epoch is not None:
+                    one.alarm = self.after_host(lease_s, partial(self._lease_over, one, LeaseOver(lease.number)))
+            case AnswerAsker(message):
+                self._say(one.asker, message)
+
+    def _lease_over(self, one: _Guarded, over: LeaseOver) -> None:
+        one.waiting.append(("", over))
+        self._go_on(one)
+
+    def _say(self, asker: str, message: GuardAnswer) -> None:
+        peer = agent_of(asker)
+        known = {hello.name: hello.journal for hello in self._mesh.connected()}
+        journal = known.get(peer, "") if peer != self.agent else self._mesh.identity.journal
+        if not journal:
+            return
+        try:
+            self.publish(NETWORK, addressed(message, journal), to=asker)
+        except PancakesError as error:
+            self.log("debug", f"{type(message).__name__} of {message.task_id} did not reach {peer}: {error}")

@@ -1,0 +1,152 @@
+"""What a guardian decides, case by case."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from pancakes.mesh.guarding.guard_messages import (
+    NO_CHECKPOINT,
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    SeizeTask,
+)
+from pancakes.mesh.guarding.guardian_core import (
+    AnswerAsker,
+    GuardRegister,
+    Lease,
+    LeaseOver,
+    SetLease,
+    WriteRegister,
+    handle,
+    recover,
+)
+from pancakes.mesh.guarding.guards import NO_GUARDS, GuardianId, Guards, newest
+from pancakes.mesh.migration.record import MOST_STEP, NO_EPOCH, Epoch, TaskId, Wanted
+
+TASK = TaskId("north", "Scan")
+ME = GuardianId("east", "j1")
+OTHERS = (GuardianId("north", "j0"), GuardianId("south", "j2"))
+OLD, NEW, NEWEST = Epoch(1, "north"), Epoch(2, "south"), Epoch(3, "west")
+GUARDS = Guards(OLD, 0, ((ME, *OTHERS),))
+BODY = CheckpointBody(b"state", Wanted.RUNNING)
+KEPT = CheckpointId(OLD, 4)
+HELD = GuardRegister(TASK, "scan", OLD, KEPT, BODY, GUARDS, 2.0)
+KEEP = KeepLease(TASK, "scan", OLD, 7, 2.0, KEPT, GUARDS)
+SEIZE = SeizeTask(TASK, "scan", NEW, NO_EPOCH, GUARDS)
+RUNS, OVER = Lease(OLD, 5), Lease(None, 5)
+
+
+def answer(*effects):
+    (said,) = [effect.message for effect in effects if isinstance(effect, AnswerAsker)]
+    return said
+
+
+def test_the_first_keep_is_written_down_before_it_is_granted():
+    first = replace(KEEP, body=BODY)
+    kept = LeaseKept(TASK, OLD, ME, 7, 4, 0)
+    assert handle(ME, GuardRegister(TASK), Lease(), first) == [
+        WriteRegister(HELD),
+        SetLease(Lease(OLD, 1), 2.0),
+        AnswerAsker(kept),
+    ]
+
+
+def test_a_keep_without_news_costs_no_write():
+    assert handle(ME, HELD, RUNS, KEEP) == [
+        SetLease(Lease(OLD, 6), 2.0),
+        AnswerAsker(LeaseKept(TASK, OLD, ME, 7, 4, 0)),
+    ]
+
+
+def test_a_checkpoint_whose_body_is_lacking_is_not_kept_but_the_lease_is_granted():
+    later = replace(KEEP, checkpoint=CheckpointId(OLD, 5))
+    assert answer(*handle(ME, HELD, RUNS, later)).no == 4
+    assert answer(*handle(ME, HELD, RUNS, replace(later, body=BODY))).no == 5
+
+
+def test_an_older_checkpoint_never_takes_the_place_of_a_newer_one():
+    late = replace(KEEP, checkpoint=CheckpointId(OLD, 3), body=CheckpointBody(b"older"))
+    assert not any(isinstance(effect, WriteRegister) for effect in handle(ME, HELD, RUNS, late))
+
+
+def test_a_passed_owner_is_denied_and_told_the_epoch():
+    promised = replace(HELD, promised=NEW)
+    (denied,) = handle(ME, promised, OVER, KEEP)
+    assert isinstance(denied, AnswerAsker) and isinstance(denied.message, DenyLease)
+    assert denied.message.promised == NEW
+
+
+def test_an_agent_that_is_no_guardian_keeps_nothing():
+    others = Guards(OLD, 1, (OTHERS,))
+    assert isinstance(answer(*handle(ME, HELD, RUNS, replace(KEEP, guards=others))), DenyLease)
+
+
+def test_it_pledges_itself_once_its_lease_is_over_and_the_promise_is_on_disk_first():
+    assert handle(ME, HELD, OVER, SEIZE) == [
+        WriteRegister(replace(HELD, promised=NEW)),
+        SetLease(Lease(None, 5), 0.0),
+        AnswerAsker(Pledge(TASK, NEW, ME, KEPT, GUARDS, BODY)),
+    ]
+
+
+def test_while_a_lease_runs_it_pledges_itself_to_none_but_with_the_consent_of_its_owner():
+    assert isinstance(answer(*handle(ME, HELD, RUNS, SEIZE)), DenyLease)
+    assert isinstance(answer(*handle(ME, HELD, RUNS, replace(SEIZE, yields=OLD))), Pledge)
+    later = replace(HELD, promised=NEW)
+    seize = replace(SEIZE, epoch=NEWEST, yields=OLD)
+    assert isinstance(answer(*handle(ME, later, Lease(NEW, 6), seize)), DenyLease), "the consent is of another owner"
+
+
+def test_a_pledge_that_was_lost_is_said_again_and_to_no_other_agent():
+    promised = replace(HELD, promised=NEW)
+    assert handle(ME, promised, OVER, SEIZE) == [AnswerAsker(Pledge(TASK, NEW, ME, KEPT, GUARDS, BODY))]
+    lower = replace(SEIZE, epoch=Epoch(2, "east"))
+    assert isinstance(answer(*handle(ME, promised, OVER, lower)), DenyLease)
+
+
+def test_once_the_new_owner_was_heard_of_its_epoch_is_pledged_to_no_more():
+    owned = replace(HELD, promised=NEW, guards=replace(GUARDS, epoch=NEW))
+    assert isinstance(answer(*handle(ME, owned, OVER, SEIZE)), DenyLease)
+
+
+def test_one_that_is_to_join_pledges_itself_although_it_knows_nothing():
+    pledge = answer(*handle(ME, GuardRegister(TASK), Lease(), SEIZE))
+    assert pledge == Pledge(TASK, NEW, ME, NO_CHECKPOINT, NO_GUARDS, None)
+    stranger = replace(SEIZE, guards=Guards(OLD, 0, (OTHERS,)))
+    assert isinstance(answer(*handle(ME, GuardRegister(TASK), Lease(), stranger)), DenyLease)
+
+
+def test_epochs_rise_in_bounded_steps():
+    far = Epoch(OLD.n + MOST_STEP + 1, "west")
+    for event in (replace(SEIZE, epoch=far), replace(KEEP, epoch=far)):
+        denied = answer(*handle(ME, HELD, OVER, event))
+        assert isinstance(denied, DenyLease) and "out of the order" in denied.reason
+
+
+def test_the_end_of_an_older_lease_does_not_end_a_newer_one():
+    assert handle(ME, HELD, RUNS, LeaseOver(4)) == []
+    assert handle(ME, HELD, RUNS, LeaseOver(5)) == [SetLease(OVER, 0.0)]
+
+
+def test_after_a_restart_it_waits_for_a_whole_lease():
+    assert recover(HELD) == [SetLease(Lease(OLD, 1), 2.0)]
+    assert recover(GuardRegister(TASK, promised=NEW)) == [], "it never gave one"
+
+
+def test_a_quorum_is_more_than_half_of_each_set():
+    joint = Guards(
+        OLD, 1, ((ME, *OTHERS), (GuardianId("up", "j3"), GuardianId("down", "j4"), GuardianId("left", "j5")))
+    )
+    assert not joint.has_quorum([ME, *OTHERS])
+    assert joint.has_quorum([ME, OTHERS[0], GuardianId("up", "j3"), GuardianId("left", "j5")])
+    assert not NO_GUARDS.has_quorum([ME])
+    assert not GUARDS.has_quorum([ME, replace_journal(OTHERS[0])]), "its disk was lost"
+    assert newest(joint, GUARDS) is joint and newest(joint, replace(GUARDS, epoch=NEW)).epoch == NEW
+
+
+def replace_journal(member):
+    return GuardianId(member.agent, "another")

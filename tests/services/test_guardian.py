@@ -1,0 +1,176 @@
+"""The guardian of an agent, over the mesh: it grants leases and pledges, remembers them, and believes no impostor."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from pancakes.mesh.guarding.guard_messages import (
+    CheckpointBody,
+    CheckpointId,
+    DenyLease,
+    KeepLease,
+    LeaseKept,
+    Pledge,
+    SeizeTask,
+)
+from pancakes.mesh.guarding.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import NO_EPOCH, Epoch, TaskId
+from pancakes.mesh.security.access import Access
+from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
+from pancakes.packet import NETWORK
+from pancakes.runtime.hosting import guardian
+from pancakes.testing import FleetInTest
+
+TASK = TaskId("a", "Scan")
+OLD = Epoch(1, "a")
+LEASE_S = 2.0
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5) as made:
+        made.start("a")
+        made.start("b")
+        made.start("c")
+        made.connect()
+        yield made
+
+
+def journal(fleet, name):
+    return fleet.agents[name].agent.mesh.identity.journal
+
+
+def guards(fleet):
+    return Guards(OLD, 0, (tuple(GuardianId(name, journal(fleet, name)) for name in "abc"),))
+
+
+def keep(fleet, beat=1, no=0, body=b"state", **changes):
+    checkpoint = CheckpointId(OLD, no)
+    message = KeepLease(
+        TASK, "scan", OLD, beat, LEASE_S, checkpoint, guards(fleet), CheckpointBody(body), journal(fleet, "b")
+    )
+    return replace(message, **changes)
+
+
+def seize(fleet, n=2, by="c", **changes):
+    message = SeizeTask(TASK, "scan", Epoch(n, by), NO_EPOCH, guards(fleet), journal(fleet, "b"))
+    return replace(message, **changes)
+
+
+def answered(fleet, by, message, to="b"):
+    """Says something to a guardian, and returns its newest answer; None: it gives none."""
+    asker = fleet.agents[by]
+    asker.probe.forget()
+    asked = asker.publish(NETWORK, message, f"{to}/{guardian.GUARDIAN}")
+    fleet.run_for(0.2)
+    kinds = (LeaseKept, Pledge, DenyLease)
+    said = [it.body for kind in kinds for it in asker.probe.packets(kind) if it.destination == asked.source]
+    return said[-1] if said else None
+
+
+def test_it_grants_a_lease_and_pledges_itself_only_after_that(fleet):
+    kept = answered(fleet, "a", keep(fleet))
+    assert (kept.epoch, kept.guardian.agent, kept.beat, kept.no) == (OLD, "b", 1, 0)
+    denied = answered(fleet, "c", seize(fleet))
+    assert isinstance(denied, DenyLease) and "lease" in denied.reason
+    fleet.run_for(LEASE_S)
+    pledge = answered(fleet, "c", seize(fleet))
+    assert isinstance(pledge, Pledge) and pledge.checkpoint == CheckpointId(OLD, 0)
+    assert pledge.body == CheckpointBody(b"state")
+    passed = answered(fleet, "a", keep(fleet, 2))
+    assert isinstance(passed, DenyLease) and passed.promised == Epoch(2, "c")
+
+
+def test_each_keep_begins_a_whole_lease(fleet):
+    for beat in range(1, 6):
+        assert answered(fleet, "a", keep(fleet, beat)).beat == beat
+        fleet.run_for(LEASE_S / 2)
+        assert isinstance(answered(fleet, "c", seize(fleet)), DenyLease)
+
+
+def test_what_it_keeps_and_promises_outlives_a_restart(fleet):
+    answered(fleet, "a", keep(fleet, no=3))
+    fleet.crash("b")
+    fleet.restart("b")
+    fleet.connect()
+    denied = answered(fleet, "c", seize(fleet))
+    assert isinstance(denied, DenyLease), "it cannot know when the lease ends that it gave"
+    fleet.run_for(LEASE_S)
+    assert answered(fleet, "c", seize(fleet)).checkpoint.no == 3
+    fleet.crash("b")
+    fleet.restart("b")
+    fleet.connect()
+    assert answered(fleet, "a", keep(fleet, 2)).promised == Epoch(2, "c")
+
+
+def test_a_guardian_whose_disk_was_lost_is_not_believed_to_be_the_old_one(fleet):
+    answered(fleet, "a", keep(fleet))
+    meant_for_the_old_one = seize(fleet)
+    fleet.crash("b")
+    fleet.fleet.disk("b").clear()
+    fleet.restart("b")
+    fleet.connect()
+    assert answered(fleet, "c", meant_for_the_old_one) is None
+    denied = answered(fleet, "c", replace(meant_for_the_old_one, journal=journal(fleet, "b")))
+    assert isinstance(denied, DenyLease) and "knows nothing of it" in denied.reason
+
+
+def test_one_that_has_lost_a_register_guards_the_task_no_more(fleet):
+    answered(fleet, "a", keep(fleet))
+    fleet.crash("b")
+    disk = fleet.fleet.disk("b")
+    (name,) = [file for file in disk if "guard" in file]
+    disk[name] = disk[name][:-3] + b"???"
+    b = fleet.restart("b")
+    fleet.connect()
+    denied = answered(fleet, "a", keep(fleet, 2))
+    assert isinstance(denied, DenyLease) and "may have forgotten a pledge" in denied.reason
+    assert any("guards 'a/Scan' no more" in line for line in b.lines())
+
+
+def test_nothing_is_promised_that_could_not_be_written(fleet):
+    end = fleet.faults.fill_disk("b")
+    assert answered(fleet, "a", keep(fleet)) is None
+    end()
+    assert answered(fleet, "a", keep(fleet, 2)).beat == 2
+
+
+def test_an_agent_asks_under_an_epoch_of_its_own_alone(fleet):
+    for message in (seize(fleet, by="a"), keep(fleet)):
+        denied = answered(fleet, "c", message)
+        assert isinstance(denied, DenyLease) and "speaks for itself alone" in denied.reason
+    assert isinstance(answered(fleet, "c", seize(fleet)), Pledge), "nothing was kept"
+
+
+def test_a_task_does_not_change_its_type(fleet):
+    answered(fleet, "a", keep(fleet))
+    fleet.run_for(LEASE_S)
+    denied = answered(fleet, "c", seize(fleet, type="harmless"))
+    assert isinstance(denied, DenyLease) and "it is a scan, and no harmless" in denied.reason
+
+
+def test_an_agent_guards_a_bounded_number_of_tasks_of_a_peer(fleet, monkeypatch):
+    monkeypatch.setattr(guardian, "MOST_TASKS", 2)
+    for name in ("One", "Two"):
+        assert isinstance(answered(fleet, "a", keep(fleet, task_id=TaskId("a", name))), LeaseKept)
+    denied = answered(fleet, "a", keep(fleet, task_id=TaskId("a", "Three")))
+    assert isinstance(denied, DenyLease) and "2 tasks of a already" in denied.reason
+
+
+def test_an_agent_keeps_a_bounded_number_of_bytes_for_a_peer(fleet, monkeypatch):
+    monkeypatch.setattr(guardian, "MOST_BYTES", 100)
+    assert isinstance(answered(fleet, "a", keep(fleet, body=b"x" * 90)), LeaseKept)
+    denied = answered(fleet, "a", keep(fleet, body=b"x" * 20, task_id=TaskId("a", "Other")))
+    assert isinstance(denied, DenyLease) and "would take more than" in denied.reason
+
+
+@pytest.mark.parametrize("right", ["guard", "host"])
+def test_it_needs_the_right_to_guard_and_to_host(fleet, right):
+    kernel = fleet.agents["b"].kernel
+    others: tuple[Right, ...] = tuple(it for it in RIGHTS if it != right)
+    strict = Access("b", own=(AccessRule(("*",), others),))
+    strict.bearer_of = kernel.access.bearer_of
+    kernel.access = strict
+    denied = answered(fleet, "a", keep(fleet))
+    assert isinstance(denied, DenyLease) and f"lacks the right {right!r}" in denied.reason
