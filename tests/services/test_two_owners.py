@@ -6,8 +6,11 @@ import pytest
 from services.numbered import Sink
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
+from pancakes.mesh.migration.claim import Owned, OwnerClaim
+from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.packet import NETWORK
 from pancakes.runtime.hosting.census import Census
-from pancakes.runtime.hosting.census_messages import NeighbourUp
+from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.testing import FleetInTest
 
 TASKS = {"Sink": Sink}
@@ -187,3 +190,20 @@ def test_what_was_handed_over_is_owned_by_its_owner_alone(fleet):
         assert agent.events("task_disputed") == []
     refused = b.ask(Forget("Sink", owner="a", dry_run=True))
     assert not refused.ok and "is owned by b alone" in refused.reason
+
+
+def test_a_claim_on_a_task_that_cannot_be_read_here_is_heard_all_the_same(fleet):
+    a, _, _ = moved(fleet)
+    task_id = TaskId("b", "Old")
+    service = a.component("client")
+    a.agent.records.persist(Record(task_id, Phase.OWNER, Epoch(1, "a"), Epoch(1, "a"), snapshot=b"junk"), service)
+    fleet.run_for(0.5)
+    fleet.crash("a")
+    a = fleet.restart("a")
+    fleet.connect()
+    claim = Owned((OwnerClaim(task_id, Epoch(2, "b")),))
+    fleet.agents["b"].component("client").publish(NETWORK, claim, f"a/{CENSUS}")
+    fleet.run_for(1.0)
+    disputed = a.events("task_disputed")
+    assert [(it["task"], it["peer"]) for it in disputed] == [("Old", "b")]
+    assert a.ask(Describe(target="Sink")).ok, "the service goes on"
