@@ -257,6 +257,39 @@ def test_a_newcomer_comes_in_through_a_crowd_that_says_nothing(rig, listening):
             link.close()
 
 
+@pytest.mark.parametrize(
+    ("at_once", "rate_hz", "crowd", "given_up"),
+    [(1000.0, 1000.0, MOST_UNFINISHED + 1, 0), (1.0, 0.001, 2, 1)],
+    ids=["too many are not finished", "too many begin"],
+)
+def test_a_stranger_that_says_nothing_is_given_up_and_a_link_stays(rig, monkeypatch, at_once, rate_hz, crowd, given_up):
+    there, here = rig.ear(), rig.ear()
+    monkeypatch.setattr("pancakes.mesh.net.handshakes.AT_ONCE", at_once + 1)
+    monkeypatch.setattr("pancakes.mesh.net.handshakes.RATE_HZ", rate_hz)
+    address = rig.transport("b").listen(rig.listen_at, lambda: there)
+    rig.transport("a").dial(address, here)
+    rig.until(lambda: here.connection and there.connection)
+    strangers = [raw(address) for _ in range(crowd)]
+    try:
+        assert was_closed(strangers[given_up]), "it waits for ever"
+        assert not here.closed_for
+    finally:
+        for link in strangers:
+            link.close()
+
+
+def was_closed(link: socket.socket) -> bool:
+    """Waits for the other side to close a connection; returns whether it has."""
+    try:
+        while link.recv(4096):
+            continue
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
 def test_keys_in_a_folder_that_others_can_write_to_are_refused(rig):
     folder = rig.enrol("a")
     folder.chmod(0o770)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import ssl
 import threading
@@ -10,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
 
 from pancakes.errors import PancakesError
+from pancakes.mesh.security.authority import new_key
 from pancakes.mesh.security.fleet_office import FleetOffice
 from pancakes.mesh.security.joining import TRIES, Desk, JoinCode, join
 from pancakes.mesh.security.keys import Keys
@@ -68,6 +72,38 @@ def test_a_code_is_good_once(waiting):
     there.ended()
     with pytest.raises(PancakesError, match=r"cannot be reached: connection refused\. Does pancakes fleet enrol still"):
         join(there.code)
+
+
+def test_of_two_that_come_at_once_with_one_code_one_joins(office):
+    desk = Desk("127.0.0.1", 0, PATIENCE_S)
+    first_came, second_came = threading.Event(), threading.Event()
+
+    def certify(key: Any, place: str) -> Any:
+        first_came.set()
+        assert second_came.wait(PATIENCE_S)
+        return office.enrol(key, "agent", "r1", (), place)
+
+    joined: list[str] = []
+    serving = threading.Thread(target=desk.serve, args=(certify,), daemon=True)
+    first = threading.Thread(target=lambda: joined.append(join(str(desk.code)).name), daemon=True)
+    serving.start()
+    first.start()
+    assert first_came.wait(PATIENCE_S)
+    request = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([])).sign(new_key(), hashes.SHA256())
+    pem = request.public_bytes(serialization.Encoding.PEM).decode()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        socket.create_connection((desk.code.host, desk.code.port), PATIENCE_S) as link,
+        context.wrap_socket(link) as second,
+    ):
+        second.sendall(json.dumps({"secret": desk.code.secret.hex(), "request": pem}).encode() + b"\n")
+        second_came.set()
+        answer = json.loads(second.makefile("rb").readline())
+    first.join(PATIENCE_S)
+    serving.join(PATIENCE_S)
+    assert answer == {"error": "that code is not good, or not any more"}
+    assert joined == ["r1"] and len(office.entries) == 1
 
 
 def test_a_guessed_code_lets_in_nothing_and_ends_the_waiting(office, waiting):
