@@ -9,7 +9,8 @@ import pytest
 from cli.processes import Rig, Running
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.record import Epoch, Phase, Record
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.runtime.journal import FileJournal, JournalEntry
 
 SOURCE = """

@@ -24,8 +24,9 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.guarding.guards import NO_GUARDS, GuardianId, Guards, newest
-from pancakes.mesh.migration.record import MOST_STEP, NO_EPOCH, Epoch, TaskId, Wanted
+from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
+from pancakes.mesh.migration.record import TaskId, Wanted
 
 TASK = TaskId("north", "Scan")
 ME = GuardianId("east", "j1")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pancakes.mesh.migration.effect import Ack, Persist, Resume, Send
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import Award, Checkpoint, Frozen, PacketId, Received
 from pancakes.mesh.migration.messages import Activated, Prepared, Reserved, Solicit
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.volatile import Volatile
 from pancakes.runtime.hosting.hosting_effect import AskRoom, Prepare, TakeDown
 from pancakes.runtime.hosting.hosting_event import NotPersisted, Persisted, Room, StartConfigured, StoodStill

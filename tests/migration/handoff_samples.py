@@ -8,13 +8,14 @@ from pancakes.mesh.migration.core import handle
 from pancakes.mesh.migration.effect import (
     Effect,
 )
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import (
     Received,
 )
 from pancakes.mesh.migration.messages import (
     Solicit,
 )
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.volatile import Volatile
 
 SCAN = TaskId("agent1", "ScanTarget")

@@ -7,8 +7,9 @@ from msgspec.structs import replace
 
 from pancakes.mesh.migration.capability import Capability, compatible
 from pancakes.mesh.migration.cost import ActiveTasks, HostLoad
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.reservations import Reservation, Reservations
 
 SCAN = TaskId("agent1", "ScanTarget")

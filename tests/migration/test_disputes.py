@@ -18,6 +18,7 @@ from pancakes.mesh.migration.effect import (
     Remember,
     StartTask,
 )
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     ClaimHeard,
@@ -27,7 +28,7 @@ from pancakes.mesh.migration.event import (
     PersistFailed,
     RunAsked,
 )
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.volatile import Volatile
 

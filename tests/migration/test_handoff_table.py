@@ -46,6 +46,7 @@ from pancakes.mesh.migration.effect import (
     StartTask,
     Warn,
 )
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
@@ -70,7 +71,7 @@ from pancakes.mesh.migration.messages import (
     Transfer,
     Unknown,
 )
-from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.record import Phase, Record, Wanted
 from pancakes.mesh.migration.volatile import Volatile
 
 

@@ -36,6 +36,7 @@ from pancakes.mesh.migration.effect import (
     Resume,
     StartTask,
 )
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
@@ -47,7 +48,7 @@ from pancakes.mesh.migration.event import (
     PersistFailed,
     RunAsked,
 )
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.record import Phase, Record, Wanted
 
 
 class TestLifeOnOneAgent:

@@ -23,8 +23,9 @@ from msgspec.structs import replace
 from pancakes.mesh.guarding import guardian_core
 from pancakes.mesh.guarding.guard_messages import CheckpointBody, CheckpointId, KeepLease, LeaseKept, Pledge, SeizeTask
 from pancakes.mesh.guarding.guardian_core import AnswerAsker, GuardRegister, Lease, LeaseOver, SetLease, WriteRegister
-from pancakes.mesh.guarding.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, TaskId
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import TaskId
 
 TASK: Final = TaskId("a", "Task")
 MEMBERS: Final = tuple(GuardianId(name, "j") for name in "xyz")

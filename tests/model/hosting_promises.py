@@ -7,9 +7,10 @@ from typing import Final
 from model.hosting_world import Spent, Violation, World
 
 from pancakes.mesh.migration.effect import Persist, StartTask
+from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import GiveUp, Resend, WriteAgain
 from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Wanted
+from pancakes.mesh.migration.record import Phase, Wanted
 from pancakes.runtime.hosting.hosting_event import StillOverdue
 from pancakes.runtime.hosting.machine import idle, settled
 from pancakes.runtime.life.life import State

@@ -9,6 +9,7 @@ from model.hosting_rim import Rim
 from model.hosting_world import BIRTH, LATER, PEER, REQUEST, Bounds, Violation, World
 from msgspec.structs import replace
 
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Award,
@@ -20,7 +21,7 @@ from pancakes.mesh.migration.event import (
 )
 from pancakes.mesh.migration.messages import Abort, Activated, Commit, Nak, Prepared, Reserved, Transfer
 from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.runtime.hosting import hosting_event as event
 from pancakes.runtime.hosting.machine import idle, settled
 from pancakes.runtime.hosting.standing import Standing

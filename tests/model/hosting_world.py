@@ -6,8 +6,9 @@ from typing import Any, Final
 
 import msgspec
 
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Epoch, Record, TaskId
+from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.mesh.migration.snapshot import Snapshot
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.life.life import Life

@@ -8,9 +8,10 @@ from typing import Any, Final, NamedTuple
 
 from pancakes.mesh.migration import core, snapshot
 from pancakes.mesh.migration.effect import Effect
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import Event
 from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Epoch, Record, TaskId
+from pancakes.mesh.migration.record import Record, TaskId
 from pancakes.mesh.migration.snapshot import Heard, Snapshot
 from pancakes.mesh.migration.volatile import Volatile
 

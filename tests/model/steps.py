@@ -24,6 +24,7 @@ from pancakes.mesh.migration.effect import (
     Send,
     StartTask,
 )
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import (
     Award,
     Born,
@@ -42,7 +43,7 @@ from pancakes.mesh.migration.event import (
     RunAsked,
 )
 from pancakes.mesh.migration.messages import Reserve, Reserved, Transfer
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Wanted
+from pancakes.mesh.migration.record import Phase, Wanted
 from pancakes.mesh.migration.snapshot import Heard, Snapshot
 from pancakes.mesh.migration.volatile import Volatile
 

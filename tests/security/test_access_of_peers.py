@@ -8,7 +8,8 @@ from services.counting import Count
 from pancakes.bodies.devices.types import Load
 from pancakes.control import Configure, Describe, Follow, Migrate, Reschedule, Shutdown, Start, Stop
 from pancakes.mesh.migration.claim import Owned, OwnerClaim
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import CTRL, NETWORK
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.testing import FleetInTest

@@ -8,9 +8,10 @@ from services.counting import Count
 from pancakes.bodies.devices.driver import Actuator
 from pancakes.bodies.devices.types import Load, Twist
 from pancakes.control import Migrate, Restart, Start, Stop
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Transfer, addressed
 from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.record import Epoch, Phase, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, TaskId, Wanted
 from pancakes.mesh.net.memory import Quality
 from pancakes.runtime.hosting.machine import idle
 from pancakes.task import Task, every, on

@@ -2,7 +2,8 @@
 
 import pytest
 
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, whereabouts
 from pancakes.packet import Fence
 from pancakes.runtime.services.fence_rule import (

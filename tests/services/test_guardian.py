@@ -14,8 +14,9 @@ from pancakes.mesh.guarding.guard_messages import (
     Pledge,
     SeizeTask,
 )
-from pancakes.mesh.guarding.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, TaskId
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
 from pancakes.packet import NETWORK

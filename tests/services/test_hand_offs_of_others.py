@@ -5,9 +5,10 @@ from msgspec.structs import replace
 from services.counting import Count
 
 from pancakes.control import Migrate, Stop
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Commit, Nak, Piece, Transfer, addressed
 from pancakes.mesh.migration.pieces import cut
-from pancakes.mesh.migration.record import Epoch, Phase, TaskId
+from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.packet import Packet
 from pancakes.testing import FleetInTest
 

@@ -7,7 +7,8 @@ from services.numbered import Sink
 
 from pancakes.control import Adopt, Describe, Forget, Migrate, Restart, Start, Stop
 from pancakes.mesh.migration.claim import Owned, OwnerClaim
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.packet import NETWORK
 from pancakes.runtime.hosting.census import Census
 from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp

@@ -37,6 +37,7 @@ from pancakes.control import (
 )
 from pancakes.errors import RemoteProtocolError
 from pancakes.events import Event, LogLine
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import (
     Abort,
     Activated,
@@ -50,7 +51,7 @@ from pancakes.mesh.migration.messages import (
     Solicit,
 )
 from pancakes.mesh.migration.post import ForwardTo, Letter, Receipt
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt, WhereIs
 from pancakes.mesh.wire.codec import Encoder
 from pancakes.mesh.wire.framing import frame

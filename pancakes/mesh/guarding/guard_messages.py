@@ -12,8 +12,9 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from pancakes.mesh.guarding.guards import GuardianId, Guards
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, TaskId, Wanted
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
+from pancakes.mesh.migration.record import TaskId, Wanted
 from pancakes.packet import packet_type
 
 SHORTEST_LEASE_S: Final = 0.5

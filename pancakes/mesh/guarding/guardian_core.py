@@ -27,8 +27,9 @@ from pancakes.mesh.guarding.guard_messages import (
     Pledge,
     SeizeTask,
 )
-from pancakes.mesh.guarding.guards import NO_GUARDS, GuardianId, Guards, newest
-from pancakes.mesh.migration.record import MOST_STEP, NO_EPOCH, Epoch, TaskId
+from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
+from pancakes.mesh.migration.record import TaskId
 
 
 class GuardRegister(msgspec.Struct, frozen=True):

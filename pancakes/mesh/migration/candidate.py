@@ -5,6 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.effect import After, Discard, Effect, Persist, Remember, Send, StartTask, Warn
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import InDoubt, Received, Resend
 from pancakes.mesh.migration.messages import (
     Abort,
@@ -17,7 +18,7 @@ from pancakes.mesh.migration.messages import (
     Transfer,
     Unknown,
 )
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.mesh.migration.times import Times
 from pancakes.mesh.migration.volatile import Volatile
 

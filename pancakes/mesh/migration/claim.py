@@ -7,7 +7,8 @@ from typing import Final
 
 import msgspec
 
-from pancakes.mesh.migration.record import Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.packet import packet_type
 
 IN_ONE_PACKET: Final = 256

@@ -9,9 +9,10 @@ import random
 
 import msgspec
 
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import Event, PacketId
 from pancakes.mesh.migration.messages import HandOffMessage
-from pancakes.mesh.migration.record import Epoch, Record
+from pancakes.mesh.migration.record import Record
 from pancakes.mesh.migration.volatile import Volatile
 
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import msgspec
 
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import HandOffMessage, Solicit
-from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.record import Phase, Record, Wanted
 
 
 class PacketId(NamedTuple):

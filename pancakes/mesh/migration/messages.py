@@ -17,7 +17,8 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.cost import CostChoice
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import packet_type
 
 

@@ -17,6 +17,7 @@ from pancakes.mesh.migration.effect import (
     Remember,
     StartTask,
 )
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
     Arrived,
@@ -28,7 +29,7 @@ from pancakes.mesh.migration.event import (
     RunAsked,
     WriteAgain,
 )
-from pancakes.mesh.migration.record import Epoch, Phase, Record, Wanted
+from pancakes.mesh.migration.record import Phase, Record, Wanted
 from pancakes.mesh.migration.volatile import Volatile
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 from pancakes.errors import RemoteProtocolError
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.messages import Piece, Transfer
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.snapshot import LIMIT_BYTES, digest
 
 PIECE_BYTES: Final = 64 * 1024

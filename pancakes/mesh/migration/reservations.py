@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.record import TaskId
 
 
 class Reservation(msgspec.Struct, frozen=True):

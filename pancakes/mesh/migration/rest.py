@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.epoch import NO_EPOCH
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 
 
 def rest_of(record: Record) -> str:

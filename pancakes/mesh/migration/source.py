@@ -18,6 +18,7 @@ from pancakes.mesh.migration.effect import (
     Send,
     Warn,
 )
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import Award, FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired
 from pancakes.mesh.migration.messages import (
     Abort,
@@ -30,7 +31,7 @@ from pancakes.mesh.migration.messages import (
     Transfer,
     Unknown,
 )
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.mesh.migration.times import Times
 from pancakes.mesh.migration.volatile import Volatile
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.record import Phase, Record
 from pancakes.packet import packet_type
 
 

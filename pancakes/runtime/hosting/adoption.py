@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from pancakes.errors import ControlRefused
+from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.runtime.hosting.lost import Lost
 
 DOUBT: Final = (Phase.COMMITTED, Phase.PREPARED)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pancakes.control import Adopt, Forget, Revive
 from pancakes.errors import ControlRefused
+from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.event import AdoptionAsked, ForgettingAsked
 from pancakes.mesh.migration.owner import is_disputed
-from pancakes.mesh.migration.record import NO_EPOCH, Phase, Record, TaskId, Wanted
+from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.packet import agent_of, join
 from pancakes.runtime.hosting import adoption
 from pancakes.runtime.hosting.arrivals import Arrivals

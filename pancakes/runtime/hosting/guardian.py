@@ -22,9 +22,10 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
-from pancakes.mesh.guarding.guards import GuardianId
+from pancakes.mesh.migration.epoch import NO_EPOCH
+from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.messages import addressed, is_for
-from pancakes.mesh.migration.record import NO_EPOCH, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten

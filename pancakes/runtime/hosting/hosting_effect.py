@@ -6,7 +6,7 @@ import msgspec
 
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration.effect import StartTask
-from pancakes.mesh.migration.record import Epoch
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.runtime.life import life_effect
 
 

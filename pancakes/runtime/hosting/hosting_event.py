@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pancakes.mesh.migration.record import Epoch
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 
 

@@ -6,7 +6,8 @@ from typing import Final
 
 import msgspec
 
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 
 MORE_THAN_MOVES: Final = 1_000_000
 """The epoch of a task that is adopted without its record is so much higher than all that is known of it: more than it

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.ledger import Ledger
 from pancakes.mesh.migration.messages import Solicit
-from pancakes.mesh.migration.record import Epoch, TaskId
+from pancakes.mesh.migration.record import TaskId
 from pancakes.runtime.hosting.bidding_messages import HasMoved
 from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing

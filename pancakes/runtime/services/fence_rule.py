@@ -12,7 +12,8 @@ from typing import Final
 import msgspec
 
 from pancakes.errors import MigrationError
-from pancakes.mesh.migration.record import MOST_STEP, Epoch, Phase, Record, TaskId
+from pancakes.mesh.migration.epoch import MOST_STEP, Epoch
+from pancakes.mesh.migration.record import Phase, Record, TaskId
 from pancakes.mesh.migration.whereabouts import TaskAt
 from pancakes.packet import Fence
 

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 
 from pancakes.control import Configure, Describe, Reschedule, SetFence
+from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.post import Letter
-from pancakes.mesh.migration.record import Epoch
 from pancakes.packet import Packet
 from pancakes.runtime.kernel.reference import Reference
 from pancakes.runtime.life.request import Request

@@ -7,7 +7,7 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from pancakes.mesh.migration.record import NO_EPOCH, Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 
 MOST_GUARDIANS: Final = 5
 """So many guardians a set has at most: more are slower, and survive nothing that is likely."""

@@ -1,0 +1,30 @@
+"""Epochs: the order in which agents own a task. Pure."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+
+class Epoch(NamedTuple):
+    """How often a task was handed over, and who minted that number; ordered in this order.
+
+    The next epoch offered is the hand-off's id and the fencing token in one.
+
+    Attributes:
+        n: the number; 0 at the task's birth.
+        minter: the agent that owned the task when it was minted.
+    """
+
+    n: int
+    minter: str
+
+    def __str__(self) -> str:
+        return f"{self.n}@{self.minter}" if self.minter else "none"
+
+
+NO_EPOCH: Final = Epoch(0, "")
+"""Lower than every epoch that was ever minted."""
+MOST_STEP: Final = 10_000_000
+"""An epoch may be so much higher than the one before. An adoption of a task whose record was lost takes a step of a
+million for each time that it was lost.
+"""
