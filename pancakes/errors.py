@@ -74,6 +74,10 @@ class MailboxFull(PancakesError):
     """A `reliable` subscriber has no room: no subscriber got the packet, the publisher may try again."""
 
 
+class NoPermit(PancakesError):
+    """A guarded task may not act now: its guardians do not answer, and may have given it to another agent."""
+
+
 class ControlRefused(PancakesError):
     """A control packet was understood and refused. The message is the reason."""
 

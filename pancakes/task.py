@@ -25,6 +25,7 @@ import msgspec
 from pancakes.control import Configure, Describe, Migrate, Reschedule, SetFence
 from pancakes.errors import ControlRefused, PancakesError
 from pancakes.mesh.migration.cost import CostChoice
+from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.post import Incoming
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.packet import SYSCTRL, Fence, Packet
@@ -83,6 +84,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
         restart: what happens when it ends by itself.
         durability: `lazy`: a checkpoint each second where something changed; `each`: before each acknowledgement.
         rule: when it moves to another agent by itself.
+        guard: how it is guarded; None: it is not.
         device: of the task of a device its type; else empty.
         arguments: what else its class wants, for tasks that a service makes of its own classes.
     """
@@ -97,6 +99,7 @@ class TaskSpec(msgspec.Struct, frozen=True):
     restart: RestartSpec = RestartSpec()
     durability: str = "lazy"
     rule: MigrationRule | None = None
+    guard: GuardRule | None = None
     device: str = ""
     arguments: Mapping[str, Any] = _NONE
 
@@ -182,6 +185,14 @@ class Task(Component):
             return checked_period(carried_s)  # it may come from another agent
         return period_of(self.__rate_hz) if self.__rate_hz is not None and not self.timers else period_s
 
+    def acts(self) -> bool:
+        # A guarded task that does not know whether another agent runs it stands still until its service tells it.
+        if self.kernel.permits.holds(self.address):
+            return True
+        if not self.actor_inbox.paused:
+            self.pause()
+        return False
+
     def before_start(self) -> None:
         super().before_start()
         self.__began_s = (self.kernel.host.now(), self.now())
@@ -247,7 +258,7 @@ class Task(Component):
         Returns:
             Whether it has had its effect, now or before.
         """
-        if self.actor_inbox.paused or self.actor_stopped.is_set():
+        if self.actor_inbox.paused or self.actor_stopped.is_set() or not self.acts():
             return False
         if self.__heard.is_old(stream, seq):
             return True
@@ -267,7 +278,8 @@ class Task(Component):
             case StandStill():
                 self.__stand_still(message)
             case GoOn():
-                self.resume()
+                if self.actor_inbox.paused:
+                    self.resume()
             case Give():
                 self.__take(message)
             case _:

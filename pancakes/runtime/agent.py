@@ -36,7 +36,8 @@ from pancakes.runtime.hosting.census_messages import CENSUS, NeighbourUp
 from pancakes.runtime.hosting.client import ClientService
 from pancakes.runtime.hosting.courier import Courier
 from pancakes.runtime.hosting.courier_messages import COURIER
-from pancakes.runtime.hosting.guardian import GUARDIAN, Guardian
+from pancakes.runtime.hosting.guard_talk import GUARDIAN
+from pancakes.runtime.hosting.guardian import Guardian
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.ledgers import Ledgers
 from pancakes.runtime.hosting.load import describe_process
@@ -247,7 +248,7 @@ class Agent:
             raise
         self._tend(Courier, COURIER, outbox=self.outbox, records=self.records, mesh=self.mesh)
         self._tend(Census, CENSUS, records=self.records, state=self.host_state, mesh=self.mesh)
-        self._tend(Guardian, GUARDIAN, registers=self._registers, mesh=self.mesh)
+        self._tend(Guardian, GUARDIAN, registers=self._registers, mesh=self.mesh, state=self.host_state)
         root = self.kernel.spawn(
             Root,
             join(self.name, "kernel"),

@@ -21,6 +21,7 @@ from pancakes.mesh.security.access import Access
 from pancakes.mesh.security.rules import RIGHTS, AccessRule, Right
 from pancakes.packet import NETWORK
 from pancakes.runtime.hosting import guardian
+from pancakes.runtime.hosting.guard_talk import GUARDIAN
 from pancakes.testing import FleetInTest
 
 TASK = TaskId("a", "Scan")
@@ -63,7 +64,7 @@ def answered(fleet, by, message, to="b"):
     """Says something to a guardian, and returns its newest answer; None: it gives none."""
     asker = fleet.agents[by]
     asker.probe.forget()
-    asked = asker.publish(NETWORK, message, f"{to}/{guardian.GUARDIAN}")
+    asked = asker.publish(NETWORK, message, f"{to}/{GUARDIAN}")
     fleet.run_for(0.2)
     kinds = (LeaseKept, Pledge, DenyLease)
     said = [it.body for kind in kinds for it in asker.probe.packets(kind) if it.destination == asked.source]

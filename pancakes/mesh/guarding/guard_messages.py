@@ -156,5 +156,18 @@ class DenyLease(msgspec.Struct, frozen=True):
     journal: str = ""
 
 
+@packet_type("guard.yield")
+class YieldLease(msgspec.Struct, frozen=True):
+    """The owner does nothing more until it has asked for a lease anew: its lease may end now.
+
+    Attributes:
+        epoch: the epoch under which it owned the task.
+    """
+
+    task_id: TaskId
+    epoch: Epoch
+    journal: str = ""
+
+
 GuardAnswer = LeaseKept | Pledge | DenyLease
 """What a guardian says."""

@@ -26,6 +26,7 @@ from pancakes.mesh.guarding.guard_messages import (
     LeaseKept,
     Pledge,
     SeizeTask,
+    YieldLease,
 )
 from pancakes.mesh.migration.epoch import MOST_STEP, NO_EPOCH, Epoch
 from pancakes.mesh.migration.guards import NO_GUARDS, GuardianId, Guards, newest
@@ -81,7 +82,7 @@ class LeaseOver(msgspec.Struct, frozen=True):
     number: int
 
 
-GuardEvent = KeepLease | SeizeTask | LeaseOver
+GuardEvent = KeepLease | SeizeTask | YieldLease | LeaseOver
 
 
 class WriteRegister(msgspec.Struct, frozen=True):
@@ -128,6 +129,8 @@ def handle(me: GuardianId, register: GuardRegister, lease: Lease, event: GuardEv
             return _keep(me, register, lease, event)
         case SeizeTask():
             return _seize(me, register, lease, event)
+        case YieldLease():
+            return [SetLease(replace(lease, epoch=None), 0.0)] if event.epoch == lease.epoch else []
         case LeaseOver():
             return [SetLease(replace(lease, epoch=None), 0.0)] if event.number == lease.number else []
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration.effect import After, Discard, Effect, Persist, Remember, Send, StartTask, Warn
+from pancakes.mesh.migration.effect import After, Discard, Effect, Persist, Remember, Seize, Send, StartTask, Warn
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import InDoubt, Received, Resend
 from pancakes.mesh.migration.messages import (
@@ -64,6 +64,8 @@ def commit(record: Record, event: Received, message: Commit) -> list[Effect]:
     if record.phase is Phase.PREPARED and record.offer == message.offer:
         if record.peer != event.peer:
             return []
+        if message.guards.sets:
+            return [Seize(event.peer, message)]  # the guardians decide; until then it stays as it is
         own = Record(record.task_id, Phase.OWNER, epoch=message.offer, seen=message.offer, snapshot=record.snapshot)
         return [
             Persist(own),

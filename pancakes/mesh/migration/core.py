@@ -10,11 +10,12 @@ back, exactly one does; no acknowledged packet is lost or takes effect twice.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from msgspec.structs import replace
 
-from pancakes.mesh.migration import candidate, owner, source
+from pancakes.mesh.migration import candidate, guarded, owner, source
 from pancakes.mesh.migration.effect import After, AttemptFailed, Effect, Persist, Remember, Resume, Warn
 from pancakes.mesh.migration.event import (
     AdoptionAsked,
@@ -30,12 +31,15 @@ from pancakes.mesh.migration.event import (
     FreezeFailed,
     Frozen,
     GiveUp,
+    GuardsChosen,
     InDoubt,
+    PermitGiven,
     PersistFailed,
     Received,
     Resend,
     ReservationExpired,
     RunAsked,
+    Seized,
     WriteAgain,
 )
 from pancakes.mesh.migration.messages import (
@@ -57,7 +61,9 @@ TIMES: Final = Times()
 """The durations that PROTOCOL names."""
 
 
-def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Times = TIMES) -> list[Effect]:
+def handle(
+    me: str, record: Record, volatile: Volatile, event: Event, times: Times = TIMES, permit: bool = True
+) -> list[Effect]:
     """Decides what one event means for one task.
 
     Args:
@@ -66,10 +72,15 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
         volatile: what is known until the next crash.
         event: what has happened.
         times: how long things may take.
+        permit: of a guarded task: whether its guardians let it act now.
 
     Returns:
         What to do, strictly in this order; empty where nothing follows.
     """
+    return guarded.gated(record, _decide(me, record, volatile, event, times, permit), permit)
+
+
+def _decide(me: str, record: Record, volatile: Volatile, event: Event, times: Times, permit: bool) -> Sequence[Effect]:
     match event:
         case Received():
             return _received(me, record, volatile, event, times)
@@ -104,7 +115,15 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
         case ForgettingAsked():
             return owner.forget(me, record, volatile, event)
         case ClaimHeard():
+            if record.guarded and event.epoch != record.epoch:
+                return guarded.claimed(record, volatile, event, permit)
             return owner.claimed(me, record, volatile, event)
+        case PermitGiven():
+            return guarded.permit_given(record, volatile)
+        case GuardsChosen():
+            return guarded.guards_chosen(me, record, event)
+        case Seized():
+            return guarded.seized(me, record, volatile, event)
         case PersistFailed():
             return _persist_failed(record, volatile, event, times)
         case WriteAgain():
@@ -112,7 +131,14 @@ def handle(me: str, record: Record, volatile: Volatile, event: Event, times: Tim
 
 
 def recover(record: Record, times: Times = TIMES) -> list[Effect]:
-    """Decides what to do about a task after a restart of the agent, its record read back from disk."""
+    """Decides what to do about a task after a restart of the agent, its record read back from disk.
+
+    A guarded task waits for its guardians: what they have granted before is not known any more.
+    """
+    return guarded.gated(record, _recover(record, times), permit=False)
+
+
+def _recover(record: Record, times: Times) -> list[Effect]:
     match record.phase:
         case Phase.OWNER:
             return owner.recover(record)

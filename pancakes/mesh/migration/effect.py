@@ -11,7 +11,7 @@ import msgspec
 
 from pancakes.mesh.migration.epoch import Epoch
 from pancakes.mesh.migration.event import Event, PacketId
-from pancakes.mesh.migration.messages import HandOffMessage
+from pancakes.mesh.migration.messages import Commit, HandOffMessage
 from pancakes.mesh.migration.record import Record
 from pancakes.mesh.migration.volatile import Volatile
 
@@ -73,6 +73,18 @@ class Resume(msgspec.Struct, frozen=True):
     epoch: Epoch
     incarnation: int
     snapshot: bytes
+
+
+class Seize(msgspec.Struct, frozen=True):
+    """Ask the guardians of a task for their pledges, which its owner has given away; see `Seized`.
+
+    Attributes:
+        source: the agent that gives it away.
+        commit: what that agent says.
+    """
+
+    source: str
+    commit: Commit
 
 
 class GiveWay(msgspec.Struct, frozen=True):
@@ -181,6 +193,7 @@ Effect = (
     | StartTask
     | Freeze
     | Resume
+    | Seize
     | GiveWay
     | Discard
     | Ack

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import GuardianId, Guards
 from pancakes.mesh.migration.messages import HandOffMessage, Solicit
 from pancakes.mesh.migration.record import Phase, Record, Wanted
 
@@ -30,9 +31,11 @@ class Born(msgspec.Struct, frozen=True):
 
     Attributes:
         snapshot: how it is to begin, encoded.
+        guardian: of a guarded task: this agent as a guardian, its first one; None: it is not guarded.
     """
 
     snapshot: bytes
+    guardian: GuardianId | None = None
 
 
 class RunAsked(msgspec.Struct, frozen=True):
@@ -88,11 +91,13 @@ class AdoptionAsked(msgspec.Struct, frozen=True):
             forget it: how the task is to begin, encoded; empty: as the snapshot says that is here.
         seen: the highest number of an epoch that is known of the task besides the record.
         jump: by how much the new epoch is to be higher than all that is known.
+        guardian: as in `Born`.
     """
 
     snapshot: bytes = b""
     seen: int = 0
     jump: int = 1
+    guardian: GuardianId | None = None
 
 
 class ForgettingAsked(msgspec.Struct, frozen=True):
@@ -117,6 +122,43 @@ class ClaimHeard(msgspec.Struct, frozen=True):
 
     peer: str
     epoch: Epoch
+
+
+# What its guardians make of a guarded task (docs/protocol.md, guardians).
+
+
+class PermitGiven(msgspec.Struct, frozen=True):
+    """More than half of the guardians have granted the owner a lease: the task may act from now on."""
+
+
+class GuardsChosen(msgspec.Struct, frozen=True):
+    """The task is to have other guardians.
+
+    Attributes:
+        sets: as in `Guards`.
+    """
+
+    sets: tuple[tuple[GuardianId, ...], ...]
+
+
+class Seized(msgspec.Struct, frozen=True):
+    """More than half of the guardians have pledged themselves to this agent: it owns the task from now on.
+
+    Attributes:
+        epoch: the epoch that they have pledged themselves to, of this agent's making.
+        guards: the newest guards that any of them knows.
+        snapshot: the newest checkpoint that any of them has.
+        wanted: what that checkpoint says is wanted of the task.
+        source: the agent that gives the task away; empty: the task was taken over.
+        offer: of that hand-off.
+    """
+
+    epoch: Epoch
+    guards: Guards
+    snapshot: bytes
+    wanted: Wanted
+    source: str = ""
+    offer: Epoch = NO_EPOCH
 
 
 class PersistFailed(msgspec.Struct, frozen=True):
@@ -254,6 +296,9 @@ Event = (
     | AdoptionAsked
     | ForgettingAsked
     | ClaimHeard
+    | PermitGiven
+    | GuardsChosen
+    | Seized
     | PersistFailed
     | WriteAgain
     | Award

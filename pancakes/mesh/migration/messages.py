@@ -17,7 +17,8 @@ import msgspec
 from msgspec.structs import replace
 
 from pancakes.mesh.migration.cost import CostChoice
-from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import NO_GUARDS, Guards
 from pancakes.mesh.migration.record import TaskId
 from pancakes.packet import packet_type
 
@@ -144,10 +145,19 @@ class Prepared(msgspec.Struct, frozen=True):
 
 @packet_type("migration.commit")
 class Commit(msgspec.Struct, frozen=True):
-    """Gives the task away. The source never takes it back after this."""
+    """Gives the task away. The source never takes it back after this.
+
+    Attributes:
+        guards: the guardians of a guarded task: the receiver asks them for their pledges before it owns the task.
+        yields: of a guarded task: the epoch under which the source had it.
+        no: of a guarded task: the number of the checkpoint that was sent.
+    """
 
     task_id: TaskId
     offer: Epoch
+    guards: Guards = NO_GUARDS
+    yields: Epoch = NO_EPOCH
+    no: int = 0
     journal: str = ""
 
 

@@ -29,6 +29,7 @@ from pancakes.mesh.migration.event import (
     RunAsked,
     WriteAgain,
 )
+from pancakes.mesh.migration.guarded import first_guards
 from pancakes.mesh.migration.record import Phase, Record, Wanted
 from pancakes.mesh.migration.volatile import Volatile
 
@@ -40,7 +41,9 @@ def born(me: str, record: Record, event: Born) -> list[Effect]:
     if record.task_id.birthplace != me:
         return [Decline(f"{record.task_id} can be born on {record.task_id.birthplace} alone, this is {me}")]
     epoch = Epoch(0, me)
-    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot)
+    own = Record(
+        record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot, guards=first_guards(epoch, event.guardian)
+    )
     return [Persist(own), *_run(own)]
 
 
@@ -132,7 +135,8 @@ def adopt(me: str, record: Record, event: AdoptionAsked) -> list[Effect]:
     if not _may_be_adopted(record, event):
         return [Decline(f"{record.task_id} is {record.phase.value} here: there is nothing to adopt")]
     epoch = Epoch(max(record.seen.n, event.seen) + event.jump, me)
-    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=event.snapshot or record.snapshot)
+    snapshot, guards = event.snapshot or record.snapshot, first_guards(epoch, event.guardian)
+    own = Record(record.task_id, Phase.OWNER, epoch, epoch, snapshot=snapshot, guards=guards)
     return [Persist(own), *_run(own)]
 
 

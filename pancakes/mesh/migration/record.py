@@ -14,6 +14,7 @@ import msgspec
 
 from pancakes.errors import MigrationError
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guards import NO_GUARDS, Guards
 from pancakes.runtime.foundation import codecs
 from pancakes.runtime.foundation.malformed import MALFORMED, why_malformed
 from pancakes.runtime.foundation.names import NAME
@@ -89,6 +90,8 @@ class Record(msgspec.Struct, frozen=True):
         incarnation: how often it was started here under `epoch`; a checkpoint of an earlier one is not taken.
         snapshot: an encoded `Snapshot`; empty where this agent holds none.
         sequel: what is to be done here once the task has gone, an encoded `Sequel`; empty: nothing, or nothing more.
+        guards: the guardians of a guarded task that this agent owns.
+        no: of a guarded task: the how-manieth checkpoint under `epoch` the snapshot is, with what is wanted.
         service: the service that keeps the record; known on disk only, where a tombstone could not tell otherwise.
     """
 
@@ -103,11 +106,18 @@ class Record(msgspec.Struct, frozen=True):
     snapshot: bytes = b""
     sequel: bytes = b""
     service: str = ""
+    guards: Guards = NO_GUARDS
+    no: int = 0
 
     @property
     def unborn(self) -> bool:
         """Whether this agent has never heard of the task."""
         return self.phase is Phase.ABSENT and self.seen == NO_EPOCH
+
+    @property
+    def guarded(self) -> bool:
+        """Whether its guardians decide who may run it."""
+        return bool(self.guards.sets)
 
     def encode(self) -> bytes:
         """Returns the record as msgpack bytes, for the journal."""

@@ -101,6 +101,7 @@ class Snapshot(msgspec.Struct, frozen=True):
         restart: its restart policy, as in `[task.NAME] restart`.
         durability: `lazy` or `each`.
         migrate: its rule for moving, as in `[task.NAME] migrate`; None where it has none.
+        guard: how it is guarded; None: it is not.
     """
 
     task_id: TaskId
@@ -118,6 +119,7 @@ class Snapshot(msgspec.Struct, frozen=True):
     restart: dict[str, Any] = {}
     durability: str = "lazy"
     migrate: dict[str, Any] | None = None
+    guard: dict[str, Any] | None = None
 
     def encode(self) -> bytes:
         """Returns the snapshot as msgpack bytes.

@@ -20,6 +20,7 @@ from pancakes.mesh.migration.effect import (
 )
 from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
 from pancakes.mesh.migration.event import Award, FreezeFailed, Frozen, GiveUp, InDoubt, Resend, ReservationExpired
+from pancakes.mesh.migration.guards import NO_GUARDS
 from pancakes.mesh.migration.messages import (
     Abort,
     Activated,
@@ -128,7 +129,7 @@ def prepared(me: str, record: Record, peer: str, message: Prepared, times: Times
                 After(times.warn_s, InDoubt(record.offer, Phase.COMMITTED)),
             ]
         if record.phase is Phase.COMMITTED:
-            return [Send(peer, Commit(record.task_id, message.offer))]
+            return [Send(peer, _commit_of(record))]
     if record.seen >= message.offer:
         # We remember being past it, so it was never committed to them, or they have had their answer.
         return [Send(peer, Abort(record.task_id, message.offer))]
@@ -142,8 +143,12 @@ def activated(record: Record, peer: str, message: Activated) -> list[Effect]:
     """Turns the record into a tombstone: the destination owns the task."""
     if record.phase is not Phase.COMMITTED or (record.peer, record.offer) != (peer, message.offer):
         return []
-    tombstone = replace(record, phase=Phase.RELEASED, offer=NO_EPOCH, snapshot=b"")
-    return [Persist(tombstone), HandedOver(peer, message.offer)]
+    return [Persist(tombstone_of(record)), HandedOver(peer, message.offer)]
+
+
+def tombstone_of(record: Record) -> Record:
+    """Returns what is left here of a task that another agent owns."""
+    return replace(record, phase=Phase.RELEASED, offer=NO_EPOCH, snapshot=b"", guards=NO_GUARDS, no=0)
 
 
 def concluded(record: Record) -> list[Effect]:
@@ -204,9 +209,15 @@ def _transfer(record: Record, attempt: int, times: Times) -> list[Effect]:
 
 def _commit(record: Record, attempt: int, times: Times) -> list[Effect]:
     return [
-        Send(record.peer, Commit(record.task_id, record.offer)),
+        Send(record.peer, _commit_of(record)),
         After(times.pause_s(attempt), Resend(record.offer, Phase.COMMITTED, attempt), times.spread),
     ]
+
+
+def _commit_of(record: Record) -> Commit:
+    if not record.guarded:
+        return Commit(record.task_id, record.offer)
+    return Commit(record.task_id, record.offer, record.guards, record.epoch, record.no)
 
 
 def _abort(record: Record, reason: str) -> list[Effect]:

@@ -16,9 +16,11 @@ class Volatile(msgspec.Struct, frozen=True):
         freezing: the task is being stopped for that neighbour; its snapshot is to come.
         again: what was decided last, could not be written, and will be tried again; None: all that was decided is
             written, or being written.
+        fresh: of a task that has not begun under its epoch: it goes on exactly where it stood still on its former host.
     """
 
     running: bool = False
     asked: str = ""
     freezing: bool = False
     again: Record | None = None
+    fresh: bool = False

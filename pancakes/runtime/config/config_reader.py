@@ -252,7 +252,24 @@ class _ConfigReader:
         device = config.devices.get(task.name)
         if device is not None and device.service == task.service:
             self._fault(key, f"has the same address as [device.{task.name}]: give one of them another name")
+        self._check_guard(task, config)
         if task.migrate:
             for name, problem, near in faults_of_rule(task.migrate, task.name, config.tasks):
                 path = name.split(".", 1) if name else ()
                 self._fault((*key, "migrate", *path), problem, near)
+
+    def _check_guard(self, task: TaskConfig, config: Config) -> None:
+        key = ("task", task.name)
+        if not task.guard:
+            for name in ("lease_s", "checkpoint_s", "guardians", "takeover"):
+                if self._places.has(*key, name):
+                    self._fault((*key, name), "is for guarded tasks: set `guard = 3` too")
+            return
+        if task.service in ("device", "network", "log"):
+            self._fault((*key, "guard"), f"is for tasks that can move, and those of the {task.service} service cannot")
+        others = [name for name in task.guardians if name != config.agent.name]
+        if len(others) != len(set(task.guardians)) or len(others) != len(task.guardians):
+            self._fault((*key, "guardians"), "expected the names of other agents, each once")
+        elif len(others) >= task.guard:
+            text = f"names {len(others)} agents, and besides this one there are {task.guard - 1} guardians"
+            self._fault((*key, "guardians"), text)

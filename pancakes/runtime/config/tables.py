@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta, Struct, field
 
 from pancakes.mesh.address import DEFAULT_FLEET, is_local, local_address
+from pancakes.mesh.migration.guard_rule import LONGEST_LEASE_S, SHORTEST_LEASE_S
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.security.rules import AccessRule, Right
 from pancakes.mesh.wire.link_messages import MOST_LISTEN
@@ -162,6 +163,13 @@ class TaskConfig(Struct, frozen=True):
         restart: what its service does when it fails.
         durability: `each` writes the task's state before each acknowledgement, `lazy` now and then.
         migrate: when it moves away by itself; None for never.
+        guard: how many agents, this one among them, guard it: where its agent is lost, they have another one run it
+            from its last checkpoint. 0: none does. See docs/guarded-tasks.md, as for the next four.
+        lease_s: it stands still so long after more than half of its guardians have fallen silent, and another agent
+            runs it a little later; in host seconds.
+        checkpoint_s: how often it is written down where it has changed, in host seconds.
+        guardians: agents that are to be its guardians before others.
+        takeover: `ask`: another agent runs it only once a person says so (`pancakes task take`).
     """
 
     name: str
@@ -173,6 +181,11 @@ class TaskConfig(Struct, frozen=True):
     restart: RestartSpec = field(default_factory=RestartSpec)
     durability: Literal["lazy", "each"] = "lazy"
     migrate: MigrationRule | None = None
+    guard: Literal[0, 3, 5] = 0
+    lease_s: Annotated[float, Meta(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
+    checkpoint_s: Annotated[float, Meta(ge=0.05, le=3600.0)] = 1.0
+    guardians: Annotated[tuple[str, ...], Meta(max_length=4)] = ()
+    takeover: Literal["auto", "ask"] = "auto"
 
 
 class Config(Struct, frozen=True):

@@ -171,7 +171,8 @@ class Arrivals:
             slot.fresh = False
             self._host.drop_state(slot)
         carries = slot.carried is not None or record.unborn
-        return Room(asked, snapshot=self._host.snapshot(slot, slot.carried) if carries else b"")
+        snapshot = self._host.snapshot(slot, slot.carried) if carries else b""
+        return Room(asked, snapshot=snapshot, guardian=self._host.first_guardian(place))
 
     def open(self, place: Place, start: StartTask) -> None:
         """Opens a place for a task among the tasks of the service."""

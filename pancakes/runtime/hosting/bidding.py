@@ -113,7 +113,7 @@ class TaskMigrator(Task):
             request,
             self.agent,
             asked.asked_by,
-            self._mesh.neighbours(),
+            [*self._mesh.neighbours(), *([self.agent] if asked.itself else [])],
             now_s,
             asked.to,
             asked.dry_run,
@@ -267,7 +267,8 @@ class TaskMigrator(Task):
     # Talking ---------------------------------------------------------------------------------------------------
 
     def _say(self, peer: str, message: Message) -> None:
-        journal = next((hello.journal for hello in self._mesh.connected() if hello.name == peer), "")
+        journals = {hello.name: hello.journal for hello in self._mesh.connected()}
+        journal = self._mesh.identity.journal if peer == self.agent else journals.get(peer, "")
         if not journal:
             return
         try:

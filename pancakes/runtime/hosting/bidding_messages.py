@@ -23,6 +23,7 @@ class Negotiate(msgspec.Struct, frozen=True):
         asked_by: the address that asked for the move, or `rule`.
         to: the only neighbour to ask; empty: all.
         dry_run: whether nothing is to be moved.
+        itself: whether this agent may take it too: its owner is silent.
     """
 
     service: Reference
@@ -30,6 +31,7 @@ class Negotiate(msgspec.Struct, frozen=True):
     asked_by: str
     to: str
     dry_run: bool
+    itself: bool = False
 
 
 class AttemptOver(msgspec.Struct, frozen=True):

@@ -43,17 +43,19 @@ class Checkpointing:
         self._host.after_host(CHECKPOINT_S, self._look_at_all)
 
     def _look_at_all(self) -> None:
-        names = list(self._host.slots)
+        # A guarded task has a time of its own.
+        names = [name for name in self._host.slots if self._host.places.at[name].tenancy is None]
         batches = [names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE)]
         for number, batch in enumerate(batches):
             if number == 0:
-                self._look_at(batch)
+                self.look_at(batch)
             else:
-                self._host.after_host(number * CHECKPOINT_S / len(batches), partial(self._look_at, batch))
+                self._host.after_host(number * CHECKPOINT_S / len(batches), partial(self.look_at, batch))
         self.begin()
 
-    def _look_at(self, names: Sequence[str]) -> None:
+    def look_at(self, names: Sequence[str]) -> None:
         places = self._host.places
+        """Looks at some tasks, by name."""
         for name in names:
             slot = self._host.slots.get(name)
             if slot is None or slot.task is None or slot.life.state is not State.RUNNING:
@@ -71,7 +73,7 @@ class Checkpointing:
         for place in late.values():
             slot = place.slot
             if slot is not None and (slot.spec.durability == "each" or place.owes):
-                self._look_at([slot.name])
+                self.look_at([slot.name])
 
     def looked(self, slot: Slot, looked: Looked) -> None:
         """A task says what it carries."""
@@ -86,6 +88,8 @@ class Checkpointing:
             return
         place = self._host.places.at[slot.name]
         standing = place.standing
+        if not self._host.kernel.permits.holds(slot.address):
+            return
         if not idle(standing):
             # The disk is slow, or a hand-off under way: the next time will do, and nothing piles up meanwhile.
             self.late[place.task_id] = place

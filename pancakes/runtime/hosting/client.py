@@ -12,8 +12,12 @@ import msgspec
 
 from pancakes import control
 from pancakes.errors import ControlRefused
+from pancakes.mesh.guarding.choosing import CanGuard
+from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, Pledge
+from pancakes.mesh.guarding.taking_over import TakeTask
 from pancakes.mesh.migration import effect as handoff_effect
 from pancakes.mesh.migration import messages
+from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.record import Phase, Record, TaskId, Wanted
 from pancakes.mesh.migration.rest import rest_of
 from pancakes.mesh.migration.snapshot import Posted, Snapshot
@@ -30,6 +34,7 @@ from pancakes.runtime.hosting.decisions import Decisions
 from pancakes.runtime.hosting.deliveries import Deliveries
 from pancakes.runtime.hosting.departures import Departures
 from pancakes.runtime.hosting.disputes import Disputes
+from pancakes.runtime.hosting.guarded_tasks import GuardedTasks
 from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.machine import AnyEvent, handle
 from pancakes.runtime.hosting.mover import Mover
@@ -117,6 +122,7 @@ class ClientService(Service):
         self._checkpointing = Checkpointing(self)
         self._deliveries = Deliveries(self)
         self._waiters = Waiters(self, records)
+        self._guarded = GuardedTasks(self, records, mesh, self._checkpointing.look_at, self._deliveries.on_disk)
         self._mover = Mover(self)
         self._arrivals = Arrivals(self, catalogue, records, state)
         self._departures = Departures(self)
@@ -152,6 +158,7 @@ class ClientService(Service):
             if place.slot is None:
                 self.feed_place(place, hosting_event.TakeUp())
         self._checkpointing.begin()
+        self._guarded.begin()
         self._mover.begin()
         self.tell_census(HostBegan(self))
 
@@ -167,7 +174,10 @@ class ClientService(Service):
         slot.fresh = kept is None
 
     def start_configured(self, slot: Slot) -> None:
-        self.feed_place(self.places.at[slot.name], hosting_event.StartConfigured(slot.fresh))
+        place = self.places.at[slot.name]
+        self.feed_place(place, hosting_event.StartConfigured(slot.fresh))
+        if place.standing.record.guarded:
+            self.settle(slot)  # its guardians may be away for long, and the agent is ready all the same
 
     def settle_all(self) -> None:
         # The last checkpoint of each task may wait for the one before it to be written.
@@ -177,6 +187,7 @@ class ClientService(Service):
     def _end_if_written(self) -> None:
         if self._ends and not self._turning and not self._writing:
             self._ends = False
+            self._guarded.close()
             self.end_at_last()
 
     # The events of its tasks -----------------------------------------------------------------------------------
@@ -201,12 +212,14 @@ class ClientService(Service):
 
     def _step(self, place: Place, event: AnyEvent) -> None:
         slot, before = place.slot, place.standing
-        at = Now(self.agent, self.kernel.host.now(), self.keeper.draw, self.closing)
+        now_s, permits = self.kernel.host.now(), self._guarded.permits(place)
+        at = Now(self.agent, now_s, self.keeper.draw, self.closing, permits)
         life, place.standing, effects = handle(slot.life if slot is not None else None, place.standing, event, at)
         if slot is not None and life is not None:
             slot.life = life
             slot.rest = rest_of(place.standing.record) if life.state in RESTS else ""
             self.kernel.tasks.enter(TaskEntry.of(self.name, slot))
+        self._guarded.look(place)
         for effect in effects:
             if isinstance(effect, hosting_effect.HostingEffect):
                 self._carry_out(place, effect, slot)
@@ -248,7 +261,7 @@ class ClientService(Service):
             case handoff_effect.Warn():
                 self.log("warning", effect.text)
             case handoff_effect.Ack():
-                self._deliveries.on_disk(place, effect.packet)
+                self._guarded.acknowledge(place, effect.packet)
             case handoff_effect.AttemptFailed():
                 self._mover.attempt_failed(place, effect)
             case handoff_effect.HandedOver():
@@ -269,6 +282,8 @@ class ClientService(Service):
                 self._departures.drop(place, slot, effect.ends)
             case handoff_effect.Resume():
                 self._departures.resume(place, slot)
+            case handoff_effect.Seize():
+                self._guarded.given(place, effect)
             case _:
                 assert_never(effect)
 
@@ -413,6 +428,18 @@ class ClientService(Service):
                 self.places.keep(place)
             if received is not None:
                 self.feed_place(place, received)
+
+    @on(NETWORK, LeaseKept, keep=KEEP, addressed=True)
+    @on(NETWORK, DenyLease, keep=KEEP, addressed=True)
+    @on(NETWORK, Pledge, keep=KEEP, addressed=True)
+    @on(NETWORK, CanGuard, keep=KEEP, addressed=True)
+    @on(NETWORK, TakeTask, keep=KEEP, addressed=True)
+    def on_guardian(self, packet: Packet) -> None:
+        """A guardian of a task says something."""
+        self._guarded.heard(packet)
+
+    def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
+        return self._guarded.first_guardian(place, snapshot)
 
     def connected(self, peer: str) -> bool:
         return self._carrier.connected(peer)

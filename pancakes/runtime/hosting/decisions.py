@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from pancakes.control import Adopt, Forget, Revive
 from pancakes.errors import ControlRefused
 from pancakes.mesh.migration.epoch import NO_EPOCH
@@ -147,7 +149,7 @@ class Decisions:
         host.log("warning", reason)
         place.adoption = Adoption(request, peer, reason, self._mover.sequel_of(place.standing.record).ledger)
         host.look_after(place, request)
-        host.feed_place(place, event)
+        host.feed_place(place, replace(event, guardian=host.first_guardian(place, event.snapshot)))
 
     def started(self, place: Place, adopted: Adoption, why_not: str) -> None:
         """The start of a task is decided: answers the request to adopt it."""

@@ -45,6 +45,12 @@ class Disputes:
             self._host.log("warning", f"{peer} says that it owns {place.task_id}, and is not believed: {fault}")
             return
         place.other = other
+        if record.guarded and claim.epoch != record.epoch:
+            # Which of them may run it the guardians decide; the lower one gives it up by itself.
+            if claim.epoch < record.epoch:
+                self._host.tell_census(Owns(OwnerClaim(place.task_id, record.epoch), peer))
+            self._host.feed_place(place, ClaimHeard(peer, claim.epoch))
+            return
         if record.phase is not Phase.OWNER:
             return
         # It may have become an owner since this agent told all what it owns.
@@ -64,7 +70,8 @@ class Disputes:
             place.other = None  # it owned the task before
 
     def _give_way(self, place: Place, other: OtherOwner) -> None:
-        if not is_disputed(place.standing.record):
+        record = place.standing.record
+        if not is_disputed(record) and not (record.guarded and other.epoch != record.epoch):
             self._tell(place.standing.record, other, stands_still=True)
         self._host.feed_place(place, ClaimHeard(other.peer, other.epoch))
 

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import msgspec
 
-from pancakes.errors import PancakesError
-from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, KeepLease, SeizeTask
+from pancakes.mesh.guarding.choosing import CanGuard, MayGuard
+from pancakes.mesh.guarding.guard_messages import DenyLease, GuardAnswer, KeepLease, SeizeTask, YieldLease
 from pancakes.mesh.guarding.guardian_core import (
     AnswerAsker,
     GuardEffect,
@@ -22,24 +22,28 @@ from pancakes.mesh.guarding.guardian_core import (
     handle,
     recover,
 )
+from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen
 from pancakes.mesh.migration.epoch import NO_EPOCH
 from pancakes.mesh.migration.guards import GuardianId
-from pancakes.mesh.migration.messages import addressed, is_for
+from pancakes.mesh.migration.messages import is_for
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.net.mesh import Mesh
 from pancakes.packet import NETWORK, Packet, agent_of
+from pancakes.runtime.hosting.bidding_messages import Accounted, BidAwarded, MoveOver
+from pancakes.runtime.hosting.host_state import HostState
 from pancakes.runtime.hosting.registers import Registers, RegisterWritten
+from pancakes.runtime.hosting.takeover import Takeovers
 from pancakes.runtime.kernel.component import Component
 from pancakes.runtime.kernel.handlers import on
 from pancakes.runtime.kernel.keep import queue
 from pancakes.runtime.kernel.timer import OneShot
 
-GUARDIAN: Final = "kernel/Guardian"
-"""Where on each agent the guardian is."""
 KEEP: Final = queue(1024)
 """What falls out is said again."""
 MOST_WAIT: Final = 16
 """So much may wait for the disk of what is said of one task; what falls out is said again."""
+PLEDGED_S: Final = 1.0
+"""For so long no other owner is looked for than the agent that was given a pledge."""
 MOST_TASKS: Final = 1024
 """An agent guards so many tasks of one peer at most, ..."""
 MOST_BYTES: Final = 64 * 1024 * 1024
@@ -57,6 +61,8 @@ class _Guarded(msgspec.Struct):
         effects: what is still to be carried out of that event.
         writing: the register that is being written; None: none is.
         waiting: the events that wait, each with the address that asked.
+        event: the event that is being dealt with.
+        heard_s: when the owner was heard last, in host time.
     """
 
     register: GuardRegister
@@ -66,6 +72,8 @@ class _Guarded(msgspec.Struct):
     effects: deque[GuardEffect] = msgspec.field(default_factory=deque)
     writing: GuardRegister | None = None
     waiting: list[tuple[str, GuardEvent]] = msgspec.field(default_factory=list)
+    event: GuardEvent | None = None
+    heard_s: float = 0.0
 
 
 class Guardian(Component):
@@ -76,26 +84,42 @@ class Guardian(Component):
     Args:
         registers: what it has on disk.
         mesh: says what neighbours there are.
+        state: says what this agent could be to a task.
     """
 
-    def __init__(self, *args: Any, registers: Registers, mesh: Mesh, **others: Any) -> None:
+    def __init__(self, *args: Any, registers: Registers, mesh: Mesh, state: HostState, **others: Any) -> None:
         super().__init__(*args, **others)
         self._registers = registers
         self._mesh = mesh
+        self._state = state
+        self._takeovers = Takeovers(self, mesh)
         self._guarded: dict[TaskId, _Guarded] = {}
         self._refused: dict[str, str] = {}  # why a peer was refused last
 
     def on_start(self) -> None:
+        self._began_s = self.kernel.host.now()
         for task, why in self._registers.lost().items():
             self.log("error", f"{self.agent} guards {task!a} no more, as it may have forgotten a pledge: {why}")
         for register in self._registers.all():
-            one = self._guarded[register.task_id] = _Guarded(register)
+            one = self._guarded[register.task_id] = _Guarded(register, heard_s=self.kernel.host.now())
             one.effects.extend(recover(register))
             self._go_on(one)
 
     def on_receive(self, message: Any) -> Any:
-        if not isinstance(message, RegisterWritten):
-            return super().on_receive(message)
+        match message:
+            case RegisterWritten():
+                self._written(message)
+            case BidAwarded():
+                self._takeovers.awarded(message)
+            case MoveOver():
+                self._takeovers.over(message)
+            case Accounted():
+                pass
+            case _:
+                return super().on_receive(message)
+        return None
+
+    def _written(self, message: RegisterWritten) -> None:
         one = self._guarded[message.task_id]
         written, one.writing = one.writing, None
         if message.why_not:
@@ -103,7 +127,6 @@ class Guardian(Component):
         elif written is not None:
             one.register = written
         self._go_on(one)
-        return None
 
     @on(NETWORK, KeepLease, keep=KEEP, addressed=True)
     def on_keep(self, packet: Packet) -> None:
@@ -114,6 +137,55 @@ class Guardian(Component):
     def on_seize(self, packet: Packet) -> None:
         """An agent is to take a task, and asks for a pledge."""
         self._take(packet)
+
+    @on(NETWORK, YieldLease, keep=KEEP, addressed=True)
+    def on_yield(self, packet: Packet) -> None:
+        """The owner of a task ends: others may take it at once."""
+        one = self._guarded.get(packet.body.task_id)
+        speaks = packet.body.epoch.minter == agent_of(packet.source)
+        if one is not None and speaks and is_for(packet.body, self._mesh.identity.journal):
+            one.waiting.append((packet.source, packet.body))
+            self._go_on(one)
+
+    @on(NETWORK, AskLease, keep=KEEP, addressed=True)
+    def on_ask_lease(self, packet: Packet) -> None:
+        """Another guardian of a task looks for a new owner."""
+        one = self._guarded.get(packet.body.task_id)
+        if one is None or not is_for(packet.body, self._mesh.identity.journal):
+            return
+        peer, register = agent_of(packet.source), one.register
+        if peer not in {member.agent for member in register.guards.members()}:
+            return
+        self._takeovers.put_off(register.task_id)
+        runs = one.lease.epoch is not None
+        self._say(packet.source, LeaseSeen(register.task_id, self._me, runs, register.promised, register.guards))
+
+    @on(NETWORK, LeaseSeen, keep=KEEP, addressed=True)
+    def on_lease_seen(self, packet: Packet) -> None:
+        """Another guardian says whether a lease runs there."""
+        told = packet.body
+        if told.guardian.agent == agent_of(packet.source) and is_for(told, self._mesh.identity.journal):
+            self._takeovers.seen(told)
+
+    @on(NETWORK, MayGuard, keep=KEEP, addressed=True)
+    def on_may_guard(self, packet: Packet) -> None:
+        """The owner of a task looks for guardians."""
+        asked, peer = packet.body, agent_of(packet.source)
+        if not is_for(asked, self._mesh.identity.journal):
+            return
+        access = self.kernel.access
+        refusal = access.fault(peer, "guard", asked.type) or access.fault(peer, "host", asked.type)
+        if not refusal and str(asked.task_id) in self._registers.lost():
+            refusal = f"{self.agent} has lost what it knew of it"
+        answer = CanGuard(
+            asked.task_id,
+            self._me,
+            refusal,
+            self._state.runs(asked.type),
+            "battery" in self.kernel.registry.device_types(),
+            self.kernel.host.now() - self._began_s,
+        )
+        self._say(packet.source, answer)
 
     def _take(self, packet: Packet) -> None:
         asked: KeepLease | SeizeTask = packet.body
@@ -172,6 +244,7 @@ class Guardian(Component):
                 self._carry_out(one, one.effects.popleft())
             else:
                 one.asker, event = one.waiting.pop(0)
+                one.event = event
                 one.effects.extend(handle(self._me, one.register, one.lease, event))
 
     def _carry_out(self, one: _Guarded, effect: GuardEffect) -> None:
@@ -183,7 +256,14 @@ class Guardian(Component):
                 if one.alarm is not None:
                     one.alarm.cancel()
                 one.lease, one.alarm = lease, None
-                if lease.epoch is not None:
+                if lease.epoch is None:
+                    # An agent that was given a pledge is about to be the owner.
+                    wait_s = PLEDGED_S if isinstance(one.event, SeizeTask) else 0.0
+                    self._takeovers.lease_ended(one.register, one.heard_s, wait_s)
+                else:
+                    if one.event is not None:
+                        one.heard_s = self.kernel.host.now()
+                        self._takeovers.lease_runs(one.register.task_id, lease.epoch)
                     one.alarm = self.after_host(lease_s, partial(self._lease_over, one, LeaseOver(lease.number)))
             case AnswerAsker(message):
                 self._say(one.asker, message)
@@ -192,13 +272,6 @@ class Guardian(Component):
         one.waiting.append(("", over))
         self._go_on(one)
 
-    def _say(self, asker: str, message: GuardAnswer) -> None:
-        peer = agent_of(asker)
-        known = {hello.name: hello.journal for hello in self._mesh.connected()}
-        journal = known.get(peer, "") if peer != self.agent else self._mesh.identity.journal
-        if not journal:
-            return
-        try:
-            self.publish(NETWORK, addressed(message, journal), to=asker)
-        except PancakesError as error:
-            self.log("debug", f"{type(message).__name__} of {message.task_id} did not reach {peer}: {error}")
+    def _say(self, asker: str, message: GuardAnswer | LeaseSeen | CanGuard) -> None:
+        peer, _, place = asker.partition("/")
+        self._takeovers.say(peer, "", place, message)

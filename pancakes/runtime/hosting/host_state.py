@@ -161,6 +161,10 @@ class HostState:
         )
         return capability.refusal_of(request) or self._taken(request)
 
+    def runs(self, type: str) -> bool:
+        """Returns whether this agent runs tasks, and has this type of them."""
+        return self._role == "agent" and bool(self._running()) and self._version(type) is not None
+
     def _taken(self, request: Solicit) -> str:
         registry = self._kernel.registry
         place = join(self._kernel.agent, request.service, request.task_id.name)

@@ -145,6 +145,7 @@ HostingEffect = (
     | handoff_effect.Persist
     | handoff_effect.Send
     | handoff_effect.Resume
+    | handoff_effect.Seize
     | handoff_effect.Ack
     | handoff_effect.After
     | handoff_effect.Warn

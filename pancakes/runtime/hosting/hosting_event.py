@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.guards import GuardianId
 from pancakes.runtime.hosting.hosting_effect import AskRoom
 
 
@@ -34,12 +35,14 @@ class Room(msgspec.Struct, frozen=True):
         reason: why it cannot run here now; empty: it can.
         for_good: whether to try again is no use.
         snapshot: what it is to begin with, encoded; empty: what its record says.
+        guardian: of a guarded task: its first guardian, where it is born now.
     """
 
     asked: AskRoom
     reason: str = ""
     for_good: bool = False
     snapshot: bytes = b""
+    guardian: GuardianId | None = None
 
 
 class PlaceFree(msgspec.Struct, frozen=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from pancakes.mesh.migration.guards import GuardianId
 from pancakes.mesh.migration.snapshot import Posted
 from pancakes.packet import Packet
 from pancakes.runtime.hosting.host_state import HostState
@@ -49,6 +50,9 @@ class HostingService(Reference, Protocol):
 
     def admit(self, slot: Slot) -> str: ...
 
+    def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
+        """Returns the first guardian of a task that begins here: this agent; None: the task is not guarded."""
+
     def connected(self, peer: str) -> bool:
         """Returns whether there is a link to an agent now."""
 
@@ -73,6 +77,8 @@ class HostingService(Reference, Protocol):
     def put_off(self, request: Request, reason: str) -> None: ...
 
     def waits(self, request: Request) -> bool: ...
+
+    def publish(self, channel: str, body: Any, to: str = "") -> Any: ...
 
     def log(self, level: str, text: str) -> None: ...
 

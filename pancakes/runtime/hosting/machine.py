@@ -129,7 +129,9 @@ class HostingStep:
                 self._carry(effect)
             elif standing.events:
                 self.decided, *waiting = standing.events
-                effects = core.handle(self.at.me, standing.record, standing.volatile, self.decided)
+                effects = core.handle(
+                    self.at.me, standing.record, standing.volatile, self.decided, permit=self.at.permit
+                )
                 self.change(events=tuple(waiting), effects=tuple(effects))
             else:
                 break
@@ -333,7 +335,7 @@ def _room(step: HostingStep, event: hosting_event.Room) -> None:
     if event.reason:
         step.live(life_event.LeaveRefused(event.reason, event.for_good))
     elif record.unborn:
-        step.feed(handoff_event.Born(event.snapshot))
+        step.feed(handoff_event.Born(event.snapshot, event.guardian))
     elif event.snapshot:
         step.feed(handoff_event.Ended(Wanted.STOPPED, event.snapshot))
         step.feed(handoff_event.RunAsked())
@@ -390,7 +392,7 @@ def _not_persisted(step: HostingStep, event: hosting_event.NotPersisted) -> None
         return
     step.why_not = event.reason
     failed = handoff_event.PersistFailed(event.reason, waits.record)
-    effects = core.handle(step.at.me, standing.record, standing.volatile, failed)
+    effects = core.handle(step.at.me, standing.record, standing.volatile, failed, permit=step.at.permit)
     step.change(waits=None, trouble=event.reason, effects=tuple(effects))
     owner = standing.record.phase is Phase.OWNER
     if waits.record.phase is Phase.ABSENT or (owner and waits.record.phase is Phase.RELEASED):

@@ -15,9 +15,11 @@ class Now(msgspec.Struct, frozen=True):
         now_s: host time.
         draw: draws the length of a pause.
         closing: whether the task's service ends.
+        permit: of a guarded task: whether its guardians let it act.
     """
 
     me: str
     now_s: float
     draw: Draw
     closing: bool = False
+    permit: bool = True

@@ -12,6 +12,7 @@ from pancakes.runtime.hosting.bidding_messages import HasMoved
 from pancakes.runtime.hosting.checkpoints import LastCheckpoint
 from pancakes.runtime.hosting.standing import Standing
 from pancakes.runtime.hosting.task_letters import TaskLetters
+from pancakes.runtime.hosting.tenancy import Taking, Tenancy
 from pancakes.runtime.life.request import Request
 from pancakes.runtime.supervision.slot import Slot
 
@@ -86,6 +87,8 @@ class Place(msgspec.Struct):
         adoption: the adoption that waits for its start; None: none.
         forgetting: the requests to forget it that wait for the disk.
         follows: the task that it is started after; None: none.
+        tenancy: of a guarded task that is owned here: what its guardians have said; None: it is none.
+        taking: what guardians have said of a task that this agent is to take; None: it is to take none.
         other: the agent that said of all others that it owns it under the highest epoch; None: none has said so.
     """
 
@@ -102,6 +105,8 @@ class Place(msgspec.Struct):
     adoption: Adoption | None = None
     forgetting: tuple[Request, ...] = ()
     follows: TaskId | None = None
+    tenancy: Tenancy | None = None
+    taking: Taking | None = None
     other: OtherOwner | None = None
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 
 from msgspec.structs import asdict
 
+from pancakes.mesh.migration.guard_rule import GuardRule
 from pancakes.mesh.migration.record import TaskId
 from pancakes.mesh.migration.rule import MigrationRule
 from pancakes.mesh.migration.snapshot import Heard, Posted, Snapshot, TimerPhase
@@ -54,6 +55,7 @@ def snapshot_of(
         restart=_plain_restart(spec.restart),
         durability=spec.durability,
         migrate=asdict(spec.rule) if spec.rule is not None else None,
+        guard=asdict(spec.guard) if spec.guard is not None else None,
     )
 
 
@@ -75,6 +77,7 @@ def spec_of(snapshot: Snapshot, catalogue: Installed) -> TaskSpec:
         restart=codecs.convert(snapshot.restart, RestartSpec) if snapshot.restart else RestartSpec(),
         durability=snapshot.durability,
         rule=codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None,
+        guard=codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None,
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pykka
 
-from pancakes.errors import ControlRefused, PancakesError, describe, traceback_of
+from pancakes.errors import ControlRefused, NoPermit, PancakesError, describe, traceback_of
 from pancakes.events import Event, LogLine
 from pancakes.packet import LOG, Cause, Fence, Packet, type_name
 from pancakes.runtime.foundation.signatures import check_called, check_overrides
@@ -112,7 +112,10 @@ class Component(PykkaActor):
             MailboxFull: a `reliable` subscriber has no room, or too many packets for the task that is its destination
                 wait already; no subscriber got the packet.
             LocalProtocolError: the body is of no registered type, or too large to travel.
+            NoPermit: a guarded task does not know now whether another agent runs it.
         """
+        if not self.kernel.permits.holds(self.address) and channel != LOG:
+            raise NoPermit(f"{self.address} may not act until its guardians answer")
         in_hand = self.__in_hand
         if cause is None and in_hand is not None:
             cause = (in_hand.source, in_hand.seq)
@@ -277,7 +280,7 @@ class Component(PykkaActor):
             if mailbox.control:
                 self.__handle_control()
             # A component that has ended has no mailbox any more.
-            if mailbox.waiting and not mailbox.paused and mailbox.component is self:
+            if mailbox.waiting and not mailbox.paused and mailbox.component is self and self.acts():
                 self.__handle_data(math.inf if slice_s is None else self.kernel.host.now() + slice_s)
         except BaseException as error:  # SystemExit in one actor must not end the others.
             self.__finish(partial(self.__fail, error))
@@ -321,6 +324,10 @@ class Component(PykkaActor):
             self.__tick(timer)
         self.after_start()
 
+    def acts(self) -> bool:
+        """For subclasses: returns whether the next tick or packet may be handled. In the actor."""
+        return True
+
     def before_start(self) -> None:
         """For subclasses: comes before `on_start` and before anything is subscribed to."""
 
@@ -346,7 +353,7 @@ class Component(PykkaActor):
                 return
             item = control.popleft()
             if isinstance(item, TaskTimer):
-                if item.component is self:
+                if item.component is self and self.acts():
                     item.run()
             elif isinstance(item, Told):
                 if item.component is self:

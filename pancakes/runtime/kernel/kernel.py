@@ -21,6 +21,7 @@ from pancakes.runtime.kernel.counter import Counter
 from pancakes.runtime.kernel.dispatch import Dispatcher
 from pancakes.runtime.kernel.guest import Guest
 from pancakes.runtime.kernel.letters import DeadLetters
+from pancakes.runtime.kernel.permits import Permits
 from pancakes.runtime.kernel.pinned import PinnedDispatcher
 from pancakes.runtime.kernel.pool import PoolDispatcher
 from pancakes.runtime.kernel.registry import Registry
@@ -50,6 +51,7 @@ class Kernel:
         now: returns the mission time in seconds; one object for all who ask for it with each tick and packet.
         stream: the information stream.
         registry: the actors that run here.
+        permits: which guarded tasks may act.
         tasks: the tasks of all services, at rest or not.
         task_timers: what ticks here.
         letters: packets whose handlers failed.
@@ -80,6 +82,7 @@ class Kernel:
         self.now = self.mission.now
         self.stream = InformationStream(agent)
         self.registry = Registry()
+        self.permits = Permits(self.host, virtual is not None)
         self.tasks = TaskTable()
         self.task_timers = TimerTable()
         self.letters = DeadLetters(self.log)

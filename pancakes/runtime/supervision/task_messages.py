@@ -66,7 +66,7 @@ class StandStill(msgspec.Struct, frozen=True):
 
 
 class GoOn(msgspec.Struct, frozen=True):
-    """Go on after `StandStill`."""
+    """Go on after `StandStill`, or after a time without a permit."""
 
 
 class Give(msgspec.Struct, frozen=True):

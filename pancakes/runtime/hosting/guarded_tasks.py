@@ -1,0 +1,89 @@
+"""The guarded tasks of one service: their leases, and those that it is to take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from pancakes.mesh.guarding.choosing import CanGuard
+from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept
+from pancakes.mesh.guarding.taking_over import TakeTask
+from pancakes.mesh.migration.effect import Seize
+from pancakes.mesh.migration.event import PacketId
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import Packet, agent_of
+from pancakes.runtime.hosting.guard_talk import GuardTalk
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.leases import Leases
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.records import Records
+from pancakes.runtime.hosting.takings import Takings
+
+
+class GuardedTasks:
+    """Looks after the guarded tasks of one service. All in that service's actor.
+
+    Args:
+        host: the service.
+        records: says which service has the record of a task.
+        mesh: says what neighbours there are.
+        save: has tasks written down, by name.
+        on_disk: acknowledges a packet whose effect is on disk.
+    """
+
+    def __init__(
+        self,
+        host: HostingService,
+        records: Records,
+        mesh: Mesh,
+        save: Callable[[Sequence[str]], None],
+        on_disk: Callable[[Place, PacketId], None],
+    ) -> None:
+        self._host = host
+        self._records = records
+        self._talk = GuardTalk(host, mesh)
+        self._leases = Leases(host, self._talk, save, on_disk)
+        self._takings = Takings(host, self._talk)
+        self.begin = self._leases.begin
+        self.close = self._leases.close
+        self.permits = self._leases.permits
+        self.look = self._leases.look
+        self._on_disk = on_disk
+
+    def first_guardian(self, place: Place, snapshot: bytes = b"") -> GuardianId | None:
+        """Returns the first guardian of a task that begins here: this agent; None: the task is not guarded."""
+        return self._talk.me if self._leases.rule_of(place, snapshot) is not None else None
+
+    def acknowledge(self, place: Place, packet: PacketId) -> None:
+        """The effect of a packet is on disk here: acknowledges it once that outlives this agent too."""
+        if place.tenancy is not None:
+            self._leases.owe(place, packet)
+        else:
+            self._on_disk(place, packet)
+
+    def given(self, place: Place, effect: Seize) -> None:
+        """A task was given to this agent: its guardians are asked."""
+        self._takings.given(place, effect)
+
+    def heard(self, packet: Packet) -> None:
+        """A guardian has said something."""
+        body, peer = packet.body, agent_of(packet.source)
+        if not self._talk.is_for_me(body):
+            return
+        if isinstance(body, TakeTask):
+            self._called(peer, body)
+            return
+        place = self._host.places.get(body.task_id)
+        if place is None or body.guardian.agent != peer:
+            return
+        if isinstance(body, CanGuard):
+            self._leases.can_guard(place, peer, body)
+            return
+        self._takings.heard(place, body)
+        if isinstance(body, (LeaseKept, DenyLease)):
+            self._leases.heard(place, body)
+
+    def _called(self, peer: str, call: TakeTask) -> None:
+        here = self._records.service_of(call.task_id) in ("", self._host.name)
+        if here and not self._host.kernel.access.fault(peer, "guard", call.type):
+            self._takings.called(self._host.places[call.task_id], call)

@@ -1,0 +1,335 @@
+"""The leases of guarded tasks: a service asks guardians for them, and lets its tasks act while they last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Final
+
+from pancakes.errors import MigrationError
+from pancakes.mesh.guarding.choosing import CanGuard, MayGuard, choose
+from pancakes.mesh.guarding.guard_messages import DenyLease, LeaseKept, YieldLease
+from pancakes.mesh.guarding.tenure import answered, asked_again, keep_lease
+from pancakes.mesh.migration.epoch import NO_EPOCH
+from pancakes.mesh.migration.event import ClaimHeard, GuardsChosen, PacketId, PermitGiven
+from pancakes.mesh.migration.guard_rule import PERMIT_SHARE, RENEWED, GuardRule
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.record import Phase
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.packet import join
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.hosting.guard_talk import GuardTalk
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.machine import idle
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.tenancy import Tenancy
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.life.life import State
+from pancakes.runtime.supervision.task_messages import GoOn
+
+REPLACED_S: Final = 60.0
+"""A guardian that has said nothing for so long is replaced where there is another one, in host time."""
+CHOOSE_S: Final = 1.0
+ASK_AGAIN_S: Final = 2.0
+ANSWERED_S: Final = 0.2
+"""So long the owner waits for what its neighbours say when it chooses guardians."""
+OWNED: Final = (Phase.OWNER, Phase.FROZEN)
+REMEMBERED: Final = 16
+"""So many askings may be under way; a lease that was granted on an older one is as good as over."""
+
+
+class Leases:
+    """Looks after the permits of one service's tasks. All in that service's actor.
+
+    Args:
+        host: the service.
+        talk: how it talks to guardians.
+        save: has tasks written down, by name.
+        on_disk: acknowledges a packet.
+    """
+
+    def __init__(
+        self,
+        host: HostingService,
+        talk: GuardTalk,
+        save: Callable[[Sequence[str]], None],
+        on_disk: Callable[[Place, PacketId], None],
+    ) -> None:
+        self._host = host
+        self._talk = talk
+        self._save = save
+        self._on_disk = on_disk
+        self._held: list[Place] = []
+
+    def begin(self) -> None:
+        """Looks at the guardians of all tasks from now on."""
+        self._host.after_host(CHOOSE_S, self._choose_all)
+
+    def permits(self, place: Place) -> bool:
+        """Returns whether a guarded task may act now."""
+        return place.tenancy is not None and self._host.kernel.permits.holds(self._address(place))
+
+    def look(self, place: Place) -> None:
+        """The record of a task may have changed: asks for leases, or no longer."""
+        record, permits = place.standing.record, self._host.kernel.permits
+        owned = record.phase in OWNED
+        if owned and record.guarded:
+            if place.tenancy is None:
+                self._begin(place)
+            assert place.tenancy is not None
+            if place.tenancy.told != (record.epoch, record.no, record.guards.version):
+                self._renew(place)
+            return
+        if place.tenancy is not None:
+            self._end(place)
+        if record.phase is Phase.OWNER:
+            permits.free(self._address(place))
+            slot = place.slot
+            if slot is not None and slot.spec.guard is not None and idle(place.standing):
+                self._host.feed_place(place, GuardsChosen(((self._talk.me,),)))
+
+    def close(self) -> None:
+        """The service ends: its tasks act no more, and where the agent ends, others may take them at once."""
+        for place in list(self._held):
+            record = place.standing.record
+            self._renew(place)
+            self._end(place)
+            if self._host.kernel.stopping:
+                for guardian in record.guards.members():
+                    self._talk.say(guardian, YieldLease(record.task_id, record.epoch))
+
+    def _begin(self, place: Place) -> None:
+        place.tenancy = Tenancy(lost_s=self._host.kernel.host.now())
+        self._learn_rule(place)
+        self._host.kernel.permits.revoke(self._address(place))
+        self._held.append(place)
+        self._look_at(place)
+
+    def _end(self, place: Place) -> None:
+        assert place.tenancy is not None
+        place.tenancy.cancel()
+        place.tenancy = None
+        self._held.remove(place)
+        self._host.kernel.permits.revoke(self._address(place))
+
+    def _look_at(self, place: Place) -> None:
+        tenancy = place.tenancy
+        if tenancy is None:
+            return
+        if place.slot is not None:
+            self._save([place.slot.name])
+        every_s = tenancy.rule.checkpoint_s if tenancy.rule is not None else CHOOSE_S
+        tenancy.tick = self._host.after_host(every_s, partial(self._look_at, place))
+
+    def _learn_rule(self, place: Place) -> None:
+        tenancy = place.tenancy
+        assert tenancy is not None
+        tenancy.rule = self.rule_of(place)
+        if place.slot is not None:
+            tenancy.type = place.slot.spec.type
+        elif not tenancy.type:
+            try:
+                tenancy.type = Snapshot.decode(place.standing.record.snapshot).type
+            except MigrationError as error:
+                self._host.log("error", f"{place.task_id} cannot be guarded: {error}")
+
+    def rule_of(self, place: Place, snapshot: bytes = b"") -> GuardRule | None:
+        """Returns how a task is guarded; None: it is not. `snapshot`: where its record has none."""
+        if place.slot is not None:
+            rule: GuardRule | None = place.slot.spec.guard
+            return rule
+        try:
+            guard = Snapshot.decode(snapshot or place.standing.record.snapshot).guard
+        except MigrationError:
+            return None
+        return codecs.convert(guard, GuardRule) if guard is not None else None
+
+    # Asking ----------------------------------------------------------------------------------------------------
+
+    def _renew(self, place: Place) -> None:
+        """Asks all guardians of a task for a lease."""
+        tenancy, record = place.tenancy, place.standing.record
+        if tenancy is None:
+            return
+        self._learn_rule(place)
+        tenancy.tenure = tenure = asked_again(tenancy.tenure, record)
+        # The clock is read before anything is sent: a lease begins later, so it ends later.
+        tenancy.until[tenure.beat] = self._host.kernel.permits.moment().later(PERMIT_SHARE * tenancy.lease_s)
+        tenancy.until.pop(tenure.beat - REMEMBERED, None)
+        tenancy.told = (record.epoch, record.no, record.guards.version)
+        for guardian in sorted(record.guards.members(), key=lambda one: one != self._talk.me):
+            with_body = self._lacks_body(tenancy, guardian, record.no)
+            self._talk.say(guardian, keep_lease(tenure, record, tenancy.type, tenancy.lease_s, with_body))
+        if tenancy.renewal is not None:
+            tenancy.renewal.cancel()
+        tenancy.renewal = self._host.after_host(tenancy.lease_s / RENEWED, partial(self._renew, place))
+
+    def _lacks_body(self, tenancy: Tenancy, guardian: GuardianId, no: int) -> bool:
+        beat = tenancy.tenure.beat
+        if tenancy.tenure.of(guardian).no >= no:
+            return False
+        sent = tenancy.bodies.get(guardian)
+        if sent is not None and sent[0] == no and beat - sent[1] < 2:
+            return False  # it is on its way
+        tenancy.bodies[guardian] = (no, beat)
+        return True
+
+    # What guardians say ----------------------------------------------------------------------------------------
+
+    def heard(self, place: Place, answer: LeaseKept | DenyLease) -> None:
+        """A guardian has answered."""
+        tenancy, record = place.tenancy, place.standing.record
+        if tenancy is None:
+            return
+        tenancy.heard_s[answer.guardian] = self._host.kernel.host.now()
+        tenancy.tenure = tenure = answered(tenancy.tenure, record, answer)
+        if isinstance(answer, DenyLease):
+            later = tenure.outvoted_by(record.guards)
+            if later != NO_EPOCH and not self.permits(place):
+                self._host.feed_place(place, ClaimHeard(later.minter, later))
+        elif tenure.is_behind(record.no):
+            self._tell_behind(place, tenancy)
+        else:
+            self._permit(place, tenancy)
+            self._acknowledge(place, tenancy)
+            both = record.guards.sets[1:]
+            if both and tenure.know_version(record.guards) and tenure.replicated_no(record.guards) >= record.no:
+                self._host.feed_place(place, GuardsChosen(both))
+
+    def _permit(self, place: Place, tenancy: Tenancy) -> None:
+        permits, address = self._host.kernel.permits, self._address(place)
+        until = tenancy.until.get(tenancy.tenure.granted_beat(place.standing.record.guards))
+        if until is None:
+            return
+        permits.give(address, until)
+        if not permits.holds(address):  # the answer came too late
+            permits.revoke(address)
+            return
+        self._wait_for_end(place, tenancy)
+        if tenancy.permit:
+            return
+        tenancy.permit = True
+        without_s = self._host.kernel.host.now() - tenancy.lost_s
+        self._host.event("permit_given", task=place.task_id.name, without_s=without_s)
+        self._host.feed_place(place, PermitGiven())
+        standing, slot = place.standing, place.slot
+        stands = standing.record.phase is Phase.OWNER and not standing.volatile.freezing
+        if stands and slot is not None and slot.task is not None and slot.life.state is State.RUNNING:
+            tell(slot.task, GoOn())
+
+    def _wait_for_end(self, place: Place, tenancy: Tenancy) -> None:
+        if tenancy.end is not None:
+            tenancy.end.cancel()
+        left_s = self._host.kernel.permits.left_s(self._address(place)) or 0.0
+        tenancy.end = self._host.after_host(left_s, partial(self._look_for_end, place))
+
+    def _look_for_end(self, place: Place) -> None:
+        tenancy = place.tenancy
+        if tenancy is None or not tenancy.permit:
+            return
+        if self.permits(place):
+            self._wait_for_end(place, tenancy)
+            return
+        tenancy.permit, tenancy.lost_s = False, self._host.kernel.host.now()
+        slot = place.slot
+        if slot is not None and slot.task is not None:
+            self._host.hold_actuators(slot, "its guardians do not answer")
+        silent = ", ".join(sorted(one.agent for one in self._silent(place, tenancy, tenancy.lease_s))) or "too few"
+        self._host.log("warning", f"{place.task_id} stands still: its guardians do not answer ({silent})")
+        self._host.event("permit_lost", task=place.task_id.name)
+
+    def _tell_behind(self, place: Place, tenancy: Tenancy) -> None:
+        if not tenancy.thin:
+            tenancy.thin = True
+            self._host.log(
+                "error",
+                f"{place.task_id} does not run: its guardians have a later checkpoint than the disk of"
+                f" {self._host.agent}, which is an old copy; `pancakes task take` lets the guardians decide",
+            )
+
+    def owe(self, place: Place, packet: PacketId) -> None:
+        """Acknowledges a packet once the checkpoint with its effect is at a quorum, so that a take-over keeps it."""
+        assert place.tenancy is not None
+        place.tenancy.owed.append((place.standing.record.no, packet))
+        self._acknowledge(place, place.tenancy)
+
+    def _acknowledge(self, place: Place, tenancy: Tenancy) -> None:
+        no = tenancy.tenure.replicated_no(place.standing.record.guards)
+        if tenancy.tenure.epoch != place.standing.record.epoch:
+            return
+        while tenancy.owed and tenancy.owed[0][0] <= no:
+            self._on_disk(place, tenancy.owed.pop(0)[1])
+
+    # Choosing guardians ----------------------------------------------------------------------------------------
+
+    def _choose_all(self) -> None:
+        for place in list(self._held):
+            tenancy, record = place.tenancy, place.standing.record
+            if tenancy is None or record.phase is not Phase.OWNER or len(record.guards.sets) != 1:
+                continue
+            members = record.guards.sets[0]
+            if len(members) == tenancy.number and not self._silent(place, tenancy, REPLACED_S):
+                continue
+            if tenancy.number == 1:
+                self._replace(place, (self._talk.me,))
+            elif self._host.kernel.host.now() - tenancy.asked_s >= ASK_AGAIN_S:
+                self._ask(place, tenancy)
+        self._host.after_host(CHOOSE_S, self._choose_all)
+
+    def _ask(self, place: Place, tenancy: Tenancy) -> None:
+        tenancy.asked_s = self._host.kernel.host.now()
+        tenancy.answers = {}
+        for guardian in self._talk.neighbours():
+            self._talk.say(guardian, MayGuard(place.task_id, tenancy.type))
+        self._host.after_host(ANSWERED_S, partial(self._choose, place))
+
+    def can_guard(self, place: Place, peer: str, answer: CanGuard) -> None:
+        """A neighbour says whether it would guard a task."""
+        if place.tenancy is not None:
+            place.tenancy.answers[peer] = answer
+
+    def _choose(self, place: Place) -> None:
+        tenancy, record = place.tenancy, place.standing.record
+        if tenancy is None or record.phase is not Phase.OWNER or len(record.guards.sets) != 1:
+            return
+        members, rule = record.guards.sets[0], tenancy.rule
+        silent = self._silent(place, tenancy, REPLACED_S)
+        named = rule.guardians if rule is not None else ()
+        chosen = choose(self._talk.me, members, silent, named, tenancy.number, tenancy.answers.values())
+        if chosen is not None:
+            tenancy.thin = False
+            self._replace(place, chosen)
+        elif not tenancy.thin:
+            tenancy.thin = True
+            self._tell_thin(place, tenancy, members)
+
+    def _tell_thin(self, place: Place, tenancy: Tenancy, members: Sequence[GuardianId]) -> None:
+        refusals = [f"{peer}: {one.refusal}" for peer, one in sorted(tenancy.answers.items()) if one.refusal]
+        why = f" ({'; '.join(refusals)})" if refusals else ""
+        able = sum(not one.refusal for one in tenancy.answers.values())
+        if len(members) == 1:
+            text = (
+                f"{place.task_id} is not guarded: it needs {tenancy.number - 1} other agents, and {able} can guard it"
+            )
+        else:
+            text = f"{place.task_id} has a silent guardian, and no other agent can guard it"
+        self._host.log("warning", text + why)
+        self._host.event("guard_thin", task=place.task_id.name, guardians=[one.agent for one in members])
+
+    def _replace(self, place: Place, chosen: tuple[GuardianId, ...]) -> None:
+        record = place.standing.record
+        if set(chosen) != set(record.guards.sets[0]):
+            names = ", ".join(one.agent for one in chosen)
+            self._host.log("info", f"{place.task_id} is to be guarded by {names}")
+            self._host.event("guards_chosen", task=place.task_id.name, guardians=[one.agent for one in chosen])
+            self._host.feed_place(place, GuardsChosen((record.guards.sets[0], chosen)))
+
+    def _silent(self, place: Place, tenancy: Tenancy, since_s: float) -> list[GuardianId]:
+        now_s = self._host.kernel.host.now()
+        members = place.standing.record.guards.members()
+        for one in members:
+            tenancy.heard_s.setdefault(one, now_s)
+        return [one for one in members if now_s - tenancy.heard_s[one] >= since_s and one != self._talk.me]
+
+    def _address(self, place: Place) -> str:
+        return join(self._host.address, place.task_id.name)

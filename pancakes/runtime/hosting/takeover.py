@@ -1,0 +1,266 @@
+"""Has guarded tasks taken over whose owners are silent: guardians ask each other, and then all neighbours for bids."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final
+
+import msgspec
+
+from pancakes.errors import MigrationError, PancakesError
+from pancakes.mesh.guarding.guardian_core import GuardRegister
+from pancakes.mesh.guarding.taking_over import AskLease, LeaseSeen, TakeTask
+from pancakes.mesh.migration.epoch import NO_EPOCH, Epoch
+from pancakes.mesh.migration.guard_rule import GuardRule
+from pancakes.mesh.migration.guards import GuardianId, Guards, newest
+from pancakes.mesh.migration.messages import Solicit, addressed
+from pancakes.mesh.migration.record import TaskId, Wanted
+from pancakes.mesh.migration.rule import MigrationRule
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.mesh.net.mesh import Mesh
+from pancakes.packet import NETWORK, join
+from pancakes.runtime.foundation import codecs
+from pancakes.runtime.hosting.bidding_messages import AttemptOver, BidAwarded, HasMoved, MoveOver, Negotiate
+from pancakes.runtime.hosting.guard_talk import GUARDIAN
+from pancakes.runtime.kernel.component import Component
+from pancakes.runtime.kernel.tell import tell
+from pancakes.runtime.kernel.timer import OneShot
+
+MIGRATOR: Final = "network/TaskMigrator"
+RANK_S: Final = 0.15
+"""So much later than the guardian before it each guardian looks for a new owner: so that one of them does it."""
+CALLED_S: Final = 1.5
+"""An agent that was called to take a task has so long to ask for its first lease."""
+NEGOTIATED_S: Final = 10.0
+"""A negotiation that has not ended by then is forgotten: the Task Migrator was started anew."""
+
+
+class _Orphan(msgspec.Struct):
+    """A task on which no lease runs here.
+
+    Attributes:
+        register: what this guardian has of it.
+        snapshot: its checkpoint.
+        rule: how it is guarded.
+        heard_s: when its owner was heard last, in host time.
+        over: the guardians that say that no lease runs there either.
+        promised: the latest epoch that any of them follows.
+        guards: the newest guards that any of them knows.
+        asks: how often neighbours were asked for bids.
+        negotiating_s: since when, in host time; None: bids are not compared now.
+        called: the agent that was called to take it.
+        ordered: whether a person has said that it is to be taken.
+        told: whether people were told that it waits for a person.
+        timer: what comes next.
+    """
+
+    register: GuardRegister
+    snapshot: Snapshot
+    rule: GuardRule
+    heard_s: float
+    over: set[GuardianId] = set()
+    promised: Epoch = NO_EPOCH
+    guards: Guards = Guards()
+    asks: int = 0
+    negotiating_s: float | None = None
+    called: str = ""
+    ordered: bool = False
+    told: bool = False
+    timer: OneShot | None = None
+
+
+class Takeovers:
+    """Looks after the tasks whose leases are over. All in the guardian's actor.
+
+    Args:
+        guardian: the guardian.
+        mesh: says what neighbours there are.
+    """
+
+    def __init__(self, guardian: Component, mesh: Mesh) -> None:
+        self._guardian = guardian
+        self._mesh = mesh
+        self._orphans: dict[TaskId, _Orphan] = {}
+        self._asks = 0
+
+    def lease_ended(self, register: GuardRegister, heard_s: float, wait_s: float) -> None:
+        """No lease runs on a task any more.
+
+        Args:
+            register: what this guardian has of it.
+            heard_s: when its owner was heard last, in host time.
+            wait_s: for so long no new owner is looked for.
+        """
+        self._drop(register.task_id)
+        members = register.guards.members()
+        if register.body is None or register.body.wanted is not Wanted.RUNNING or self._me not in members:
+            return
+        try:
+            snapshot = Snapshot.decode(register.body.snapshot)
+            rule = codecs.convert(snapshot.guard, GuardRule) if snapshot.guard is not None else None
+        except (MigrationError, msgspec.ValidationError) as error:
+            self._guardian.log("error", f"{register.task_id} cannot be taken over: {error}")
+            return
+        if rule is None:
+            return
+        orphan = _Orphan(register, snapshot, rule, heard_s, guards=register.guards, promised=register.promised)
+        self._orphans[register.task_id] = orphan
+        self._later(orphan, wait_s + RANK_S * members.index(self._me))
+
+    def lease_runs(self, task_id: TaskId, epoch: Epoch) -> None:
+        """A task has an owner again."""
+        orphan = self._orphans.get(task_id)
+        if orphan is None:
+            return
+        self._drop(task_id)
+        if orphan.negotiating_s is None:
+            return
+        if epoch.minter == orphan.called:
+            silent_s = self._guardian.kernel.host.now() - orphan.heard_s
+            owner, checkpoint = orphan.register.checkpoint.epoch.minter, orphan.register.checkpoint
+            self._guardian.log(
+                "warning",
+                f"{task_id} was taken over by {epoch.minter} from {owner}, silent for {silent_s:.1f} s; checkpoint"
+                f" {checkpoint.epoch}/{checkpoint.no}",
+            )
+            self._guardian.event("taken_over", task=task_id.name, by=epoch.minter, source=owner, silent_s=silent_s)
+            self._tell_migrator(HasMoved(self._guardian, task_id, epoch.minter, str(epoch), None, ""))
+        else:
+            self._tell_migrator(AttemptOver(self._guardian, task_id, "", f"{epoch.minter} owns it", None))
+
+    def _drop(self, task_id: TaskId) -> None:
+        orphan = self._orphans.pop(task_id, None)
+        if orphan is not None and orphan.timer is not None:
+            orphan.timer.cancel()
+
+    @property
+    def _me(self) -> GuardianId:
+        return GuardianId(self._guardian.agent, self._mesh.identity.journal)
+
+    # Asking the other guardians ---------------------------------------------------------------------------------
+
+    def _later(self, orphan: _Orphan, delay_s: float) -> None:
+        if orphan.timer is not None:
+            orphan.timer.cancel()
+        orphan.timer = self._guardian.after_host(delay_s, partial(self._poll, orphan))
+
+    def _poll(self, orphan: _Orphan) -> None:
+        now_s = self._guardian.kernel.host.now()
+        if orphan.negotiating_s is not None and now_s - orphan.negotiating_s > NEGOTIATED_S:
+            orphan.negotiating_s = None
+        orphan.over = {self._me}
+        for member in orphan.guards.members():
+            if member != self._me:
+                self.say(member.agent, member.journal, GUARDIAN, AskLease(orphan.register.task_id))
+        members = orphan.register.guards.members()
+        self._later(orphan, max(1.0, orphan.rule.lease_s / 2) + RANK_S * members.index(self._me))
+        self._look(orphan)
+
+    def seen(self, answer: LeaseSeen) -> None:
+        """Another guardian says whether a lease runs there."""
+        orphan = self._orphans.get(answer.task_id)
+        if orphan is None:
+            return
+        orphan.guards = newest(orphan.guards, answer.guards)
+        orphan.promised = max(orphan.promised, answer.promised)
+        if self._me not in orphan.guards.members():
+            self._drop(answer.task_id)  # another one has taken its place
+            return
+        if not answer.runs:
+            orphan.over.add(answer.guardian)
+        self._look(orphan)
+
+    def put_off(self, task_id: TaskId) -> None:
+        """Another guardian asks: it is the one that looks for a new owner, unless it dies too."""
+        orphan = self._orphans.get(task_id)
+        if orphan is not None and orphan.negotiating_s is None:
+            self._later(orphan, max(1.0, orphan.rule.lease_s / 2))
+
+    def _look(self, orphan: _Orphan) -> None:
+        if orphan.negotiating_s is not None or not orphan.guards.has_quorum(orphan.over):
+            return
+        if orphan.rule.takeover == "ask" and not orphan.ordered:
+            self._tell_waiting(orphan)
+            return
+        self._negotiate(orphan)
+
+    def _tell_waiting(self, orphan: _Orphan) -> None:
+        if not orphan.told:
+            orphan.told = True
+            task_id = orphan.register.task_id
+            self._guardian.log(
+                "warning",
+                f"the owner of {task_id} is silent, and the task waits for you: `pancakes task take"
+                f" {self._guardian.agent}/{task_id.name}` has another agent run it",
+            )
+            self._guardian.event("takeover_waits", task=task_id.name)
+
+    # Asking for bids -------------------------------------------------------------------------------------------
+
+    def _negotiate(self, orphan: _Orphan) -> None:
+        snapshot, task_id = orphan.snapshot, orphan.register.task_id
+        rule = codecs.convert(snapshot.migrate, MigrationRule) if snapshot.migrate is not None else None
+        self._asks += 1
+        request = Solicit(
+            task_id,
+            self._asks,
+            snapshot.type,
+            snapshot.version,
+            snapshot.service,
+            snapshot.requires,
+            len(orphan.register.body.snapshot) if orphan.register.body is not None else 0,
+            rule.cost if rule is not None else "tasks",
+            rule.below if rule is not None and rule.when == "battery" else None,
+        )
+        now_s = self._guardian.kernel.host.now()
+        orphan.negotiating_s = now_s
+        owner, no = orphan.register.checkpoint.epoch.minter, orphan.register.checkpoint.no
+        asked_by = f"its guardians: {owner} silent for {now_s - orphan.heard_s:.1f} s, checkpoint {no}"
+        self._tell_migrator(Negotiate(self._guardian, request, asked_by, "", False, itself=True))
+
+    def awarded(self, awarded: BidAwarded) -> None:
+        """The bids are compared: calls the cheapest bidder."""
+        orphan = self._orphans.get(awarded.task_id)
+        if orphan is None:
+            reason = "its owner is back"
+            self._tell_migrator(AttemptOver(self._guardian, awarded.task_id, "", reason, None))
+            return
+        orphan.called = awarded.peer
+        register = orphan.register
+        silent_s = self._guardian.kernel.host.now() - orphan.heard_s
+        call = TakeTask(register.task_id, register.type, orphan.promised, orphan.guards, register.checkpoint, silent_s)
+        self.say(awarded.peer, "", orphan.snapshot.service, call)
+        self._guardian.after_host(CALLED_S, partial(self._look_at_called, orphan, awarded.peer))
+
+    def _look_at_called(self, orphan: _Orphan, peer: str) -> None:
+        task_id = orphan.register.task_id
+        if self._orphans.get(task_id) is orphan and orphan.called == peer:
+            reason = f"did not take it within {CALLED_S:g} s"
+            self._tell_migrator(AttemptOver(self._guardian, task_id, peer, reason, None))
+
+    def over(self, over: MoveOver) -> None:
+        """The negotiation is over, one way or the other."""
+        orphan = self._orphans.get(over.task_id)
+        if orphan is None:
+            return
+        orphan.negotiating_s, orphan.called = None, ""
+        if over.reason and not orphan.told:
+            orphan.told = True
+            self._guardian.log("warning", f"{over.task_id} runs nowhere, and is not taken over: {over.reason}")
+
+    def _tell_migrator(self, message: object) -> None:
+        migrator = self._guardian.kernel.registry.get(join(self._guardian.agent, MIGRATOR))
+        if migrator is not None:
+            tell(migrator, message)
+
+    def say(self, peer: str, journal: str, place: str, message: Any) -> None:
+        """Sends a message to an actor of another agent, or of this one; `journal`: empty: that which it has now."""
+        known = {hello.name: hello.journal for hello in self._mesh.connected()}
+        known[self._guardian.agent] = self._mesh.identity.journal
+        if not known.get(peer) or journal not in ("", known[peer]):
+            return
+        try:
+            self._guardian.publish(NETWORK, addressed(message, known[peer]), to=join(peer, place))
+        except PancakesError as error:
+            name = type(message).__name__
+            self._guardian.log("debug", f"{name} of {message.task_id} did not reach {peer}: {error}")

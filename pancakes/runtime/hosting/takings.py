@@ -1,0 +1,126 @@
+"""Taking a guarded task: a service asks the guardians for their pledges, and owns the task once it has them."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Final
+
+from msgspec.structs import replace
+
+from pancakes.errors import MigrationError
+from pancakes.mesh.guarding.guard_messages import NO_CHECKPOINT, CheckpointBody, CheckpointId, DenyLease, GuardAnswer
+from pancakes.mesh.guarding.taking_over import TakeTask
+from pancakes.mesh.guarding.tenure import Seizing, told
+from pancakes.mesh.migration.effect import Seize
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.mesh.migration.record import Phase
+from pancakes.mesh.migration.snapshot import Snapshot
+from pancakes.runtime.hosting.guard_talk import GuardTalk
+from pancakes.runtime.hosting.hosting_service import HostingService
+from pancakes.runtime.hosting.place import Place
+from pancakes.runtime.hosting.tenancy import Taking
+
+AGAIN_S: Final = 0.25
+"""How often guardians that have not answered are asked again, in host time."""
+GIVEN_UP_S: Final = 3.0
+"""A task that a guardian has called this agent to take is left to others after this time."""
+
+
+class Takings:
+    """Takes tasks for one service. All in that service's actor.
+
+    Args:
+        host: the service.
+        talk: how it talks to guardians.
+    """
+
+    def __init__(self, host: HostingService, talk: GuardTalk) -> None:
+        self._host = host
+        self._talk = talk
+
+    def given(self, place: Place, effect: Seize) -> None:
+        """The owner has given a task away, and never acts under its epoch again."""
+        commit, record = effect.commit, place.standing.record
+        if place.taking is not None and place.taking.seizing.offer == commit.offer:
+            return
+        try:
+            type = Snapshot.decode(record.snapshot).type
+        except MigrationError as error:
+            self._host.log("error", f"{place.task_id} cannot be taken: {error}")
+            return
+        seizing = Seizing(
+            place.task_id,
+            type,
+            Epoch(record.seen.n + 1, self._host.agent),
+            commit.guards,
+            CheckpointId(commit.yields, commit.no),
+            CheckpointBody(record.snapshot),
+            commit.yields,
+            effect.source,
+            commit.offer,
+        )
+        self._begin(place, seizing, None)
+
+    def called(self, place: Place, call: TakeTask) -> None:
+        """A guardian says that the owner of a task is silent, and that this agent is to take it."""
+        record, volatile = place.standing.record, place.standing.volatile
+        if place.taking is not None or record.phase is Phase.FROZEN or volatile.running:
+            return
+        epoch = Epoch(max(record.seen.n, call.promised.n) + 1, self._host.agent)
+        ours = record.phase in (Phase.OWNER, Phase.COMMITTED) and record.guarded
+        checkpoint = CheckpointId(record.epoch, record.no) if ours else NO_CHECKPOINT
+        body = CheckpointBody(record.snapshot, record.wanted) if ours else None
+        self._host.event("task_called", task=place.task_id.name, epoch=epoch.n, silent_s=call.silent_s)
+        seizing = Seizing(place.task_id, call.type, epoch, call.guards, checkpoint, body)
+        self._begin(place, seizing, self._host.kernel.host.now() + GIVEN_UP_S)
+
+    def _begin(self, place: Place, seizing: Seizing, until_s: float | None) -> None:
+        if place.taking is not None and place.taking.again is not None:
+            place.taking.again.cancel()
+        place.taking = Taking(seizing, until_s)
+        self._ask(place, seizing.unasked())
+        self._later(place, place.taking)
+
+    def _ask(self, place: Place, guardians: list[GuardianId]) -> None:
+        assert place.taking is not None
+        for guardian in sorted(guardians, key=lambda one: one != self._talk.me):
+            self._talk.say(guardian, place.taking.seizing.ask())
+
+    def _later(self, place: Place, taking: Taking) -> None:
+        taking.again = self._host.after_host(AGAIN_S, partial(self._again, place, taking))
+
+    def _again(self, place: Place, taking: Taking) -> None:
+        if place.taking is not taking:
+            return
+        seizing, record = taking.seizing, place.standing.record
+        late = taking.until_s is not None and self._host.kernel.host.now() >= taking.until_s
+        gone = record.seen >= seizing.epoch or (seizing.source and record.phase is not Phase.PREPARED)
+        if late or gone:
+            place.taking = None
+            return
+        if seizing.source and seizing.promised() > seizing.epoch:
+            # Another agent has asked for the task: only a higher epoch can have it now.
+            higher = Epoch(seizing.promised().n + 1, self._host.agent)
+            taking.seizing = replace(seizing, epoch=higher, pledged=(), denied=())
+        self._ask(place, taking.seizing.unasked())
+        self._later(place, taking)
+
+    def heard(self, place: Place, answer: GuardAnswer) -> None:
+        """A guardian has answered."""
+        taking = place.taking
+        if taking is None or answer.epoch != taking.seizing.epoch:
+            return
+        known = taking.seizing.guards.members()
+        taking.seizing = seizing = told(taking.seizing, answer)
+        if isinstance(answer, DenyLease):
+            self._host.log("debug", f"{answer.guardian.agent} does not pledge {place.task_id}: {answer.reason}")
+            return
+        result = seizing.result()
+        if result is not None:
+            place.taking = None
+            if taking.again is not None:
+                taking.again.cancel()
+            self._host.feed_place(place, result)
+        else:
+            self._ask(place, [one for one in seizing.unasked() if one not in known])

@@ -1,0 +1,84 @@
+"""What a service has at hand of a guarded task that it owns, or is to take."""
+
+from __future__ import annotations
+
+import msgspec
+
+from pancakes.mesh.guarding.choosing import CanGuard
+from pancakes.mesh.guarding.tenure import Seizing, Tenure
+from pancakes.mesh.migration.epoch import Epoch
+from pancakes.mesh.migration.event import PacketId
+from pancakes.mesh.migration.guard_rule import GuardRule
+from pancakes.mesh.migration.guards import GuardianId
+from pancakes.runtime.kernel.permits import Moment
+from pancakes.runtime.kernel.timer import OneShot
+
+
+class Tenancy(msgspec.Struct):
+    """A crash forgets all of it.
+
+    Attributes:
+        type: entry point name of the task's class.
+        rule: how the task is guarded; None: it is to be guarded no longer.
+        tenure: what its guardians have said.
+        until: until when each asking would let the task act, by beat.
+        permit: whether the task may act, as its service has last told it.
+        lost_s: since when, in host time, it may not.
+        told: the epoch, the checkpoint and the guards that guardians were told of last.
+        bodies: which checkpoint each guardian was sent last, and with which beat.
+        heard_s: when each guardian has said something last, in host time.
+        owed: packets that are acknowledged once a checkpoint of this number is at a quorum.
+        answers: what neighbours have said that were asked whether they would guard it.
+        asked_s: when they were asked last, in host time.
+        thin: whether people were told that it has fewer guardians than it should.
+        renewal: asks for leases again.
+        end: the end of the permit.
+        tick: has the task written down.
+    """
+
+    type: str = ""
+    rule: GuardRule | None = None
+    tenure: Tenure = Tenure()
+    until: dict[int, Moment] = {}
+    permit: bool = False
+    lost_s: float = 0.0
+    told: tuple[Epoch, int, int] | None = None
+    bodies: dict[GuardianId, tuple[int, int]] = {}
+    heard_s: dict[GuardianId, float] = {}
+    owed: list[tuple[int, PacketId]] = []
+    answers: dict[str, CanGuard] = {}
+    asked_s: float = -1e9
+    thin: bool = False
+    renewal: OneShot | None = None
+    end: OneShot | None = None
+    tick: OneShot | None = None
+
+    @property
+    def lease_s(self) -> float:
+        """How long its leases are, in host seconds."""
+        return self.rule.lease_s if self.rule is not None else GuardRule(3).lease_s
+
+    @property
+    def number(self) -> int:
+        """How many guardians it is to have."""
+        return self.rule.guard if self.rule is not None else 1
+
+    def cancel(self) -> None:
+        """Ends its timers."""
+        for timer in (self.renewal, self.end, self.tick):
+            if timer is not None:
+                timer.cancel()
+
+
+class Taking(msgspec.Struct):
+    """A task that this agent is to take.
+
+    Attributes:
+        seizing: what its guardians have said.
+        until_s: when it is given up, in host time; None: never, as it was given away to this agent.
+        again: asks once more.
+    """
+
+    seizing: Seizing
+    until_s: float | None
+    again: OneShot | None = None

@@ -1,0 +1,147 @@
+"""A guarded task outlives its agent: another one goes on with it, from what the guardians hold; never do two act."""
+
+import pytest
+from services.counting import Count
+
+from pancakes.control import Migrate, Stop
+from pancakes.mesh.migration.record import Phase, TaskId
+from pancakes.testing import FleetInTest
+
+COUNT = TaskId("a", "Count")
+GUARDED = {"Count": {"type": Count, "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5}}
+
+
+def record(fleet, name):
+    return fleet.agents[name].agent.records.get(COUNT)
+
+
+def guards(fleet, name="a"):
+    return [sorted(one.agent for one in members) for members in record(fleet, name).guards.sets]
+
+
+@pytest.fixture
+def fleet():
+    with FleetInTest(seed=5, classes={"test.Count": Count}) as made:
+        made.start("a", tasks=GUARDED)
+        made.start("b")
+        made.start("c")
+        made.connect()
+        yield made
+
+
+@pytest.fixture
+def guarded(fleet):
+    assert fleet.run_until(lambda: guards(fleet) == [["a", "b", "c"]], 10)
+    return fleet
+
+
+def where(fleet):
+    return [name for name, agent in fleet.agents.items() if "Count" in agent.running()]
+
+
+def test_its_agent_chooses_its_guardians(guarded):
+    assert where(guarded) == ["a"]
+    guarded.run_for(5.0)
+    assert where(guarded) == ["a"]
+    assert record(guarded, "a").epoch.n == 0
+
+
+def test_another_agent_goes_on_with_it(guarded):
+    guarded.run_for(3.0)
+    before = record(guarded, "a").no
+    guarded.crash("a")
+    crashed_s = guarded.now()
+    assert guarded.run_until(lambda: where(guarded), 10)
+    took_s = guarded.now() - crashed_s
+    assert before > 1 and took_s < 3.5
+    (taker,) = where(guarded)
+    assert record(guarded, taker).epoch.minter == taker
+    guarded.restart("a")
+    guarded.run_for(8.0)
+    assert where(guarded) == [taker]
+    assert record(guarded, "a").phase is Phase.RELEASED
+    assert record(guarded, taker).phase is Phase.OWNER
+
+
+def test_an_owner_that_restarts_within_the_lease_goes_on(guarded):
+    guarded.run_for(3.0)
+    guarded.crash("a")
+    guarded.run_for(0.3)
+    guarded.restart("a")
+    assert guarded.run_until(lambda: where(guarded) == ["a"], 1.5)
+    assert record(guarded, "a").epoch.n == 0
+
+
+def test_an_owner_that_is_cut_off_stands_still_before_another_goes_on(guarded):
+    a = guarded.agents["a"]
+    guarded.run_for(3.0)
+    n = a.task("Count").state.n
+    assert n > 20
+    guarded.faults.cut("a")
+    assert guarded.run_until(lambda: a.events("permit_lost"), 5.0)
+    assert where(guarded) == ["a"]  # it stands still
+    stood = a.task("Count").state.n
+    assert guarded.run_until(lambda: len(where(guarded)) == 2, 5.0)
+    guarded.run_for(3.0)
+    assert a.task("Count").state.n == stood
+    guarded.network.heal()
+    assert guarded.run_until(lambda: len(where(guarded)) == 1, 8.0)
+    (taker,) = where(guarded)
+    assert taker != "a" and record(guarded, "a").phase is Phase.RELEASED
+    assert guarded.agents[taker].task("Count").state.n > stood - 20
+
+
+def test_a_short_cut_is_no_news(guarded):
+    a = guarded.agents["a"]
+    guarded.run_for(2.0)
+    guarded.faults.cut("b", for_s=1.0)
+    guarded.faults.cut("c", for_s=1.0)
+    guarded.run_for(4.0)
+    assert where(guarded) == ["a"] and record(guarded, "a").epoch.n == 0
+    assert not a.events("permit_lost")
+
+
+def test_after_a_long_standstill_of_all_one_goes_on(guarded):
+    a = guarded.agents["a"]
+    guarded.run_for(2.0)
+    guarded.faults.cut("b")
+    guarded.faults.cut("c")
+    assert guarded.run_until(lambda: a.events("permit_lost"), 5.0)
+    n = a.task("Count").state.n
+    guarded.run_for(30.0)
+    assert where(guarded) == ["a"] and a.task("Count").state.n == n
+    guarded.faults.calm()
+    guarded.run_for(10.0)
+    (owner,) = where(guarded)
+    assert guarded.agents[owner].task("Count").state.n > n + 20
+
+
+def test_it_moves_by_the_word_of_its_guardians(guarded):
+    guarded.run_for(2.0)
+    n = guarded.agents["a"].task("Count").state.n
+    assert guarded.agents["a"].ask(Migrate("Count", to="b")).ok
+    assert guarded.run_until(lambda: where(guarded) == ["b"], 5.0)
+    assert guarded.agents["b"].task("Count").state.n >= n
+    assert guards(guarded, "b") == [["a", "b", "c"]]
+    guarded.run_for(5.0)
+    assert where(guarded) == ["b"] and record(guarded, "a").phase is Phase.RELEASED
+    guarded.crash("b")
+    assert guarded.run_until(lambda: where(guarded), 10)
+
+
+def test_a_goodbye_ends_the_wait(guarded):
+    guarded.run_for(2.0)
+    n = guarded.agents["a"].task("Count").state.n
+    guarded.stop("a")
+    assert guarded.run_until(lambda: where(guarded), 1.5)
+    (taker,) = where(guarded)
+    assert guarded.agents[taker].task("Count").state.n >= n
+
+
+def test_a_stopped_task_is_not_taken_over(guarded):
+    guarded.run_for(2.0)
+    assert guarded.agents["a"].ask(Stop("client/Count")).ok
+    guarded.run_for(1.0)
+    guarded.crash("a")
+    guarded.run_for(8.0)
+    assert where(guarded) == []
