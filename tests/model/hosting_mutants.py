@@ -272,7 +272,9 @@ MUTANTS: Final = (
         "life_event.LeaveRefused(event.reason)",
     ),
     HostingMutant(
-        "it is not born", "    elif record.unborn:\n        step.feed(handoff_event.Born(event.snapshot, event.guardian))\n", ""
+        "it is not born",
+        "    elif record.unborn:\n        step.feed(handoff_event.Born(event.snapshot, event.guardian))\n",
+        "",
     ),
     HostingMutant(
         "what it carries is not written down",

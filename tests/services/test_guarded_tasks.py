@@ -8,7 +8,7 @@ from pancakes.mesh.migration.record import Phase, TaskId
 from pancakes.testing import FleetInTest
 
 COUNT = TaskId("a", "Count")
-GUARDED = {"Count": {"type": Count, "guard": 3, "lease_s": 2.0, "checkpoint_s": 0.5}}
+GUARDED = {"Count": {"type": Count, "guard": 3, "lease_s": 4.0, "checkpoint_s": 0.5}}
 
 
 def record(fleet, name):
@@ -53,7 +53,7 @@ def test_another_agent_goes_on_with_it(guarded):
     crashed_s = guarded.now()
     assert guarded.run_until(lambda: where(guarded), 10)
     took_s = guarded.now() - crashed_s
-    assert before > 1 and took_s < 3.5
+    assert before > 1 and took_s < 5.0
     (taker,) = where(guarded)
     assert record(guarded, taker).epoch.minter == taker
     guarded.restart("a")

@@ -353,7 +353,7 @@ class Component(PykkaActor):
                 return
             item = control.popleft()
             if isinstance(item, TaskTimer):
-                if item.component is self and self.acts():
+                if item.component is self:
                     item.run()
             elif isinstance(item, Told):
                 if item.component is self:

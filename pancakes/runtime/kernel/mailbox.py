@@ -37,6 +37,9 @@ class Runnable(Protocol):
     def actor_stopped(self) -> Flag:
         """Whether it has ended."""
 
+    def acts(self) -> bool:
+        """Returns whether its next tick or packet may be handled. In its turn."""
+
     def take_turn(self, slice_s: float | None) -> None:
         """Handles what waits; see `Component.take_turn`."""
 

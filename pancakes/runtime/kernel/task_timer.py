@@ -98,7 +98,7 @@ class TaskTimer:
         deadline_s = self.deadline_s
         missed, self.missed = self.missed, 0
         self.pending = False
-        if self.component.actor_inbox.paused:
+        if self.component.actor_inbox.paused or not self.component.acts():
             return
         lateness_s = max(0.0, self._ticker.now() - deadline_s)
         self.ticks += 1
